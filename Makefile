@@ -1,0 +1,41 @@
+# make run | test | lint | bench | soak | clean        (GNU make, Python 3.11 or later; everything goes into .venv)
+PYTHON ?= python3
+INPUT  ?= scenarios/motorway_cut_in_left.toml
+ARGS   ?=
+
+VENV  := .venv
+BIN   := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: run test lint bench soak clean
+.DEFAULT_GOAL := run
+
+run: $(STAMP)
+	$(BIN)/python -m sumo_adv run $(INPUT) $(ARGS)
+
+test: lint
+	$(BIN)/python -m pytest -m "not soak" $(ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: $(STAMP)
+	$(BIN)/python -m sumo_adv bench $(ARGS)
+
+soak: $(STAMP)
+	$(BIN)/python -m pytest -m soak $(ARGS)
+
+clean:
+	rm -rf build dist .pytest_cache .hypothesis .mypy_cache .ruff_cache *.egg-info
+	find sumo_adv tests examples networks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "sumo_adv needs Python 3.11 or later as $(PYTHON): install one and say make PYTHON=python3.11." >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || \
+	  { echo "$(PYTHON) cannot make virtual environments: install the package python3-venv (apt-get install python3-venv)." >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[dev]" -c constraints.txt
+	@touch $(STAMP)

@@ -1,0 +1,216 @@
+"""The built-in expert: plays analyzer, generator and modifier by kinematic prediction. It is no language model.
+
+It draws proposals (BV, intent, mode, parameters, delay) round robin over all that apply, has each predicted against the
+ego's own driver's model, and ranks intents by their best score, then by their share of predicted collisions.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from sumo_adv.agents.protocols import Scorer
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
+from sumo_adv.planning.situation import Situation, Target
+
+NAME = "expert"
+REACHES = 1.5  # a score below is a predicted collision that counts
+BRAKING_LABEL = "Emergency Braking"
+MakePlanner = Callable[[str, str, str, str, str | None], Planner]
+
+NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
+    "merging": (
+        "Merge Squeeze",
+        "The vehicle comes from a road or lane that joins the ego's and forces its way in at the moment the ego "
+        "reaches the place where both join.",
+        "any",
+    ),
+    "crossing_right": (
+        "Intersection Rush-through Turn Right",
+        "The vehicle turns right through the junction without giving way, at a moment that meets the ego.",
+        "right",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """One way of attacking whose numbers are still open."""
+
+    delay: float
+    target: Target
+    entry: LibraryEntry
+    planner: Planner
+
+    def proposal(self, draw: random.Random | None) -> Proposal:
+        """With the author's numbers (no ``draw``) or drawn ones, uniform within their bounds."""
+        if draw is None:
+            numbers, braking = self.planner.defaults(), 7.5
+        else:
+            numbers = {p.name: _drawn(p, draw) for p in self.planner.parameters}
+            braking = draw.uniform(5.0, 8.0)
+        acceleration = -braking if self.entry.label == BRAKING_LABEL else 0.0
+        return Proposal(self.target.state.id, self.entry.label, self.planner, numbers, acceleration, self.delay)
+
+
+def _drawn(parameter: Parameter, draw: random.Random) -> float:
+    return round(draw.uniform(parameter.low, parameter.high), 4)
+
+
+def families(
+    situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
+) -> list[Family]:
+    """All that applies: by delay, most dangerous BV first, in the library's order."""
+    found = []
+    for delay in sorted(situations):
+        for target in situations[delay].target_list():
+            words = set(target.applies())
+            for entry in library:
+                if words & set(entry.applies) and (not allowed or entry.label in allowed):
+                    found += [Family(delay, target, entry, planner) for planner in entry.planners]
+    return found
+
+
+class Expert:
+    """Analyzer by prediction. ``pool`` holds every scored proposal of the last analysis."""
+
+    name = NAME
+
+    def __init__(self, scorer: Scorer, *, proposals: int, seed: int, allowed: Sequence[str] = ()) -> None:
+        self._scorer = scorer
+        self._count = proposals
+        self._draw = random.Random(seed)
+        self._allowed = tuple(allowed)
+        self.pool: list[Proposal] = []
+
+    def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+        """Intents, most dangerous first; where none of the library reaches the ego, new ones come first."""
+        self.pool = self.draw(families(situations, library, self._allowed), self._count)
+        ranked = self._ranked(library)
+        if not any(p.score < REACHES for p in self.pool) and not self._allowed:
+            return compose(situations, library) + ranked
+        return ranked
+
+    def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
+        """``count`` scored proposals, round robin; the first of each family with its author's numbers."""
+        if not ways:
+            return []
+        drawn = [
+            ways[k % len(ways)].proposal(None if defaults and k < len(ways) else self._draw)
+            for k in range(max(count, len(ways) if defaults else 0))
+        ]
+        return self._scorer.score(drawn)
+
+    def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
+        groups: dict[tuple[str, str], list[Proposal]] = {}
+        for p in self.pool:
+            groups.setdefault((p.bv, p.label), []).append(p)
+        described = {e.label: e.description for e in library}
+
+        def order(item: tuple[tuple[str, str], list[Proposal]]) -> tuple[float, float, str, str]:
+            key, members = item
+            return (min(p.score for p in members), -_share(members), *key)
+
+        return [_intent(group, described[key[1]]) for key, group in sorted(groups.items(), key=order)]
+
+
+def _share(members: Sequence[Proposal]) -> float:
+    return sum(p.score < REACHES for p in members) / len(members)
+
+
+def _intent(members: Sequence[Proposal], description: str) -> Intent:
+    best = min(members, key=lambda p: p.score)
+    share = _share(members)
+    risk = "high" if best.score < 0.7 else ("medium" if best.score < REACHES else "low")
+    valid = sum(p.score < 0.7 for p in members)
+    reason = (
+        f"predicted: {share:.0%} of {len(members)} candidates collide, {valid} of them avoidably; "
+        f"least TTC {min(float(p.predicted.get('min_ttc', 10.0)) for p in members):.2f} s"
+    )
+    return Intent(best.bv, best.label, description, risk, best.acceleration, reason)
+
+
+def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+    """New intents for relations that no entry of the library covers."""
+    covered = {word for entry in library for word in entry.applies}
+    found = []
+    for target in situations[min(situations)].target_list():
+        for word, (label, description, _) in NEW_INTENTS.items():
+            if word in target.applies() and word not in covered:
+                reason = "no intent of the library can reach the ego from where this vehicle is"
+                found.append(Intent(target.state.id, label, description, "medium", 0.0, reason, "generated"))
+    return found
+
+
+class ExpertGenerator:
+    """Adapts the library's nearest planner text to a movement that it does not have yet."""
+
+    name = NAME
+
+    def __init__(self, make: MakePlanner) -> None:
+        self._make = make
+
+    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> Planner | None:
+        """A planner for one of ``NEW_INTENTS``; None for anything else or without an example to start from."""
+        movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
+        pattern = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
+        for entry in examples:
+            for planner in entry.planners:
+                if movement is not None and planner.mode == "direct" and pattern.search(planner.source):
+                    text = pattern.sub(f'MOVEMENT = "{movement}"', planner.source)
+                    text = re.sub(r"\A# .*", f'# {intent.label}, mode "direct"', text)
+                    return self._make(intent.label, "direct", text, NAME, planner.hash)
+        return None
+
+
+def applies_of(label: str) -> tuple[str, ...]:
+    """The relations a composed intent applies to."""
+    return tuple(word for word, (name, _, _) in NEW_INTENTS.items() if name == label)
+
+
+class ExpertModifier:
+    """Moves a planner's numbers by what its attempts showed (ALGORITHM, "Refinement by diagnosis")."""
+
+    name = NAME
+
+    def __init__(self, make: MakePlanner) -> None:
+        self._make = make
+
+    def modify(self, planner: Planner, attempts: Sequence[Attempt]) -> Planner | None:
+        """Defaults become those of the nearest attempt, changed by its diagnosis; bounds follow. None if nothing did."""
+        mine = [a for a in attempts if a.proposal.planner.hash == planner.hash]
+        if not mine:
+            return None
+        best = min(mine, key=lambda a: (a.verdict.min_ttc, a.verdict.min_distance))
+        numbers = dict(best.proposal.parameters)
+        for name, change in _remedy(best):
+            if name in numbers:
+                numbers[name] += change
+        text = planner.source
+        for p in planner.parameters:
+            text = _rewritten(text, p, numbers[p.name])
+        if text == planner.source:
+            return None
+        return self._make(planner.label, planner.mode, text, NAME, planner.hash)
+
+
+def _remedy(attempt: Attempt) -> list[tuple[str, float]]:
+    """Which numbers to move, by what the attempt showed (units as in the planner's table)."""
+    verdict = attempt.verdict
+    if verdict.collided and verdict.avoidable == "unavoidable":
+        return [("drift", 1.0), ("early", 0.8)]
+    if {"lateral", "off_road", "curvature"} & set(verdict.failed_gates):
+        return [("drift", 0.8)]
+    if not verdict.collided:
+        return [("gap", -0.5), ("early", 0.4), ("offset", -0.3), ("hold", 0.4), ("short", -1.5), ("across", 0.3)]
+    return []
+
+
+def _rewritten(source: str, p: Parameter, value: float) -> str:
+    """The table's line of one parameter with a new default, bounds moved along where it lies outside them."""
+    value = round(value, 3)
+    low, high = round(min(p.low, value), 3), round(max(p.high, value), 3)
+    line = re.compile(rf'^(\s*"{re.escape(p.name)}":\s*\()[^,]+,[^,]+,[^,]+,', re.MULTILINE)
+    return line.sub(rf"\g<1>{value!r}, {low!r}, {high!r},", source, count=1)

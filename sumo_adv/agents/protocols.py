@@ -1,0 +1,47 @@
+"""The parts a language model or the built-in expert can play, and what they need from others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.planning.situation import Situation
+
+
+class Scorer(Protocol):
+    """Predicts proposals; lower scores are better."""
+
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """The same proposals with ``score`` and ``predicted``."""
+        ...
+
+
+class Analyzer(Protocol):
+    """The paper's g: which vehicle could do what to be most dangerous."""
+
+    name: str
+
+    def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+        """Intents of the library, or new ones, most dangerous first; empty if nobody can reach the ego."""
+        ...
+
+
+class Generator(Protocol):
+    """Writes a planner for an intent the bank does not know."""
+
+    name: str
+
+    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> Planner | None:
+        """A planner, or None if it cannot write one."""
+        ...
+
+
+class Modifier(Protocol):
+    """Changes a planner that has not been critical from what its attempts showed."""
+
+    name: str
+
+    def modify(self, planner: Planner, attempts: Sequence[Attempt]) -> Planner | None:
+        """A changed planner whose ``parent`` is the old one's hash, or None if there is nothing to change."""
+        ...

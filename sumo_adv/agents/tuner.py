@@ -1,0 +1,70 @@
+"""The inner loop of refinement: which proposal is tried next.
+
+By predicted score, with a growing price on what was tried already, every third time the best of the least tried family;
+when all that is promising is used up, new proposals are drawn.  At most ``share`` attempts a planner version.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+from sumo_adv.agents.expert import REACHES, Expert, Family
+from sumo_adv.datatypes import Proposal
+
+TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
+REDRAW, MOST_DRAWN = 60, 720
+DIVERSE_EVERY = 3
+
+
+class Tuner:
+    """Orders the pool of an expert's proposals."""
+
+    name = "builtin"
+
+    def __init__(self, expert: Expert, ways: Sequence[Family], *, share: int) -> None:
+        self._expert = expert
+        self._ways = list(ways)
+        self._share = share
+        self.pool = list(expert.pool)
+        self._drawn = len(self.pool)
+        self._tries: Counter[tuple[str, str, str]] = Counter()
+        self._by_planner: Counter[str] = Counter()
+        self._count = 0
+
+    def add(self, ways: Sequence[Family], count: int) -> None:
+        """More ways to attack: a new or changed planner's."""
+        self._ways += ways
+        self.pool += self._expert.draw(ways, count)
+
+    def next(self) -> Proposal | None:
+        """The next proposal, or None when nothing is left to try."""
+        open_ = self._open()
+        if not any(p.score < REACHES for p in open_) and self._drawn < MOST_DRAWN:
+            ways = [w for w in self._ways if self._by_planner[w.planner.hash] < self._share]
+            fresh = self._expert.draw(ways, REDRAW, defaults=False)
+            self._drawn += max(len(fresh), 1)
+            self.pool += fresh
+            open_ = self._open()
+        if not open_:
+            return None
+        chosen = self._chosen(open_)
+        self.pool.remove(chosen)
+        self._count += 1
+        self._tries[chosen.family] += 1
+        self._by_planner[chosen.planner.hash] += 1
+        return chosen
+
+    def exhausted(self) -> list[str]:
+        """Hashes of planners whose share is used up."""
+        return [name for name, tries in self._by_planner.items() if tries >= self._share]
+
+    def _open(self) -> list[Proposal]:
+        return [p for p in self.pool if self._by_planner[p.planner.hash] < self._share]
+
+    def _chosen(self, open_: Sequence[Proposal]) -> Proposal:
+        if self._count % DIVERSE_EVERY == DIVERSE_EVERY - 1:
+            promising = [p for p in open_ if p.score < REACHES] or list(open_)
+            least = min(self._tries[p.family] for p in promising)
+            return min((p for p in promising if self._tries[p.family] == least), key=lambda p: p.score)
+        return min(open_, key=lambda p: p.score + TRIED_PRICE * self._tries[p.family])

@@ -1,0 +1,120 @@
+"""Settings: the command line first, then ``SUMO_ADV_*`` variables, then a TOML file, then these defaults."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+
+from sumo_adv.datatypes import Limits
+from sumo_adv.errors import UsageError
+
+
+class Until(StrEnum):
+    """When an episode has succeeded."""
+
+    TTC = "ttc"
+    COLLISION = "collision"
+    VALID = "valid"
+
+
+class LimitSettings(BaseModel):
+    """What an adversary may do (m/s2, 1/m, m/s3)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    braking: float = Field(8.0, gt=0, le=12)
+    acceleration: float = Field(4.0, gt=0, le=8)
+    lateral: float = Field(4.0, gt=0, le=10)
+    curvature: float = Field(0.2, gt=0, le=1)
+    jerk: float = Field(12.0, gt=1, le=50)
+
+    def limits(self) -> Limits:
+        """The noun."""
+        return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
+
+
+class Settings(BaseSettings):
+    """Everything that shapes a run, times in s."""
+
+    model_config = SettingsConfigDict(env_prefix="SUMO_ADV_", env_nested_delimiter="__", frozen=True, extra="forbid")
+
+    ego: str = "idm"
+    ego_id: str | None = None
+    ego_parameters: dict[str, float] = Field(default_factory=dict)
+    adversary: str | None = None
+    trigger: float | None = None
+    begin: float | None = None
+    end: float | None = None
+    until: Until = Until.TTC
+    attempts: int = Field(25, ge=1, le=10_000)
+    ttc: float = Field(1.0, gt=0, le=20)
+    tuner: Literal["builtin", "off"] = "builtin"
+    learn: Literal["on", "off"] = "on"
+    recall: Literal["intent", "scene"] = "intent"
+    memory: Path | None = None
+    seed: int = Field(0, ge=0, le=2**31 - 1)
+    density: float | None = Field(None, gt=0)
+    fork: bool = True
+    bubblewrap: bool = True
+
+    step_length: float = Field(0.1, gt=0, le=0.5)
+    history: float = Field(1.1, gt=0.3, le=10)
+    horizon: float = Field(8.0, ge=1, le=30)
+    duration: float = Field(12.0, ge=1, le=60)
+    replan: float = Field(0.5, ge=0.1, le=5)
+    delays: tuple[float, ...] = (0.0, 1.5, 3.0)
+    shortlist: int = Field(5, ge=1, le=20)
+    search: float = Field(120.0, gt=0)
+    proposals: int = Field(120, ge=4, le=2000)
+    per_planner: int = Field(8, ge=1)
+    modifications: int = Field(3, ge=0)
+    limits: LimitSettings = LimitSettings()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Command line, environment, file."""
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _settings_file())
+
+    def steps(self, seconds: float) -> int:
+        """How many simulation steps a time is."""
+        return round(seconds / self.step_length)
+
+
+_chosen_file: list[Path] = []
+
+
+def _settings_file() -> Path | None:
+    return _chosen_file[-1] if _chosen_file else None
+
+
+def load_settings(file: Path | None = None, **given: Any) -> Settings:
+    """Settings from what was ``given`` (None = not given), the environment and a TOML file.
+
+    Raises:
+        UsageError: an unknown name or a value out of range.
+    """
+    if file is not None and not file.is_file():
+        raise UsageError(f"The settings file {file} does not exist.")
+    _chosen_file.append(file) if file else None
+    try:
+        return Settings(**{k: v for k, v in given.items() if v is not None})
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(p) for p in first["loc"])
+        raise UsageError(f"Setting '{name}' cannot be {first.get('input')!r}: {first['msg']}.") from error
+    except ValueError as error:
+        raise UsageError(f"The settings could not be read ({error}).") from error
+    finally:
+        if file:
+            _chosen_file.pop()

@@ -1,0 +1,256 @@
+"""The nouns. SI units, headings in rad counter-clockwise from +x in (-pi, pi], positions are box centres.
+
+Nothing here imports anything of the project, and everything is frozen: a part that changes something returns a new
+value.  Arrays inside a noun are never written to after it was made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Role(StrEnum):
+    """What a vehicle is in a run."""
+
+    EGO = "ego"
+    ADVERSARY = "adversary"
+    BACKGROUND = "background"
+    OBSTACLE = "obstacle"
+
+
+class Ending(StrEnum):
+    """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
+
+    CRITICAL = "critical"
+    ATTEMPTS_EXHAUSTED = "attempts_exhausted"
+    NO_ENCOUNTER = "no_encounter"
+    EGO_LEFT = "ego_left"
+    EGO_LOST = "ego_lost"
+    MODEL_FAILED = "model_failed"
+    BUDGET_EXHAUSTED = "budget_exhausted"
+    PLANNER_FAILED = "planner_failed"
+    SIMULATION_FAILED = "simulation_failed"
+    INTERRUPTED = "interrupted"
+
+
+ENDING_SENTENCES: Mapping[Ending, str] = {
+    Ending.CRITICAL: "An attempt met the criterion.",
+    Ending.ATTEMPTS_EXHAUSTED: "All attempts were used and none met the criterion.",
+    Ending.NO_ENCOUNTER: "No encounter worth attacking was found in the time given.",
+    Ending.EGO_LEFT: "The ego left the network before an encounter.",
+    Ending.EGO_LOST: "The ego's controller was lost.",
+    Ending.MODEL_FAILED: "The language model failed.",
+    Ending.BUDGET_EXHAUSTED: "The budget of model calls, tokens or seconds is used up.",
+    Ending.PLANNER_FAILED: "No planner could be run.",
+    Ending.SIMULATION_FAILED: "SUMO failed.",
+    Ending.INTERRUPTED: "The run was interrupted.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a driven vehicle may do. Units beside each; source: DESIGN, Nouns and protocols."""
+
+    braking: float = 8.0  # m/s2, positive
+    acceleration: float = 4.0  # m/s2
+    lateral: float = 4.0  # m/s2
+    curvature: float = 0.2  # 1/m
+    jerk: float = 12.0  # m/s3, longitudinal
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """Oriented, moving boxes. All arrays broadcast against one another (any shape, often ``(time,)`` or ``(n, time)``).
+
+    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m].
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    length: Floats | float
+    width: Floats | float
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One vehicle's motion on a regular time grid. Arrays are ``(n,)``.
+
+    time [s]; x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off the road).
+    """
+
+    id: str
+    role: Role
+    time: Floats
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    acceleration: Floats
+    length: float
+    width: float
+    lane: tuple[str, ...] = ()
+
+    def boxes(self) -> Boxes:
+        """The track as boxes over time."""
+        return Boxes(self.x, self.y, self.heading, self.speed, self.length, self.width)
+
+    def between(self, start: float, end: float) -> Track:
+        """The part with ``start <= time <= end`` (with half a millisecond of slack)."""
+        keep = np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4))
+        lane = tuple(self.lane[i] for i in keep) if self.lane else ()
+        return Track(
+            self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],
+            self.acceleration[keep], self.length, self.width, lane,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """One vehicle at one time. x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]."""
+
+    id: str
+    x: float
+    y: float
+    heading: float
+    speed: float
+    acceleration: float
+    length: float
+    width: float
+    lane: str
+
+
+@dataclass(frozen=True, slots=True)
+class Intent:
+    """What an adversary tries: the paper's phi with y_acc. ``acceleration`` is a number or (time, m/s2) knots."""
+
+    bv: str
+    label: str
+    description: str
+    risk: str  # low | medium | high
+    acceleration: float | tuple[tuple[float, float], ...]
+    reason: str = ""
+    source: str = "memory"  # memory | generated
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number a planner may be tuned by. ``low <= default <= high``."""
+
+    name: str
+    default: float
+    low: float
+    high: float
+    unit: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Planner:
+    """Python text that computes an endpoint: the paper's f_phi, one mode of one intent."""
+
+    label: str
+    mode: str
+    source: str
+    parameters: tuple[Parameter, ...]
+    origin: str  # seed | expert | a model's name | person
+    parent: str | None = None
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the source, hexadecimal."""
+        return hashlib.sha256(self.source.encode()).hexdigest()
+
+    def defaults(self) -> dict[str, float]:
+        """Parameter values as the planner's author set them."""
+        return {p.name: p.default for p in self.parameters}
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """Where the adversary is to be, and when: y_T in the paper. World frame; ``time`` in s from now."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise."""
+
+    min_ttc: float
+    min_distance: float
+    collided: bool
+    critical: bool
+    feasible: bool
+    rear_end: bool
+    valid: bool | None
+    strict: bool | None
+    avoidable: str | None  # careful_driver | any_manoeuvre | unavoidable
+    failed_gates: tuple[str, ...] = ()
+    min_ttc_any: float = float("inf")
+    min_pet: float = float("inf")
+    max_drac: float = 0.0
+    fault: str | None = None
+    contact_time: float | None = None
+    hazard_time: float | None = None
+    min_ttc_time: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One way to attack: which vehicle, with which planner and parameters, how long after the trigger."""
+
+    bv: str
+    label: str
+    planner: Planner
+    parameters: Mapping[str, float]
+    acceleration: float
+    delay: float  # s after the trigger
+    by: str = "tuner"
+    score: float = float("nan")
+    predicted: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def family(self) -> tuple[str, str, str]:
+        """What the tuner spreads its tries over."""
+        return (self.bv, self.label, self.planner.mode)
+
+
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One closed-loop run against the real ego."""
+
+    index: int
+    phase: str  # tuner | analyzer | modifier
+    proposal: Proposal
+    trigger_time: float
+    verdict: Verdict
+    ending: str  # contact | passed | time_limit | ego_left | planner_failed
+    tracks: Sequence[Track] = ()
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryEntry:
+    """One intent of the behaviour library with its planners. ``applies``: relations it can be tried from."""
+
+    label: str
+    description: str
+    applies: tuple[str, ...]
+    planners: tuple[Planner, ...]
+    source: str = "memory"  # memory | generated

@@ -1,0 +1,145 @@
+"""One attempt: from the trigger on, the adversary is driven by a planner against the real ego.
+
+Every ``replan`` steps the planner is asked with what the ego really does; between, f_traj leads the adversary towards
+the endpoint and its pose is injected step by step.  The attempt ends at the first contact of the two, when they have
+parted, or at the time limit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Endpoint, Limits, Role, Track
+from sumo_adv.episode.drive import Drive
+from sumo_adv.metrics.boxes import overlaps
+from sumo_adv.planning.ground import Ground
+from sumo_adv.planning.predict import Told, local_endpoint
+from sumo_adv.planning.situation import Situation
+from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance, pose, steer
+from sumo_adv.world.simulation import Pose
+
+PARTED = 90.0  # m between centres: nothing will come of it any more
+LOOK_CLOSER = 9.0  # m between centres: boxes are compared
+CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
+
+AskOne = Callable[[Told], Endpoint | str]  # an endpoint in the world, or a sentence why there is none
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """How an attempt went. ``beyond``: the adversary's planned motion after the contact."""
+
+    ending: str  # contact | passed | time_limit | ego_left | planner_failed
+    message: str
+    beyond: Track | None
+
+
+class Adversary:
+    """One BV that is led along its ways by a planner's endpoints."""
+
+    def __init__(self, situation: Situation, name: str, limits: Limits) -> None:
+        self.situation, self.name, self.limits = situation, name, limits
+        self.ground = Ground(situation, [name])
+        many = self.ground.begin()
+        self.motion = _one(many)
+        self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
+        self.last: Mapping[str, float] | None = None
+        self._roads: dict[int, PathRow] = {}
+        self._cap = situation.targets[name].fastest
+        self._ego_station = 0.0
+
+    @property
+    def road(self) -> PathRow:
+        """The way it is on."""
+        row = int(self.ground.rows.row[0])
+        if row not in self._roads:
+            self._roads[row] = PathRow(self.ground.lines[row].path)
+        return self._roads[row]
+
+    def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
+        """Ask the planner; ``now`` s since the trigger, ``ego``: x, y, speed, acceleration. A sentence if it failed."""
+        s, d = self.situation.ego_path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
+        self._ego_station = s
+        array = tuple(np.array([q]) for q in (s, d, ego[2], ego[3]))
+        many = _many(self.motion)
+        told = self.ground.tell(many, now, array, [self.last])[0]  # type: ignore[arg-type]
+        end = ask(told)
+        if isinstance(end, str):
+            return end
+        self.last = local_endpoint(self.situation, end)
+        before = Goal(*(np.array([q]) for q in self.goal))
+        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(many, [end], before)))
+        self.motion = steer(Scalar, self.motion, self.goal, self.road.at(self.motion.s)[3])
+        return None
+
+    def advance(self) -> Pose:
+        """One step on; where it is then."""
+        dt = self.situation.dt
+        self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
+        self.goal = self.goal._replace(time=self.goal.time - dt)
+        x, y, h = pose(Scalar, self.motion, self.road)
+        return Pose(x, y, h, self.motion.v)
+
+
+def _one(motion: Motion) -> Motion:
+    return Motion(*(tuple(float(q[0]) for q in f) if isinstance(f, tuple) else float(f[0]) for f in motion))
+
+
+def _many(motion: Motion) -> Motion:
+    return Motion(*(tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion))
+
+
+def attack(
+    drive: Drive, situation: Situation, bv: str, ask: AskOne, *, limits: Limits, steps: int, replan: int
+) -> Driven:
+    """Drive ``bv`` against the ego for at most ``steps`` steps; the drive records everything."""
+    assert drive.ego is not None
+    ego_id = drive.ego
+    adversary = Adversary(situation, bv, limits)
+    for k in range(steps):
+        if ego_id not in drive.snapshot.raw or bv not in drive.snapshot.raw:
+            return Driven("ego_left" if ego_id not in drive.snapshot.raw else "passed", "", None)
+        if k % replan == 0:
+            ego = drive.state(ego_id)
+            failure = adversary.replan(k * situation.dt, (ego.x, ego.y, ego.speed, ego.acceleration), ask)
+            if failure is not None:
+                return Driven("planner_failed", failure, None)
+        drive.tick({bv: adversary.advance()})
+        apart = _apart(drive, ego_id, bv)
+        if apart == 0.0:
+            return Driven("contact", "", _beyond(drive, adversary, bv))
+        if apart > PARTED and k > 20:
+            return Driven("passed", "", None)
+    return Driven("time_limit", "", None)
+
+
+def _apart(drive: Drive, ego: str, bv: str) -> float:
+    """Distance of the two bumpers [m]; exactly 0 only where the boxes overlap."""
+    raw = drive.snapshot.raw
+    if ego not in raw or bv not in raw:
+        return math.inf
+    apart = math.hypot(raw[ego][0] - raw[bv][0], raw[ego][1] - raw[bv][1])
+    if apart > LOOK_CLOSER:
+        return apart
+    a, b = drive.state(ego), drive.state(bv)
+    boxes = [
+        Boxes(*(np.array(q) for q in (v.x, v.y, v.heading, v.speed)), v.length, v.width) for v in (a, b)
+    ]
+    return 0.0 if bool(overlaps(boxes[0], boxes[1])) else max(apart, 1e-9)
+
+
+def _beyond(drive: Drive, adversary: Adversary, bv: str) -> Track:
+    """The plan followed on for ``CONTINUED`` seconds, without the simulation."""
+    dt, now = adversary.situation.dt, drive.now
+    rows: list[tuple[float, ...]] = []
+    for k in range(round(CONTINUED / dt)):
+        p = adversary.advance()
+        rows.append((now + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.motion.a))
+    columns: list[Any] = list(np.array(rows).T)
+    length, width = drive.simulation.fleet.sizes[bv]
+    return Track(bv, Role.ADVERSARY, *columns, length, width)

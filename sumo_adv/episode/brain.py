@@ -1,0 +1,49 @@
+"""The front's side of attempts: planners in the sandbox, asked by the engine's forks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from sumo_adv.datatypes import Endpoint, Proposal
+from sumo_adv.episode.foresight import Sessions
+from sumo_adv.episode.worker import AttemptResult, Found
+from sumo_adv.errors import SandboxError
+from sumo_adv.planning.predict import world_endpoint
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.engine import Engine
+
+
+class Brain:
+    """Runs attempts on the engine, each with a fresh sandbox session of its planner."""
+
+    def __init__(self, engine: Engine, sandbox: Sandbox, found: Found, seed: int) -> None:
+        self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
+
+    def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
+        """The results of the proposals, in order; they run at the same time where the engine can fork."""
+        opened: list[tuple[Proposal, Sessions]] = []
+        try:
+            for proposal in proposals:
+                situation = self._found.situations[proposal.delay]
+                sessions = Sessions(self._sandbox, situation, [proposal.planner], self._seed)
+                opened.append((proposal, sessions.__enter__()))
+
+            def answer(question: tuple[int, Any]) -> Endpoint | str:
+                k, told = question
+                return _endpoint(*opened[k], self._found, told)
+
+            results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)
+            return results
+        finally:
+            for _, sessions in opened:
+                sessions.__exit__(None, None, None)
+
+
+def _endpoint(proposal: Proposal, sessions: Sessions, found: Found, told: Any) -> Endpoint | str:
+    situation = found.situations[proposal.delay]
+    try:
+        end = sessions.one(proposal, told)
+    except SandboxError as error:
+        return str(error)
+    return world_endpoint(situation, end)

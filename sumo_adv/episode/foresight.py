@@ -1,0 +1,263 @@
+"""Proposals scored by prediction: numpy rollouts of the planners' own answers, judged by the verdicts' own functions.
+
+Score, lower is better (ALGORITHM, "How it was built"): a feasible collision that is not rear-end scores by who could
+have avoided it; no hit, an infeasible one, a third party hit first and a rear-end follow.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Bools, Boxes, Endpoint, Floats, Planner, Proposal
+from sumo_adv.errors import SandboxError
+from sumo_adv.geometry import wrap_all
+from sumo_adv.metrics.avoidance import avoidance
+from sumo_adv.metrics.boxes import gap, on_grid, overlaps
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.planning.ground import road_of
+from sumo_adv.planning.predict import Rollouts, Told, predict, world_endpoint
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.situation import Situation
+from sumo_adv.world.network import Drivable
+
+NONE, MISS, OFF_ROAD, THIRD, REAR, FAILED = 1.2, 1.5, 3.0, 4.0, 5.0, 9.0
+DELAYS = (0.6, 0.8, 1.0)  # s after the hazard shows at which a manoeuvre begins
+REACH = 7.0  # m between centres: boxes are compared
+LEAST_STEPS = 3
+
+
+class Foresight:
+    """Predicts and scores proposals; ``seconds`` and ``count`` say what that has cost so far."""
+
+    def __init__(self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation]):
+        self._sandbox = sandbox
+        self._settings = settings
+        self._drivable = drivable
+        self._situations = situations
+        self.seconds, self.count = 0.0, 0
+        self.failures: dict[str, str] = {}  # planner hash -> sentence
+
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """The same proposals with ``score`` and ``predicted`` filled in."""
+        began = time.perf_counter()
+        scored: dict[int, Proposal] = {}
+        for delay in sorted({p.delay for p in proposals}):
+            rows = [k for k, p in enumerate(proposals) if p.delay == delay]
+            for k, p in zip(rows, self._together(delay, [proposals[k] for k in rows]), strict=True):
+                scored[k] = p
+        self.seconds += time.perf_counter() - began
+        self.count += len(proposals)
+        return [scored[k] for k in range(len(proposals))]
+
+    def _together(self, delay: float, proposals: list[Proposal]) -> list[Proposal]:
+        situation, settings = self._situations[delay], self._settings
+        with Sessions(self._sandbox, situation, [p.planner for p in proposals], settings.seed) as sessions:
+            rollouts = predict(
+                situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
+                limits=settings.limits.limits(), steps=settings.steps(settings.duration),
+                replan=settings.steps(settings.replan),
+            )  # fmt: skip
+            self.failures |= sessions.failures
+        results = judge_all(situation, proposals, rollouts, self._drivable)
+        failed = {p.planner.hash for p in proposals} & set(self.failures)
+        return [
+            replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})
+            if p.planner.hash in failed
+            else replace(p, score=r["score"], predicted=r)
+            for p, r in zip(proposals, results, strict=True)
+        ]
+
+
+class Sessions:
+    """One sandbox session for each planner of a batch."""
+
+    def __init__(self, sandbox: Sandbox, situation: Situation, planners: Sequence[Planner], seed: int) -> None:
+        self._situation = situation
+        self._roads = {n: road_of(situation, n) for n in situation.targets}
+        self._sandbox, self._seed = sandbox, seed
+        self._open: dict[str, Any] = {}
+        self.failures: dict[str, str] = {}
+        self._planners = {p.hash: p for p in planners}
+
+    def __enter__(self) -> Sessions:
+        for name, planner in self._planners.items():
+            try:
+                self._open[name] = self._sandbox.session(planner, self._roads, seed=self._seed).__enter__()
+            except SandboxError as error:
+                self.failures[name] = str(error)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for session in self._open.values():
+            session.__exit__(None, None, None)
+
+    def one(self, proposal: Proposal, told: Told) -> dict[str, float]:
+        """The answer to one question, in the frame of the ego at the trigger. Raises SandboxError."""
+        name = proposal.planner.hash
+        if name in self.failures:
+            raise SandboxError(self.failures[name])
+        answer: dict[str, float] = self._open[name].endpoint(
+            proposal.bv, *told, proposal.parameters, proposal.acceleration, self._situation.horizon
+        )
+        return answer
+
+    def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Endpoint | None]:
+        """Endpoints in the world for the proposals ``rows``; None where the planner failed."""
+        answers: list[Endpoint | None] = [None] * len(rows)
+        for name, session in self._open.items():
+            mine = [k for k in rows if proposals[k].planner.hash == name]
+            if not mine or name in self.failures:
+                continue
+            horizon = self._situation.horizon
+            calls = [
+                (proposals[k].bv, *told[k], proposals[k].parameters, proposals[k].acceleration, horizon) for k in mine
+            ]
+            try:
+                found = session.endpoints(calls)
+            except SandboxError as error:
+                self.failures[name] = str(error)
+                continue
+            for k, answer in zip(mine, found, strict=True):
+                if isinstance(answer, SandboxError):
+                    self.failures.setdefault(name, str(answer))
+                else:
+                    answers[k] = world_endpoint(self._situation, answer)
+        return answers
+
+
+def judge_all(
+    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable
+) -> list[dict[str, Any]]:
+    """For each rollout: hit, min TTC, who could avoid it, and the score."""
+    n, steps = rollouts.ego[0].shape
+    lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
+    widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
+    ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
+    adversary = Boxes(*rollouts.adversary, lengths, widths)
+    contact = _first(_touching(ego, adversary))
+    hit = contact < steps
+    last = np.minimum(contact, steps - 1)
+    third = _third_party(situation, proposals, adversary, last)
+    off_road = _off_road(adversary, last, drivable)
+    rear = hit & _rear(ego, adversary, last)
+    least, nearest = _least(ego, adversary, last)
+    good = np.flatnonzero(hit & ~third & ~off_road & ~rear & (contact >= LEAST_STEPS))
+    score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
+    score = np.where(off_road, OFF_ROAD, score)
+    score = np.where(third, THIRD, np.where(rear, REAR, score))
+    careful, manoeuvre = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool)
+    if len(good):
+        careful[good], manoeuvre[good] = _avoidable(situation, ego, adversary, good, last[good], drivable)
+        score[good] = _score(careful[good], manoeuvre[good])
+    return [
+        {
+            "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
+            "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
+            "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
+            "time": float(last[k] * situation.dt),
+        }
+        for k in range(n)
+    ]  # fmt: skip
+
+
+def _touching(a: Boxes, b: Boxes) -> Bools:
+    near = np.hypot(a.x - b.x, a.y - b.y) < REACH
+    touching = np.zeros(near.shape, bool)
+    k = np.nonzero(near)
+    if len(k[0]):
+        touching[k] = overlaps(_pick(a, k), _pick(b, k))
+    return touching
+
+
+def _pick(b: Boxes, k: Any) -> Boxes:
+    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
+
+
+def _first(holds: Bools) -> Any:
+    return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
+
+
+def _score(careful: Bools, manoeuvre: Bools) -> Floats:
+    early, middle, late = manoeuvre.T
+    by = np.where(late, 0.1, np.where(middle, 0.2, np.where(early, 0.6, NONE)))
+    return np.where(careful, np.where(late, 0.0, 0.06), by)
+
+
+def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
+    """The adversary behind, going the same way, in line and faster at the contact."""
+    k = (np.arange(len(at)), at)
+    a, b = _pick(ego, k), _pick(adversary, k)
+    turned = np.abs(wrap_all(b.heading - a.heading))
+    c, s = np.cos(a.heading), np.sin(a.heading)
+    ahead = c * (b.x - a.x) + s * (b.y - a.y)
+    left = -s * (b.x - a.x) + c * (b.y - a.y)
+    overlap = (np.asarray(a.length) + np.asarray(b.length)) / 2
+    in_line = np.abs(left) < 0.8 * (np.asarray(a.width) + np.asarray(b.width)) / 2
+    return np.asarray((turned < np.pi / 4) & (ahead < -0.75 * overlap) & in_line & (b.speed > a.speed))
+
+
+def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
+    """Least TTC [s] and least box distance [m] up to the contact, every third step."""
+    steps = np.arange(0, ego.x.shape[1], 3)
+    pick = (np.arange(len(last))[:, None], steps[None, :])
+    a, b = _pick(ego, pick), _pick(adversary, pick)
+    before = steps[None, :] <= last[:, None]
+    centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
+    at = (np.arange(len(last)), centres.argmin(axis=1))
+    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(_pick(a, at), _pick(b, at)))
+
+
+def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
+    """Whether the adversary touches a vehicle in its unattacked motion before the ego."""
+    tracks = [t for t in situation.others]
+    found = np.zeros(len(proposals), bool)
+    if not tracks:
+        return found
+    steps = adversary.x.shape[1]
+    grid = on_grid(tracks, situation.time + np.arange(steps) * situation.dt)
+    names = np.array([t.id for t in tracks])
+    for k, proposal in enumerate(proposals):
+        until = slice(0, int(last[k]) + 1)
+        near = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until]) < REACH
+        near &= (names != proposal.bv)[:, None]
+        i, j = np.nonzero(near)
+        if len(i):
+            rows = np.full(len(i), k)
+            found[k] = bool(overlaps(_pick(grid, (i, j)), _pick(adversary, (rows, j))).any())
+    return found
+
+
+def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
+    """Whether a corner (0.15 m within the box) leaves the carriageway, every fourth step."""
+    steps = np.arange(0, adversary.x.shape[1], 4)
+    x, y, h = adversary.x[:, steps], adversary.y[:, steps], adversary.heading[:, steps]
+    out = np.zeros(x.shape, bool)
+    for along in (-0.5, 0.5):
+        for aside in (-0.5, 0.5):
+            a = along * (np.asarray(adversary.length) - 0.3)
+            b = aside * (np.asarray(adversary.width) - 0.3)
+            out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
+    return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
+
+
+def _avoidable(
+    situation: Situation, ego: Boxes, adversary: Boxes, good: Any, last: Any, drivable: Drivable
+) -> tuple[Bools, Bools]:
+    a, b = _rows(ego, good), _rows(adversary, good)
+    start = np.zeros(len(good), np.intp)
+    hazard, _ = hazard_index(a, b, start, last, situation.dt, lane_half_width=situation.lane_width / 2)
+    found = avoidance(a, b, hazard, situation.dt, delays=DELAYS, on_road=drivable)
+    return found["careful"], found["manoeuvre"]
+
+
+def _rows(b: Boxes, rows: Any) -> Boxes:
+    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)

@@ -1,0 +1,259 @@
+"""One episode from its input to its outcome: what the paper calls the full online loop.
+
+    encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> outcome -> memory
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from sumo_adv import __version__
+from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, applies_of
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
+from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.foresight import Foresight
+from sumo_adv.episode.refine import Refinement, Refiner, succeeded
+from sumo_adv.episode.worker import Found, NotFound, Prefix, Task
+from sumo_adv.errors import BankError, SumoAdvError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.situation import Situation
+from sumo_adv.planning.source import make_planner
+from sumo_adv.world.demand import generate
+from sumo_adv.world.engine import Engine
+from sumo_adv.world.inputs import RunInput, first_departure
+from sumo_adv.world.simulation import SimulationSpec
+
+Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", Found), ("attempt", Attempt), ...
+
+
+@dataclass(slots=True)
+class Episode:
+    """Everything that came of one run."""
+
+    source: RunInput
+    settings: Settings
+    task: Task
+    ending: Ending = Ending.SIMULATION_FAILED
+    reason: str = ""
+    found: Found | None = None
+    intents: Sequence[Intent] = ()
+    intent: Intent | None = None
+    refinement: Refinement = field(default_factory=Refinement)
+    prefix: Prefix | None = None
+    lanes: Sequence[Any] = ()
+    forked: bool = False
+    isolation: str = ""
+    bank_hash: str = ""
+    learnt: bool = False
+    notes: list[str] = field(default_factory=list)
+    timing: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Attempt | None:
+        """The attempt that counts."""
+        k = self.refinement.best
+        return None if k is None else self.refinement.attempts[k]
+
+
+def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
+    """The engine's task; demand is generated into ``folder`` where the input has none."""
+    routes = source.routes
+    begin = settings.begin if settings.begin is not None else source.begin
+    if begin is None:
+        begin = first_departure(routes) if routes else 0.0
+    end = settings.end if settings.end is not None else source.end
+    end = min(end, begin + settings.search) if end is not None and settings.end is None else end
+    end = begin + settings.search if end is None else end
+    if not routes:
+        seed = settings.seed if source.demand_seed is None else source.demand_seed
+        density = settings.density if settings.density is not None else source.density
+        routes = (generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),)
+    spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
+    trigger = settings.trigger if settings.trigger is not None else source.trigger
+    return Task(
+        spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
+        {**dict(source.ego_parameters), **settings.ego_parameters},
+        (settings.adversary,) if settings.adversary else source.candidates,
+        None if trigger == "auto" else float(trigger), source.warm_up, end,
+    )  # fmt: skip
+
+
+def run_episode(
+    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell
+) -> Episode:
+    """The whole loop. Only wrong use is raised; everything else is an ending.
+
+    Raises:
+        UsageError, BankError: found to be wrong use once the simulation ran (an unknown ego, a broken driver class).
+    """
+    episode = Episode(source, settings, task, bank_hash=bank.content_hash())
+    began = time.perf_counter()
+    try:
+        _run(episode, engine, sandbox, bank, tell)
+    except KeyboardInterrupt:
+        episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
+    except SumoAdvError as error:
+        if error.exit_status == 2:
+            raise
+        episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+    episode.timing["total"] = time.perf_counter() - began
+    return episode
+
+
+def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> None:
+    settings, timing = episode.settings, episode.timing
+    found = seek(episode, engine, tell)
+    if found is None:
+        return
+    began = time.perf_counter()
+    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+    expert = Expert(
+        foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents
+    )
+    library = read_library(bank)
+    episode.intents = expert.analyze(found.situations, library)
+    timing["analyzer"] = time.perf_counter() - began
+    if not episode.intents:
+        episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
+        return
+    tell("intents", episode.intents)
+    entries = retrieve(episode, found.situations[0.0], library, bank)
+    if any(e.source == "generated" for e in entries):
+        expert.analyze(found.situations, entries)
+    brain = Brain(engine, sandbox, found, settings.seed)
+    refiner = Refiner(
+        brain, found, expert, ExpertModifier(make_planner), entries, settings, lambda a: tell("attempt", a)
+    )
+    try:
+        refiner.run(episode.intents, episode.refinement)
+    finally:
+        episode.isolation = sandbox.isolation
+        timing["prediction"] = foresight.seconds
+        timing["attempts"] = episode.refinement.seconds
+        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in foresight.failures.items())
+    episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
+    _keep_intent(episode, library)
+    learn(episode, bank, entries)
+
+
+def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
+    """Start the simulation and go on to an encounter; fills the episode in."""
+    began = time.perf_counter()
+    engine.request("open", episode.task)
+    episode.forked = engine.request("forks")
+    episode.timing["start"] = time.perf_counter() - began
+    began = time.perf_counter()
+    found = engine.request("seek")
+    episode.timing["seek"] = time.perf_counter() - began
+    if isinstance(found, NotFound):
+        episode.ending, episode.reason = found.ending, found.reason
+        return None
+    episode.found, episode.prefix = found, engine.request("prefix")
+    ego = found.situations[0.0].ego
+    episode.lanes = engine.request("lanes", ego.x, ego.y, 200.0)
+    tell("encounter", found)
+    return found
+
+
+def replay_episode(
+    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, proposal: Proposal
+) -> Episode:
+    """The encounter again, with one given attempt and nothing else: no analyzer, no bank."""
+    episode = Episode(source, settings, task)
+    found = seek(episode, engine, lambda *_: None)
+    if found is None:
+        return episode
+    result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
+    verdict = result.verdict
+    assert verdict is not None
+    attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, (), result.driven.message)
+    episode.refinement.attempts.append(attempt)
+    episode.refinement.results.append(result)
+    ok = succeeded(verdict, settings.until)
+    episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
+    return episode
+
+
+def read_library(bank: MemoryBank) -> list[LibraryEntry]:
+    """The behaviour library as it stands in the bank."""
+    return [
+        LibraryEntry(r.label, r.description, r.applies, tuple(bank.planners(r.label)))
+        for r in bank.intents() if r.status == "active"
+    ]  # fmt: skip
+
+
+def retrieve(
+    episode: Episode, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> list[LibraryEntry]:
+    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner."""
+    entries, known = list(library), {e.label for e in library}
+    began = time.perf_counter()
+    for intent in episode.intents:
+        if bank.retrieve(intent.label, intent.description).hit is not None or intent.label in known:
+            continue
+        planner = ExpertGenerator(make_planner).generate(intent, situation, library)
+        if planner is not None:
+            known.add(intent.label)
+            entries.append(
+                LibraryEntry(intent.label, intent.description, applies_of(intent.label), (planner,), "generated")
+            )
+    episode.timing["retrieval"] = time.perf_counter() - began
+    return entries
+
+
+def _keep_intent(episode: Episode, library: Sequence[LibraryEntry]) -> None:
+    """The intent of the attempt that counts, as the analyzer ranked it."""
+    best = episode.best
+    if best is None:
+        episode.intent = episode.intents[0]
+        return
+    p = best.proposal
+    same = [i for i in episode.intents if i.label == p.label]
+    intent = next((i for i in same if i.bv == p.bv), same[0] if same else episode.intents[0])
+    known = {e.label for e in library}
+    episode.intent = replace(
+        intent, bv=p.bv, acceleration=p.acceleration, source="memory" if p.label in known else "generated"
+    )
+
+
+def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
+    """Keep in the bank what was critical, feasible and not rear-end; a bank that cannot be written is a note."""
+    best = episode.best
+    if episode.settings.learn == "off" or best is None or episode.found is None:
+        return
+    evidence = _evidence(episode, best)
+    if not evidence.success:
+        return
+    entry = next(e for e in entries if e.label == best.proposal.label)
+    intent = IntentRecord(entry.label, entry.description, entry.applies)
+    try:
+        bank.record(evidence, intent=intent, planner=best.proposal.planner)
+        episode.learnt = True
+    except BankError as error:
+        episode.notes.append(f"Nothing was learnt: {error}")
+
+
+def _evidence(episode: Episode, best: Attempt) -> Evidence:
+    assert episode.found is not None
+    p, situation = best.proposal, episode.found.situations[best.proposal.delay]
+    target = situation.targets[p.bv]
+    x, y, h = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
+    kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
+    geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
+    relative = {
+        "ahead": round(x, 2), "left": round(y, 2), "heading": round(h, 3), "speed": round(target.state.speed, 2),
+        "ego_speed": round(situation.ego.speed, 2),
+    }  # fmt: skip
+    return evidence_of(
+        best.verdict, label=p.label, planner_hash=p.planner.hash,
+        scene=SceneSignature(geometry, target.relation, relative, episode.task.ego_driver),
+        attempts=best.index + 1, version=__version__, network=episode.source.name, seed=episode.settings.seed,
+        parameters=dict(p.parameters), acceleration=p.acceleration, delay=p.delay,
+    )  # fmt: skip

@@ -1,0 +1,162 @@
+"""The loop of the paper: intent, planner, attempt, feedback, again; until the criterion is met or all is used up.
+
+Inner loop: the tuner orders parameters, modes, vehicles and delays.  Outer loop: once a planner's share of attempts is
+used up the modifier writes a new version of it.  Every attempt records who proposed it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from sumo_adv.agents.expert import Expert, ExpertModifier, Family, families
+from sumo_adv.agents.tuner import Tuner
+from sumo_adv.config import Settings, Until
+from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
+from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.worker import AttemptResult, Found
+
+AT_ONCE = 2  # attempts that run at the same time after the first; the same whether or not they can be forked
+NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
+
+
+@dataclass(slots=True)
+class Refinement:
+    """What the loop has come to. ``results[k]`` belongs to ``attempts[k]``."""
+
+    attempts: list[Attempt] = field(default_factory=list)
+    results: list[AttemptResult] = field(default_factory=list)
+    ending: Ending = Ending.ATTEMPTS_EXHAUSTED
+    reason: str = ""
+    seconds: float = 0.0
+    first_success_seconds: float | None = None
+
+    @property
+    def best(self) -> int | None:
+        """Index of the attempt that counts, None without attempts."""
+        if not self.attempts:
+            return None
+        return min(range(len(self.attempts)), key=lambda k: (*rank(self.attempts[k].verdict), k))
+
+
+def rank(verdict: Verdict) -> tuple[int, float]:
+    """Order of attempts that count: valid collision, feasible collision that is not rear-end, then feasible and
+    critical by min TTC, then what is not feasible (collisions first)."""
+    honest = verdict.feasible and not verdict.rear_end
+    if verdict.valid:
+        return 0, 0.0
+    if honest:
+        return (1, 0.0) if verdict.collided else (2, verdict.min_ttc)
+    return (3, 0.0) if verdict.collided else (4, verdict.min_ttc)
+
+
+def succeeded(verdict: Verdict, until: Until) -> bool:
+    """Whether the criterion is met; never by an infeasible motion nor by running into the ego's back."""
+    if not verdict.feasible or verdict.rear_end:
+        return False
+    if until is Until.VALID:
+        return bool(verdict.valid)
+    return verdict.collided if until is Until.COLLISION else verdict.critical
+
+
+class Refiner:
+    """One encounter's attempts."""
+
+    def __init__(
+        self,
+        brain: Brain,
+        found: Found,
+        expert: Expert,
+        modifier: ExpertModifier,
+        library: Sequence[LibraryEntry],
+        settings: Settings,
+        tell: Callable[[Attempt], None],
+    ) -> None:
+        self._brain, self._found, self._expert, self._modifier = brain, found, expert, modifier
+        self._library, self._settings, self._tell = library, settings, tell
+        self._versions: dict[str, int] = {}  # planner hash -> how often it was modified on the way to it
+        self._asked: set[str] = set()
+        self._new: dict[str, Planner] = {}
+
+    def run(self, intents: Sequence[Intent], found: Refinement) -> None:
+        """Attempts until success, kept in ``found`` as they come; ``intents`` as ranked by the analyzer."""
+        began = time.perf_counter()
+        ways = families(self._found.situations, self._library, [i.label for i in intents])
+        if self._settings.tuner == "off":
+            source: Tuner | list[Proposal] = _untuned(intents, ways)
+        else:
+            source = Tuner(self._expert, ways, share=self._settings.per_planner)
+        while len(found.attempts) < self._settings.attempts:
+            plans = self._next(source, ways, found)
+            if not plans:
+                found.reason = "Nothing was left to try."
+                break
+            if self._try(plans, found, began):
+                break
+        if found.ending is not Ending.CRITICAL and found.attempts:
+            if all(a.ending == "planner_failed" for a in found.attempts):
+                found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
+        found.seconds = time.perf_counter() - began
+
+    def _next(self, source: Tuner | list[Proposal], ways: Sequence[Family], found: Refinement) -> list[Proposal]:
+        left = self._settings.attempts - len(found.attempts)
+        count = min(1 if not found.attempts else AT_ONCE, left)
+        if isinstance(source, list):
+            return [source.pop(0) for _ in range(min(count, len(source)))]
+        plans: list[Proposal] = []
+        self._modify(source, ways, found)
+        while len(plans) < count and (proposal := source.next()) is not None:
+            plans.append(proposal)
+        return plans
+
+    def _try(self, plans: Sequence[Proposal], found: Refinement, began: float) -> bool:
+        """Run proposals; True once one of them succeeded (those behind it are dropped)."""
+        for proposal, result in zip(plans, self._brain.attempt(plans), strict=True):
+            attempt = self._attempt(len(found.attempts), proposal, result)
+            found.attempts.append(attempt)
+            found.results.append(result)
+            self._tell(attempt)
+            if succeeded(attempt.verdict, self._settings.until):
+                found.ending, found.reason = Ending.CRITICAL, ""
+                found.first_success_seconds = time.perf_counter() - began
+                return True
+        return False
+
+    def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
+        modified = self._versions.get(proposal.planner.hash, 0) > 0
+        phase = "analyzer" if index == 0 else ("modifier" if modified else "tuner")
+        by = "expert" if index == 0 or modified else self._settings.tuner
+        verdict = result.verdict or NOTHING
+        if result.driven.ending == "planner_failed":
+            verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
+        named = replace(proposal, by="tuner" if by == "builtin" else by)
+        return Attempt(index, phase, named, result.start, verdict, result.driven.ending, (), result.driven.message)
+
+    def _modify(self, tuner: Tuner, ways: Sequence[Family], found: Refinement) -> None:
+        """Have planners whose share is used up rewritten, at most ``modifications`` times in a line."""
+        for name in tuner.exhausted():
+            depth = self._versions.get(name, 0)
+            if name in self._asked or depth >= self._settings.modifications:
+                continue
+            self._asked.add(name)
+            planner = next(w.planner for w in ways if w.planner.hash == name) if depth == 0 else self._new[name]
+            changed = self._modifier.modify(planner, found.attempts)
+            if changed is None:
+                continue
+            self._versions[changed.hash] = depth + 1
+            self._new[changed.hash] = changed
+            base = [w for w in ways if w.entry.label == planner.label and w.planner.mode == planner.mode]
+            fresh = [Family(w.delay, w.target, w.entry, changed) for w in base]
+            tuner.add(fresh, 3 * len(fresh))
+
+
+def _untuned(intents: Sequence[Intent], ways: Sequence[Family]) -> list[Proposal]:
+    """Without a tuner: each intent's planners with their authors' numbers, in the analyzer's order."""
+    plans = []
+    for intent in intents:
+        acceleration = intent.acceleration if isinstance(intent.acceleration, float) else intent.acceleration[0][1]
+        for way in ways:
+            if way.entry.label == intent.label and way.target.state.id == intent.bv and way.delay == 0.0:
+                plans.append(replace(way.proposal(None), acceleration=acceleration))
+    return plans

@@ -1,0 +1,115 @@
+"""From a trigger and an unattacked run to situations: one for every delay that may be tried."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Track, VehicleState
+from sumo_adv.episode.encounter import REACH, Candidate
+from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
+from sumo_adv.planning.situation import Situation, Target, relate
+from sumo_adv.world.network import RoadMap
+
+OTHERS_NEAR = 90.0  # m around the ego: whose motion is kept
+FULL_LANE = 3.2  # m, where the ego's lane is unknown
+
+
+def state_at(track: Track, time: float) -> tuple[VehicleState, int] | None:
+    """The state of a track at a time, and its index; None where it is not there."""
+    i = int(np.argmin(np.abs(track.time - time)))
+    if abs(track.time[i] - time) > 1e-3:
+        return None
+    state = VehicleState(
+        track.id, float(track.x[i]), float(track.y[i]), float(track.heading[i]), float(track.speed[i]),
+        float(track.acceleration[i]), track.length, track.width, track.lane[i],
+    )  # fmt: skip
+    return state, i
+
+
+def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
+    """The path a track took, and on along its lanes for ``REACH`` metres."""
+    points = np.column_stack([track.x, track.y])
+    lane, last = track.lane[-1], points[-1]
+    onward = None
+    if lane in road.lanes:
+        shape = road.lanes[lane].shape
+        position = _position(shape, float(last[0]), float(last[1]))
+        ways = road.ways(lane, position, REACH, route)
+        onward = ways[0].path if ways else None
+    if onward is not None:
+        ahead = np.column_stack([onward.x, onward.y])[4:]  # 2 m on: no fold where the track is off the centre
+        points = np.vstack([points, ahead])
+    path = make_path(points)
+    return path if path.length > REACH else path.extended(REACH - path.length)
+
+
+def _position(shape: Any, x: float, y: float) -> float:
+    """Metres along a polyline to the point nearest to (x, y)."""
+    best, at, walked = math.inf, 0.0, 0.0
+    for a, b in zip(shape[:-1], shape[1:], strict=True):
+        length = math.hypot(*(b - a))
+        t = min(max(((x - a[0]) * (b[0] - a[0]) + (y - a[1]) * (b[1] - a[1])) / max(length**2, 1e-9), 0.0), 1.0)
+        miss = math.hypot(a[0] + t * (b[0] - a[0]) - x, a[1] + t * (b[1] - a[1]) - y)
+        if miss < best:
+            best, at = miss, walked + t * length
+        walked += length
+    return at
+
+
+def survey(
+    road: RoadMap,
+    tracks: Mapping[str, Track],
+    ego_id: str,
+    candidates: Sequence[Candidate],
+    time: float,
+    *,
+    dt: float,
+    horizon: float,
+    ego_model: Mapping[str, Any],
+    route: tuple[str, ...],
+) -> Situation | None:
+    """The situation at ``time`` of an unattacked run's tracks; None if the ego is gone by then or nobody is left."""
+    ego_track = tracks[ego_id].between(time, math.inf)
+    now = state_at(ego_track, time) if len(ego_track.time) > 1 else None
+    if now is None:
+        return None
+    ego = now[0]
+    path = path_of(ego_track, road, route)
+    step = np.hypot(np.diff(ego_track.x), np.diff(ego_track.y))
+    stations = np.concatenate([[0.0], np.cumsum(step)])
+    targets = {}
+    for candidate in candidates:
+        target = _target(road, tracks.get(candidate.id), candidate, time, path)
+        if target is not None:
+            targets[candidate.id] = target
+    if not targets:
+        return None
+    others = tuple(
+        part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
+        and np.min(np.hypot(part.x - ego.x, part.y - ego.y)) < OTHERS_NEAR
+    )  # fmt: skip
+    width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
+    return Situation(
+        time, dt, horizon, Frame(ego.x, ego.y, ego.heading), ego, path, stations, ego_track.speed,
+        ego_track.acceleration, dict(ego_model), targets, others, width,
+    )  # fmt: skip
+
+
+def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path) -> Target | None:
+    found = state_at(track, time) if track is not None else None
+    if found is None or track is None or found[0].lane not in road.lanes:
+        return None
+    bv, i = found
+    position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
+    ways = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH)]
+    if not ways:
+        return None
+    station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
+    heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
+    drift = bv.speed * math.sin(bv.heading - float(heading))
+    sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
+    return Target(bv, candidate.relation, tuple(ways), station, offset, drift, sides, candidate.risk)

@@ -1,0 +1,409 @@
+"""What the engine process does: find an encounter, run it unattacked, run attempts. No model, no sandbox, no bank.
+
+Attempts branch off at the trigger: by fork where that is possible (bit-identical, milliseconds), else in place with the
+simulation loaded again and the same commands repeated.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, Verdict
+from sumo_adv.episode.attack import Driven, attack
+from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter
+from sumo_adv.episode.survey import survey
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.metrics.validity import judge
+from sumo_adv.planning.predict import Told
+from sumo_adv.planning.situation import Situation
+from sumo_adv.world.egos import make_ego
+from sumo_adv.world.engine import can_fork, in_forks
+from sumo_adv.world.inputs import EgoRoute
+from sumo_adv.world.network import Drivable, RoadMap, read_network
+from sumo_adv.world.simulation import SimulationSpec, Snapshot, tracks_of
+
+COOL_DOWN = 2.0  # s after an encounter that was passed over
+PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
+ROAD_RADIUS = 260.0  # m around the encounter in which the drivable area is known
+INSERTED_EGO = "ego"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What the worker is opened with. ``ego``: an id, a route to insert it on, or None = choose. Times in s."""
+
+    spec: SimulationSpec
+    settings: Settings
+    ego: str | EgoRoute | None
+    ego_base_type: str | None
+    ego_driver: str
+    ego_parameters: Mapping[str, Any]
+    only: tuple[str, ...]
+    trigger: float | None
+    warm_up: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An encounter: who, when, the ranking, a situation for each delay, and the unattacked run."""
+
+    ego: str
+    time: float
+    ranking: tuple[tuple[str, str, float], ...]  # id, relation, risk
+    situations: Mapping[float, Situation]
+    raw: Sequence[Snapshot]  # from the trigger on
+    passed_over: tuple[str, ...]
+    drivable: Drivable
+
+
+@dataclass(frozen=True, slots=True)
+class NotFound:
+    """Why there is no encounter."""
+
+    ending: Ending
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptResult:
+    """What one attempt came to; ``snapshots`` from the trigger on."""
+
+    driven: Driven
+    verdict: Verdict | None
+    start: float
+    snapshots: Sequence[Snapshot] = field(repr=False, default=())
+
+
+@dataclass(frozen=True, slots=True)
+class Prefix:
+    """The simulation from its start to the trigger, and the sizes of all vehicles."""
+
+    snapshots: Sequence[Snapshot]
+    sizes: Mapping[str, tuple[float, float]]
+
+
+class Worker:
+    """Holds one episode's simulation. All public methods are commands of the engine."""
+
+    def __init__(self, slots: Sequence[Connection]) -> None:
+        self._slots = slots
+        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._road: RoadMap | None = None
+        self._moved = False  # an attempt ran in place: load and repeat before anything else
+
+    # -- commands -----------------------------------------------------------------------------------------------
+
+    def open(self, task: Task) -> None:
+        """Start SUMO. Raises SimulationError or UsageError."""
+        self._task = task
+        self._settings = task.settings
+        controller = make_ego(task.ego_driver, task.ego_parameters)
+        self._road = read_network(task.spec.network)
+        folder = Path(self._folder.name)
+        additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
+        self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
+        self._forks = task.settings.fork and can_fork() and controller.forkable
+        self._insert_ego()
+
+    def forks(self) -> bool:
+        """Whether attempts are forked."""
+        return self._forks
+
+    def seek(self) -> Found | NotFound:
+        """Go on until an encounter begins that is harmless unattacked, or until none can come."""
+        passed: list[str] = []
+        while True:
+            ranking = self._until_encounter()
+            if isinstance(ranking, NotFound):
+                if passed:
+                    return NotFound(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
+                return ranking
+            found, why = self._survey(ranking, tuple(passed))
+            if found is not None:
+                self._found = found
+                return found
+            passed.append(f"{self._drive.now:.1f} s ({why})")
+            if self._task.trigger is not None:
+                return NotFound(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
+            for _ in range(self._settings.steps(COOL_DOWN)):
+                self._drive.tick()
+
+    def prefix(self) -> Prefix:
+        """The recording up to the trigger."""
+        self._at_trigger()
+        return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
+
+    def lanes_near(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
+        """Shape, width, internal? of all lanes near a place, for pictures."""
+        assert self._road is not None
+        found = []
+        for lane in self._road.lanes.values():
+            if lane.passenger and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length:
+                found.append((lane.shape, lane.width, lane.internal))
+        return found
+
+    def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
+        """Run attempts from the trigger, at most as many at once as there are slots."""
+        works = [self._work(k, p, slot) for k, (p, slot) in enumerate(zip(plans, self._slots, strict=False))]
+        return self._branch(works)
+
+    # -- finding ------------------------------------------------------------------------------------------------
+
+    def _insert_ego(self) -> None:
+        route = self._task.ego
+        if isinstance(route, EgoRoute):
+            depart = {
+                "depart": repr(max(route.depart, self._task.spec.begin)), "departLane": str(route.lane),
+                "departPos": str(route.position), "departSpeed": str(route.speed),
+            }  # fmt: skip
+            self._drive.simulation.add(INSERTED_EGO, route.edges, self._task.ego_base_type or "DEFAULT_VEHTYPE", depart)
+
+    def _until_encounter(self) -> list[Candidate] | NotFound:
+        task, drive, every = self._task, self._drive, self._settings.steps(LOOK_EVERY)
+        wanted = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
+        encounter = Encounter(self._map, self._settings.shortlist, task.only)
+        since, tried = -math.inf, set[str]()
+        if drive.ego is not None:
+            since = drive.now - task.warm_up
+        while drive.now < task.end:
+            snapshot = drive.tick()
+            step = len(drive.recording.snapshots)
+            if drive.ego is None:
+                name = wanted if wanted in snapshot.raw else None
+                if wanted is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
+                    name = self._choose_ego(tried)
+                if name is not None:
+                    drive.take_over(name)
+                    since, encounter = drive.now, Encounter(self._map, self._settings.shortlist, task.only)
+            elif drive.ego not in snapshot.raw:
+                if wanted is not None:
+                    return NotFound(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
+                drive.ego = None
+            elif task.trigger is not None:
+                if drive.now >= task.trigger - 1e-6:
+                    return encounter.rank(drive)
+            elif step % every == 0 and drive.now - since >= self._wait(wanted):
+                ranking = encounter.look(drive)
+                if ranking:
+                    return ranking
+                if wanted is None and drive.now - since > PATIENCE:
+                    tried.add(drive.ego)
+                    drive.ego = None
+            if drive.simulation.expected() == 0:
+                break
+        return self._nothing(wanted, encounter.best)
+
+    def _wait(self, wanted: str | None) -> float:
+        """Seconds an ego is driven before the first look: the history, and a scenario's warm-up."""
+        return max(self._settings.history, self._task.warm_up if wanted is not None else 0.0)
+
+    def _nothing(self, wanted: str | None, best: float) -> NotFound:
+        if wanted is not None and self._drive.ego is None and wanted not in self._drive.simulation.fleet.sizes:
+            raise UsageError(f"No vehicle '{wanted}' was inserted before {self._drive.now:.0f} s; check --ego-id.")
+        unknown = [n for n in self._task.only if n not in self._drive.simulation.fleet.sizes]
+        if unknown:
+            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self._drive.now:.0f} s; check --adversary.")
+        return NotFound(
+            Ending.NO_ENCOUNTER,
+            f"No vehicle came into a position to endanger the ego before {self._drive.now:.0f} s "
+            f"(highest risk seen {best:.2f}, {0.40:.2f} is needed); try a longer --end, another --seed or --ego-id.",
+        )
+
+    @property
+    def _map(self) -> RoadMap:
+        assert self._road is not None
+        return self._road
+
+    def _choose_ego(self, tried: set[str]) -> str | None:
+        """The moving car with most moving traffic within 60 m; a tie goes to the first id."""
+        raw = self._drive.snapshot.raw
+        simulation = self._drive.simulation
+        moving = [(n, r[0], r[1]) for n, r in raw.items() if r[3] > 5.0]
+        best, best_count = None, 0
+        points = np.array([(x, y) for _, x, y in moving]).reshape(-1, 2)
+        for k, (name, x, y) in enumerate(moving):
+            if name in tried or simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
+                continue
+            edges, at = simulation.route(name)
+            left = sum(self._map.lanes[self._map.edges[e][0]].length for e in edges[max(at, 0) :] if e in self._map.edges)
+            if left < 150.0 or raw[name][4] not in self._map.lanes:
+                continue
+            near = np.hypot(points[:, 0] - x, points[:, 1] - y)
+            count = int((near < 60.0).sum()) - 1
+            if count > best_count:
+                best, best_count = moving[k][0], count
+        return best
+
+    # -- branching ----------------------------------------------------------------------------------------------
+
+    def _branch(self, works: Sequence[Callable[[], Any]]) -> list[Any]:
+        if self._forks:
+            return in_forks(works)
+        results = []
+        for work in works:
+            self._at_trigger()
+            self._moved = True
+            results.append(work())
+        self._at_trigger()
+        return results
+
+    def _at_trigger(self) -> None:
+        if self._moved:
+            self._moved = False
+            self._drive.rewind(self._trigger_step)
+
+    # -- the unattacked run -------------------------------------------------------------------------------------
+
+    def _survey(self, ranking: Sequence[Candidate], passed: tuple[str, ...]) -> tuple[Found | None, str]:
+        """Run on unattacked, and describe the encounter unless it is critical by itself."""
+        if not ranking:
+            return None, "no vehicle near could endanger the ego"
+        drive, settings = self._drive, self._settings
+        assert drive.ego is not None
+        self._trigger_step = len(drive.recording.snapshots)
+        time = drive.now
+        model, route = self._ego_model(), drive.simulation.route(drive.ego)[0]
+        raw = self._branch([self._unattacked])[0]
+        before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
+        sizes, roles = raw[1], {drive.ego: Role.EGO}
+        tracks = {t.id: t for t in tracks_of([*before, *raw[0]], sizes, roles, settings.step_length)}
+        why = self._dangerous(tracks, time)
+        if why:
+            return None, why
+        self._raw_ego = tracks[drive.ego]
+        situations = {}
+        for delay in settings.delays if self._task.trigger is None else (0.0,):
+            situation = survey(
+                self._map, tracks, drive.ego, ranking, time + delay, dt=settings.step_length,
+                horizon=settings.horizon, ego_model=model, route=route,
+            )  # fmt: skip
+            if situation is not None:
+                situations[delay] = situation
+        if 0.0 not in situations:
+            return None, "the vehicles near it leave at once"
+        order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
+        ego = situations[0.0].ego
+        drivable = self._map.drivable(ego.x, ego.y, ROAD_RADIUS)
+        return Found(drive.ego, time, order, situations, raw[0], passed, drivable), ""
+
+    def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
+        drive, settings = self._drive, self._settings
+        for _ in range(settings.steps(settings.duration + max(settings.delays))):
+            drive.tick()
+        return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
+
+    def _dangerous(self, tracks: Mapping[str, Track], time: float) -> str:
+        """Why an encounter is passed over: the ego collides or is critical unattacked; else empty."""
+        ego = tracks[str(self._drive.ego)]
+        if ego.time[-1] < time + 2.0:
+            return "the ego leaves the network at once"
+        others = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 3 and t.time[-1] > time + 0.3]
+        others = [t for t in others if _closest(ego, t, time) < 30.0]
+        if not others:
+            return ""
+        least = min(
+            judge(
+                ego, others[0], others[1:], trigger_time=time, ttc_threshold=self._settings.ttc,
+                end=time + self._settings.duration,
+            ).min_ttc_any, math.inf,
+        )  # fmt: skip
+        return f"critical unattacked: min TTC {least:.2f} s" if least <= self._settings.ttc else ""
+
+    def _ego_model(self) -> dict[str, Any]:
+        drive = self._drive
+        assert drive.ego is not None
+        kind = drive.controller.name if drive.controller.name in ("krauss", "idm", "eidm", "careful", "replay") else "idm"
+        return {"kind": kind, **drive.simulation.model(drive.ego)}
+
+    # -- attempts -----------------------------------------------------------------------------------------------
+
+    def _work(self, index: int, proposal: Proposal, slot: Connection) -> Callable[[], AttemptResult]:
+        def ask(told: Told) -> Any:
+            slot.send((index, told))
+            return slot.recv()
+
+        def run() -> AttemptResult:
+            return self._attempt(proposal, ask)
+
+        return run
+
+    def _attempt(self, proposal: Proposal, ask: Callable[[Told], Any]) -> AttemptResult:
+        drive, settings = self._drive, self._settings
+        situation = self._situation_for(proposal)
+        drive.replay(self._raw_ego)
+        for _ in range(settings.steps(proposal.delay)):
+            drive.tick()
+        start = drive.now
+        limits = settings.limits.limits()
+        driven = attack(
+            drive, situation, proposal.bv, ask, limits=limits, steps=settings.steps(settings.duration),
+            replan=settings.steps(settings.replan),
+        )  # fmt: skip
+        return AttemptResult(
+            replace(driven, beyond=None), self._verdict(proposal.bv, start, driven, limits), start,
+            drive.recording.snapshots[self._trigger_step :],
+        )  # fmt: skip
+
+    def _situation_for(self, proposal: Proposal) -> Situation:
+        situation = self._found.situations.get(proposal.delay)
+        if situation is None or proposal.bv not in situation.targets:
+            raise SimulationError(f"Vehicle '{proposal.bv}' cannot attack {proposal.delay:g} s after the trigger.")
+        return situation
+
+    def _verdict(self, bv: str, start: float, driven: Driven, limits: Limits) -> Verdict | None:
+        drive, settings = self._drive, self._settings
+        assert drive.ego is not None
+        first = self._trigger_step + settings.steps(start - self._found.time) - settings.steps(settings.history)
+        tracks = {t.id: t for t in drive.tracks(bv, max(0, first))}
+        ego, adversary = tracks.get(drive.ego), tracks.get(bv)
+        if ego is None or adversary is None or ego.time[-1] <= start or adversary.time[-1] <= start:
+            return None
+        others = [t for n, t in tracks.items() if n not in (ego.id, bv) and len(t.time) > 3 and _closest(ego, t, start) < 60.0]
+        if driven.beyond is not None:
+            adversary = _joined(adversary, driven.beyond)
+        return judge(
+            ego, adversary, others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits, on_road=self._found.drivable,
+            lane_half_width=self._found.situations[0.0].lane_width / 2,
+        )  # fmt: skip
+
+
+def _copied(files: Sequence[Path], folder: Path) -> list[Path]:
+    """Copies of additional files: what SUMO's detectors write beside their file then lands in our own folder."""
+    copies = []
+    for k, file in enumerate(files):
+        copies.append(folder / f"{k}-{file.name}")
+        shutil.copyfile(file, copies[-1])
+    return copies
+
+
+def _joined(track: Track, more: Track) -> Track:
+    both = [np.concatenate([getattr(track, n), getattr(more, n)]) for n in ("time", "x", "y", "heading", "speed", "acceleration")]
+    return Track(track.id, track.role, *both, track.length, track.width)
+
+
+def _closest(ego: Track, other: Track, time: float) -> float:
+    """Least distance of the centres [m] at common times from ``time`` on."""
+    common, i, j = np.intersect1d(np.round(ego.time, 3), np.round(other.time, 3), return_indices=True)
+    i, j = i[common >= time - 1e-6], j[common >= time - 1e-6]
+    return float(np.min(np.hypot(ego.x[i] - other.x[j], ego.y[i] - other.y[j]))) if len(i) else math.inf
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The commands of the engine process."""
+    worker = Worker(slots)
+    return {
+        "open": worker.open, "forks": worker.forks, "seek": worker.seek, "prefix": worker.prefix,
+        "lanes": worker.lanes_near, "attempts": worker.attempts,
+    }  # fmt: skip

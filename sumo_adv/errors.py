@@ -1,0 +1,56 @@
+"""Every error this program raises on purpose.
+
+    SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
+    ├── UsageError               wrong use or bad input; exit status 2
+    ├── SimulationError          SUMO failed, or the engine process died
+    ├── SandboxError             planner code failed inside its limits
+    │   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
+    │   ├── PlannerRuntimeError  raised while running
+    │   ├── PlannerLimitError    time, memory, recursion or output limit
+    │   └── PlannerResultError   returned something that is not an endpoint
+    └── BankError                the memory bank cannot be opened, read or written
+"""
+
+from __future__ import annotations
+
+
+class SumoAdvError(Exception):
+    """Base class. ``str(error)`` is one sentence a user can act on."""
+
+    exit_status = 1
+
+
+class UsageError(SumoAdvError):
+    """The command line or an input file is wrong."""
+
+    exit_status = 2
+
+
+class SimulationError(SumoAdvError):
+    """SUMO refused, failed or vanished."""
+
+
+class SandboxError(SumoAdvError):
+    """Planner code failed inside its limits."""
+
+
+class PlannerSyntaxError(SandboxError):
+    """The planner's text does not parse or uses what the sandbox lacks."""
+
+
+class PlannerRuntimeError(SandboxError):
+    """The planner raised an exception."""
+
+
+class PlannerLimitError(SandboxError):
+    """The planner ran into a limit on time, memory, recursion or output."""
+
+
+class PlannerResultError(SandboxError):
+    """The planner returned something that is not a usable endpoint."""
+
+
+class BankError(SumoAdvError):
+    """The memory bank cannot be opened, read or written."""
+
+    exit_status = 2

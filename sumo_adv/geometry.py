@@ -1,0 +1,152 @@
+"""Plane geometry: angles, the ego-centred frame of the paper, and paths sampled at equal distances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+
+PATH_STEP = 0.5  # m between samples of a path
+SMOOTHING = 1.5  # m over which headings are averaged (ALGORITHM, Planning)
+
+
+def wrap(angle: float) -> float:
+    """An angle in (-pi, pi]."""
+    return math.pi - (math.pi - angle) % (2 * math.pi)
+
+
+def wrap_all(angle: Floats) -> Floats:
+    """Angles in (-pi, pi], any shape."""
+    return np.pi - (np.pi - angle) % (2 * np.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The ego's pose at the trigger as a frame: x forward, y left (the paper's R(-theta)(s - s_0))."""
+
+    x: float
+    y: float
+    heading: float
+
+    def to_local(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
+        """World pose to this frame."""
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        dx, dy = x - self.x, y - self.y
+        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - self.heading)
+
+    def to_world(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
+        """A pose of this frame to the world."""
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        return self.x + c * x - s * y, self.y + s * x + c * y, wrap(heading + self.heading)
+
+    def points_to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
+        """World poses (any shape) to this frame."""
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        dx, dy = x - self.x, y - self.y
+        return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - self.heading)
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A line on the ground, sampled every ``PATH_STEP`` metres from station 0. Arrays are ``(n,)``.
+
+    x, y [m]; heading [rad], unwrapped; curvature [1/m]; speed: the fastest a car takes the bends ahead [m/s].
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    curvature: Floats
+    speed: Floats
+
+    @property
+    def length(self) -> float:
+        """Length in m."""
+        return (len(self.x) - 1) * PATH_STEP
+
+    def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
+        u = np.clip(np.asarray(s, float) / PATH_STEP, 0.0, len(self.x) - 1.0)
+        i = np.minimum(u.astype(np.intp), len(self.x) - 2)
+        w = u - i
+        heading = self.heading[i] * (1 - w) + self.heading[i + 1] * w
+        beyond = s - u * PATH_STEP
+        x = self.x[i] * (1 - w) + self.x[i + 1] * w + beyond * np.cos(heading) - d * np.sin(heading)
+        y = self.y[i] * (1 - w) + self.y[i + 1] * w + beyond * np.sin(heading) + d * np.cos(heading)
+        return x, y, heading
+
+    def project(self, x: float, y: float, near: float | None = None, reach: float = 15.0) -> tuple[float, float]:
+        """Station and offset of a point. ``near``: search only within ``reach`` metres of that station."""
+        low, high = 0, len(self.x)
+        if near is not None:
+            low = min(max(0, int((near - reach) / PATH_STEP)), high - 2)
+            high = max(min(high, int((near + reach) / PATH_STEP) + 2), low + 2)
+        dx, dy = x - self.x[low:high], y - self.y[low:high]
+        i = int(np.argmin(dx * dx + dy * dy))
+        c, s = math.cos(self.heading[low + i]), math.sin(self.heading[low + i])
+        along = c * dx[i] + s * dy[i]
+        last = len(self.x) - 1
+        if 0 < low + i < last:
+            along = min(max(along, -PATH_STEP), PATH_STEP)
+        station = (low + i) * PATH_STEP + along
+        px, py, ph = self.at(np.float64(station))
+        return float(station), float(-math.sin(ph) * (x - px) + math.cos(ph) * (y - py))
+
+    def extended(self, metres: float) -> Path:
+        """The path with a straight piece added at its end."""
+        n = max(1, math.ceil(metres / PATH_STEP))
+        k = PATH_STEP * np.arange(1, n + 1)
+        c, s = math.cos(self.heading[-1]), math.sin(self.heading[-1])
+        fill = np.ones(n)
+        return Path(
+            np.concatenate([self.x, self.x[-1] + k * c]), np.concatenate([self.y, self.y[-1] + k * s]),
+            np.concatenate([self.heading, self.heading[-1] * fill]), np.concatenate([self.curvature, 0 * fill]),
+            np.concatenate([self.speed, max(self.speed[-1], 50.0) * fill]),
+        )  # fmt: skip
+
+
+def make_path(points: Sequence[tuple[float, float]] | Floats, *, lateral: float = 3.2, braking: float = 4.0) -> Path:
+    """A path through ``points`` (n, 2).
+
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking`` (ALGORITHM, Planning).
+    """
+    p = np.asarray(points, float)
+    step = np.hypot(*np.diff(p, axis=0).T)
+    keep = np.concatenate([[True], step > 1e-3])
+    p = p[keep]
+    if len(p) < 2:
+        p = np.vstack([p[0], p[0] + [PATH_STEP, 0.0]])
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))])
+    n = max(2, int(station[-1] / PATH_STEP) + 1)
+    s = PATH_STEP * np.arange(n)
+    x, y = np.interp(s, station, p[:, 0]), np.interp(s, station, p[:, 1])
+    if station[-1] < PATH_STEP:
+        x[1], y[1] = p[-1] + (p[-1] - p[0]) / station[-1] * (PATH_STEP - station[-1])
+    x, y = _smooth(x), _smooth(y)
+    heading = _smooth(np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))))
+    curvature = np.gradient(heading, PATH_STEP)
+    return Path(x, y, heading, curvature, _bend_speed(curvature, lateral, braking))
+
+
+def _smooth(values: Floats) -> Floats:
+    """Moving average over ``SMOOTHING`` metres that keeps both ends."""
+    half = round(SMOOTHING / PATH_STEP / 2 + 0.5)
+    if len(values) < 2 * half + 1:
+        return values
+    # odd reflection at the ends keeps them, and their slope, where they are
+    head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    return np.convolve(np.concatenate([head, values, tail]), kernel, "valid")
+
+
+def _bend_speed(curvature: Floats, lateral: float, braking: float) -> Floats:
+    speed = np.minimum(np.sqrt(lateral / np.maximum(np.abs(curvature), 1e-4)), 60.0)
+    for i in range(len(speed) - 2, -1, -1):
+        limit = math.sqrt(speed[i + 1] ** 2 + 2 * braking * PATH_STEP)
+        if speed[i] > limit:
+            speed[i] = limit
+    return speed

@@ -1,0 +1,162 @@
+"""The schema of the memory bank, as an append-only list of named migrations.
+
+A migration that was ever released is never edited: add a new one at the end.  Each runs in one transaction together
+with its row in ``migrations`` and the new ``user_version`` (the number of migrations applied), so a file is always at
+exactly one version.  Pattern: llm's ``migrations.py`` and sqlite-utils.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sumo_adv.errors import BankError
+
+APPLICATION_ID = 0x53414442  # "SADB", in bytes 68-71 of the file: this is one of ours
+
+Clock = Callable[[], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Migration:
+    """A name that never changes and the SQL statements, run in order."""
+
+    name: str
+    statements: tuple[str, ...]
+
+
+MIGRATIONS: tuple[Migration, ...] = (
+    Migration(
+        "0001_intents_planners_evidence_settings",
+        (
+            """
+            CREATE TABLE intents (
+                id          INTEGER PRIMARY KEY,
+                key         TEXT NOT NULL UNIQUE,  -- the label without case, spaces and signs
+                label       TEXT NOT NULL UNIQUE,
+                description TEXT NOT NULL,
+                applies     TEXT NOT NULL CHECK (json_valid(applies)),  -- list of relations
+                status      TEXT NOT NULL CHECK (status IN ('active', 'retired')),
+                created     TEXT NOT NULL
+            ) STRICT
+            """,
+            """
+            CREATE TABLE planners (
+                id         INTEGER PRIMARY KEY,
+                intent     INTEGER NOT NULL REFERENCES intents (id),
+                mode       TEXT NOT NULL,
+                source     TEXT NOT NULL,
+                parameters TEXT NOT NULL CHECK (json_valid(parameters)),  -- list of [name, default, low, ..]
+                hash       TEXT NOT NULL,  -- SHA-256 of the source
+                parent     TEXT,           -- hash of the version it was made from, which need not be in this bank
+                origin     TEXT NOT NULL,
+                status     TEXT NOT NULL CHECK (status IN ('active', 'retired')),
+                created    TEXT NOT NULL,
+                UNIQUE (intent, hash)
+            ) STRICT
+            """,
+            """
+            CREATE TABLE evidence (
+                id           INTEGER PRIMARY KEY,
+                intent       INTEGER NOT NULL REFERENCES intents (id),
+                planner      TEXT NOT NULL,  -- planners.hash
+                geometry     TEXT NOT NULL,
+                relation     TEXT NOT NULL,
+                relative     TEXT NOT NULL CHECK (json_valid(relative)),  -- named numbers
+                controller   TEXT NOT NULL,
+                parameters   TEXT NOT NULL CHECK (json_valid(parameters)),  -- named numbers
+                acceleration REAL NOT NULL,
+                delay        REAL NOT NULL,
+                attempts     INTEGER NOT NULL CHECK (attempts >= 1),
+                min_ttc      REAL CHECK (min_ttc >= 0),  -- NULL: never
+                collided     INTEGER NOT NULL CHECK (collided IN (0, 1)),
+                critical     INTEGER NOT NULL CHECK (critical IN (0, 1)),
+                feasible     INTEGER NOT NULL CHECK (feasible IN (0, 1)),
+                rear_end     INTEGER NOT NULL CHECK (rear_end IN (0, 1)),
+                valid        INTEGER CHECK (valid IN (0, 1)),   -- NULL: no collision
+                strict       INTEGER CHECK (strict IN (0, 1)),
+                version      TEXT NOT NULL,
+                network      TEXT NOT NULL,
+                seed         INTEGER NOT NULL,
+                created      TEXT NOT NULL,
+                FOREIGN KEY (intent, planner) REFERENCES planners (intent, hash)
+            ) STRICT
+            """,
+            "CREATE INDEX evidence_by_intent ON evidence (intent, planner)",
+            """
+            CREATE TABLE settings (
+                key   TEXT PRIMARY KEY,
+                value TEXT NOT NULL CHECK (json_valid(value))
+            ) STRICT
+            """,
+        ),
+    ),
+)
+
+
+def utc_now() -> str:
+    """The time of now as ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def check_identity(connection: sqlite3.Connection, name: str, known: int = len(MIGRATIONS)) -> int:
+    """The version of the file (0 = blank, ours by the application id).
+
+    Raises BankError if the file is another program's, or newer than ``known`` migrations. ``name`` is for the sentence.
+    """
+    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+        raise BankError(
+            f"{name} is a SQLite file of another program, not a memory bank; give the path of a memory bank."
+        )
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if version > known:
+        raise BankError(
+            f"The memory bank {name} has version {version} and this program knows up to {known};"
+            " install a newer sumo-adv."
+        )
+    return version
+
+
+def migrate(
+    connection: sqlite3.Connection, name: str, clock: Clock = utc_now, migrations: Sequence[Migration] = MIGRATIONS
+) -> list[str]:
+    """Bring a file of ours to the newest version; the names applied. ``connection`` is in autocommit mode.
+
+    Raises BankError as ``check_identity`` does, or where the file's migrations are not the first of ``migrations``.
+    """
+    applied: list[str] = []
+    while (version := check_identity(connection, name, len(migrations))) < len(migrations):
+        if step := _apply_next(connection, version, clock, migrations):
+            applied.append(step)
+    rows = connection.execute("SELECT name FROM migrations ORDER BY name").fetchall()
+    if [row[0] for row in rows] != sorted(m.name for m in migrations):
+        raise BankError(
+            f"The memory bank {name} was made by another line of this program: export it there, import it here."
+        )
+    return applied
+
+
+def _apply_next(
+    connection: sqlite3.Connection, version: int, clock: Clock, migrations: Sequence[Migration]
+) -> str | None:
+    """One migration in one transaction; None if another process did it first."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        if connection.execute("PRAGMA user_version").fetchone()[0] != version:
+            connection.execute("ROLLBACK")
+            return None
+        connection.execute(
+            "CREATE TABLE IF NOT EXISTS migrations (name TEXT PRIMARY KEY, applied TEXT NOT NULL) STRICT"
+        )
+        for statement in migrations[version].statements:
+            connection.execute(statement)
+        connection.execute("INSERT INTO migrations VALUES (?, ?)", (migrations[version].name, clock()))
+        connection.execute(f"PRAGMA user_version = {version + 1}")
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
+    return migrations[version].name

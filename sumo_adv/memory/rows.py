@@ -1,0 +1,199 @@
+"""Rows of the bank to nouns and back: every SELECT and INSERT of the four tables."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from sumo_adv.datatypes import Parameter, Planner
+from sumo_adv.errors import BankError
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical
+
+_EVIDENCE_COLUMNS = (
+    "geometry, relation, relative, controller, parameters, acceleration, delay, attempts, min_ttc,"
+    " collided, critical, feasible, rear_end, valid, strict, version, network, seed, created"
+)
+
+
+@dataclass(slots=True)
+class Content:
+    """What a bank holds, in RAM. Keys are canonical labels; lists and dicts are in order of age."""
+
+    intents: dict[str, IntentRecord] = field(default_factory=dict)
+    planners: dict[str, list[Planner]] = field(default_factory=dict)
+    retired: set[tuple[str, str]] = field(default_factory=set)  # (key, hash) of retired planners
+    evidence: list[Evidence] = field(default_factory=list)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+def load(connection: sqlite3.Connection) -> Content:
+    """Everything, from one consistent view of the file."""
+    content = Content()
+    connection.execute("BEGIN")
+    try:
+        keys: dict[int, str] = {}
+        for id_, key, *rest in connection.execute(
+            "SELECT id, key, label, description, applies, status FROM intents ORDER BY id"
+        ):
+            keys[id_] = key
+            content.intents[key] = _intent(*rest)
+            content.planners[key] = []
+        for id_, mode, source, parameters, parent, origin, status in connection.execute(
+            "SELECT intent, mode, source, parameters, parent, origin, status FROM planners ORDER BY id"
+        ):
+            key = keys[id_]
+            planner = _planner(content.intents[key].label, mode, source, parameters, parent, origin)
+            content.planners[key].append(planner)
+            if status == "retired":
+                content.retired.add((key, planner.hash))
+        for id_, planner_hash, *values in connection.execute(
+            f"SELECT intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
+        ):
+            content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
+        for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
+            content.settings[key] = json.loads(value)
+    finally:
+        connection.execute("COMMIT")
+    return content
+
+
+def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str) -> None:
+    """Add an intent unless one of that label, in any spelling, is there."""
+    connection.execute(
+        "INSERT INTO intents (key, label, description, applies, status, created) VALUES (?, ?, ?, ?, ?, ?)"
+        " ON CONFLICT (key) DO NOTHING",
+        (canonical(record.label), record.label, record.description, _json(record.applies), record.status, now),
+    )
+
+
+def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | None:
+    """The intent of that label in any spelling, as stored."""
+    row = connection.execute(
+        "SELECT label, description, applies, status FROM intents WHERE key = ?", (canonical(label),)
+    ).fetchone()
+    return None if row is None else _intent(*row)
+
+
+def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str) -> None:
+    """Add a planner to an intent that exists, unless it has that source already."""
+    parameters = [list(asdict(parameter).values()) for parameter in planner.parameters]
+    connection.execute(
+        "INSERT INTO planners (intent, mode, source, parameters, hash, parent, origin, status, created)"
+        " SELECT id, ?, ?, ?, ?, ?, ?, 'active', ? FROM intents WHERE key = ?"
+        " ON CONFLICT (intent, hash) DO NOTHING",
+        (
+            planner.mode, planner.source, _json(parameters), planner.hash, planner.parent, planner.origin, now,
+            canonical(label),
+        ),
+    )  # fmt: skip
+
+
+def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) -> Planner | None:
+    """One planner of an intent, as stored."""
+    row = connection.execute(
+        "SELECT intents.label, mode, source, parameters, parent, origin FROM planners"
+        " JOIN intents ON intents.id = planners.intent WHERE key = ? AND hash = ?",
+        (canonical(label), planner_hash),
+    ).fetchone()
+    return None if row is None else _planner(*row)
+
+
+def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str) -> None:
+    """Add evidence about an intent and a planner that exist; of a success it makes both active again."""
+    scene = evidence.scene
+    if math.isnan(evidence.min_ttc):
+        raise BankError(f"The evidence for {evidence.label!r} has a min TTC that is not a number.")
+    values = (
+        scene.geometry, scene.relation, _json(scene.relative), scene.controller, _json(evidence.parameters),
+        evidence.acceleration, evidence.delay, evidence.attempts,
+        None if math.isinf(evidence.min_ttc) else evidence.min_ttc,
+        evidence.collided, evidence.critical, evidence.feasible, evidence.rear_end, evidence.valid, evidence.strict,
+        evidence.version, evidence.network, evidence.seed, now,
+    )  # fmt: skip
+    key = canonical(evidence.label)
+    connection.execute(
+        f"INSERT INTO evidence (intent, planner, {_EVIDENCE_COLUMNS})"
+        f" SELECT id, ?, {', '.join('?' * len(values))} FROM intents WHERE key = ?",
+        (evidence.planner_hash, *values, key),
+    )
+    if evidence.success:
+        connection.execute("UPDATE intents SET status = 'active' WHERE key = ? AND status != 'active'", (key,))
+        connection.execute(
+            "UPDATE planners SET status = 'active' WHERE hash = ? AND status != 'active'"
+            " AND intent = (SELECT id FROM intents WHERE key = ?)",
+            (evidence.planner_hash, key),
+        )
+
+
+def write_setting(connection: sqlite3.Connection, key: str, value: object) -> None:
+    """Set one setting, a JSON value."""
+    connection.execute(
+        "INSERT INTO settings VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = excluded.value", (key, _json(value))
+    )
+
+
+def canonical_items(content: Content) -> Iterator[list[Any]]:
+    """The content as JSON-able lists, without row numbers and time stamps."""
+    for record in content.intents.values():
+        yield ["intent", asdict(record)]
+    for key, planners in content.planners.items():
+        for planner in planners:
+            yield ["planner", asdict(planner), (key, planner.hash) in content.retired]
+    for evidence in content.evidence:
+        plain = asdict(evidence)
+        del plain["created"]
+        yield ["evidence", plain]
+    for key, value in content.settings.items():
+        yield ["setting", key, value]
+
+
+def _intent(label: str, description: str, applies: str, status: str) -> IntentRecord:
+    return IntentRecord(label, description, tuple(json.loads(applies)), status)
+
+
+def _planner(label: str, mode: str, source: str, parameters: str, parent: str | None, origin: str) -> Planner:
+    numbers = tuple(Parameter(*values) for values in json.loads(parameters))
+    return Planner(label, mode, source, numbers, origin, parent)
+
+
+def _evidence(label: str, planner_hash: str, values: list[Any]) -> Evidence:
+    geometry, relation, relative, controller, parameters, acceleration, delay, attempts, min_ttc, *rest = values
+    collided, critical, feasible, rear_end, valid, strict, version, network, seed, created = rest
+    return Evidence(
+        label=label,
+        planner_hash=planner_hash,
+        scene=SceneSignature(geometry, relation, json.loads(relative), controller),
+        attempts=attempts,
+        min_ttc=math.inf if min_ttc is None else min_ttc,
+        collided=bool(collided),
+        critical=bool(critical),
+        feasible=bool(feasible),
+        rear_end=bool(rear_end),
+        valid=None if valid is None else bool(valid),
+        strict=None if strict is None else bool(strict),
+        version=version,
+        network=network,
+        seed=seed,
+        parameters=json.loads(parameters),
+        acceleration=acceleration,
+        delay=delay,
+        created=created,
+    )
+
+
+def stored(evidence: Evidence, label: str, now: str) -> Evidence:
+    """Evidence as it reads back: under the intent's own label, with its time stamp and plain dicts."""
+    scene = replace(evidence.scene, relative=dict(evidence.scene.relative))
+    return replace(evidence, label=label, scene=scene, parameters=dict(evidence.parameters), created=now)
+
+
+def _json(value: object) -> str:
+    plain = dict(value) if isinstance(value, Mapping) else value
+    try:
+        return json.dumps(plain, sort_keys=True, allow_nan=False)
+    except ValueError:
+        raise BankError("The memory bank keeps finite numbers only; infinity or not-a-number was given.") from None

@@ -1,0 +1,196 @@
+"""The file under the bank: make it, open it, refuse what is not ours, and turn SQLite's errors into sentences."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sqlite3
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from sumo_adv.errors import BankError
+from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, Clock, check_identity, migrate, utc_now
+
+BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
+_MAGIC = b"SQLite format 3\0"
+
+
+def bank_error(error: sqlite3.Error, path: Path) -> BankError:
+    """SQLite's error about the bank at ``path`` as one sentence that says what to do."""
+    code = getattr(error, "sqlite_errorcode", None)
+    sentences = {
+        sqlite3.SQLITE_FULL: "has no room to grow: the disk is full; free some space and run again, nothing was lost",
+        sqlite3.SQLITE_IOERR: "could not be read or written; check the disk and its space, nothing was lost",
+        sqlite3.SQLITE_READONLY: "is read-only; give another path, or make the file and its folder writable",
+        sqlite3.SQLITE_CANTOPEN: "cannot be opened; check that you may read the file and write in its folder",
+        sqlite3.SQLITE_BUSY: f"was in use by another process for over {BUSY_TIMEOUT_MS / 1000:.0f} s; try again",
+        sqlite3.SQLITE_CORRUPT: "is damaged; move it away to start from the shipped one, or restore a copy",
+        sqlite3.SQLITE_NOTADB: "is not a SQLite file; give the path of a memory bank",
+    }
+    primary = code & 0xFF if isinstance(code, int) else None
+    said = sentences.get(primary) if primary is not None else None
+    return BankError(f"The memory bank {path} {said or f'failed: {error}'}.")
+
+
+@contextlib.contextmanager
+def sentences(path: Path) -> Iterator[None]:
+    """Within it, errors of SQLite and of the file system about ``path`` are raised as BankError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise bank_error(error, path) from error
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise BankError(
+            f"The memory bank {path} cannot be used: {reason}; give another path or correct that."
+        ) from error
+
+
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """A connection in autocommit mode with foreign keys on; ``mode`` is the query part of SQLite's file URI."""
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?{mode}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_MS / 1000
+    )
+    connection.execute("PRAGMA foreign_keys = ON")
+    connection.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
+    return connection
+
+
+def open_file(
+    path: Path, *, seed_from: Path | None, read_only: bool, clock: Clock = utc_now
+) -> tuple[sqlite3.Connection, bool]:
+    """The bank at ``path``, migrated, and whether it can be written.
+
+    A path that does not exist is made first (not with ``read_only``). The shipped bank itself is opened read-only.
+    Raises BankError.
+    """
+    with sentences(path):
+        if seed_from is not None and path.exists() and seed_from.exists() and path.samefile(seed_from):
+            read_only = True
+        if not path.exists():
+            if read_only:
+                raise BankError(f"The memory bank {path} does not exist.")
+            create(path, seed_from, clock)
+        check_header(path)
+        connection = None if read_only else _open_writable(path, clock)
+        return (connection, True) if connection is not None else (_open_readable(path), False)
+
+
+def check_header(path: Path) -> None:
+    """Refuse folders, empty files and what is not SQLite, before SQLite touches it. Raises BankError, OSError."""
+    if path.is_dir():
+        raise BankError(f"The memory bank {path} is a folder; give the path of a file.")
+    with path.open("rb") as file:
+        head = file.read(len(_MAGIC))
+    if not head:
+        raise BankError(f"The memory bank {path} is an empty file; delete it and a new bank will be made there.")
+    if head != _MAGIC:
+        raise BankError(f"The memory bank {path} is not a SQLite file; give the path of a memory bank.")
+
+
+def _open_writable(path: Path, clock: Clock) -> sqlite3.Connection | None:
+    """A connection in WAL mode to a bank of the newest version, or None if the file or its folder is read-only."""
+    connection = connect(path, "mode=rw")
+    try:
+        _check(connection, path)
+        if connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+            connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        connection.execute("PRAGMA synchronous = NORMAL")
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("ROLLBACK")
+        migrate(connection, str(path), clock)
+    except sqlite3.OperationalError as error:
+        connection.close()
+        if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+            return None
+        raise
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _connect_readable(path: Path) -> sqlite3.Connection:
+    """A read-only connection that makes no file beside the bank unless another process has a log there."""
+    log = path.with_name(path.name + "-wal")
+    pending = log.exists() and log.stat().st_size > 0
+    return connect(path, "mode=ro" if pending else "mode=ro&immutable=1")
+
+
+def _open_readable(path: Path) -> sqlite3.Connection:
+    """A read-only connection to a bank of the newest version."""
+    connection = _connect_readable(path)
+    try:
+        if _check(connection, path) < len(MIGRATIONS):
+            raise BankError(
+                f"The memory bank {path} must be brought to the newest version but is read-only; copy it elsewhere."
+            )
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _check(connection: sqlite3.Connection, path: Path) -> int:
+    """The version of the file; BankError if it is another program's, newer or damaged. Changes nothing."""
+    version = check_identity(connection, str(path))
+    if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
+        raise BankError(
+            f"The memory bank {path} is damaged; move it away to start from the shipped one, or restore a copy."
+        )
+    return version
+
+
+def create(path: Path, seed_from: Path | None, clock: Clock = utc_now) -> None:
+    """A new bank at ``path``, blank or a copy of ``seed_from``, which is only read; appears whole or not at all.
+
+    Where another process makes the same file meanwhile, that one is kept. Raises BankError, OSError, sqlite3.Error.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".new", dir=path.parent)
+    os.close(handle)
+    fresh = Path(name)
+    try:
+        fill_new(fresh, seed_from, clock)
+        fresh.chmod(0o644)
+        publish(fresh, path)
+    finally:
+        for leftover in (fresh, *(Path(name + end) for end in ("-wal", "-shm", "-journal"))):
+            leftover.unlink(missing_ok=True)
+
+
+def fill_new(fresh: Path, seed_from: Path | None, clock: Clock) -> None:
+    """Make the empty file ``fresh`` a bank in WAL mode: a copy of ``seed_from`` or blank, at the newest version."""
+    connection = connect(fresh, "mode=rw")
+    try:
+        if seed_from is None:
+            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+        else:
+            with sentences(seed_from):
+                _copy(seed_from, connection)
+        connection.execute("PRAGMA journal_mode = WAL").fetchone()
+        migrate(connection, str(seed_from or fresh), clock)
+    finally:
+        connection.close()
+
+
+def _copy(seed_from: Path, target: sqlite3.Connection) -> None:
+    check_header(seed_from)
+    source = _connect_readable(seed_from)
+    try:
+        _check(source, seed_from)
+        source.backup(target)
+    finally:
+        source.close()
+
+
+def publish(fresh: Path, path: Path) -> None:
+    """Give ``fresh`` the name ``path`` unless that exists; where there are no hard links, by a move."""
+    try:
+        os.link(fresh, path)
+    except FileExistsError:
+        return
+    except OSError:
+        if not path.exists():
+            fresh.replace(path)

@@ -1,0 +1,247 @@
+"""Could the ego have avoided it: the batch core, shared by the judge and by the scoring of predictions.
+
+Two tiers, both open loop against the adversary's motion as given.  *Careful*: UN R157's careful and competent driver,
+brake only (0.4 s to perceive, 0.75 s to react, up to 0.774 g within 0.6 s).  *Manoeuvre*: some combination of braking
+and a lateral shift begun a delay after the hazard shows, within a friction circle of 8 m/s2.  Positions are sampled at
+the step; boxes nearer than ``MARGIN`` count as a collision, so a corner cannot slip through between samples unseen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Bools, Boxes, Floats
+from sumo_adv.metrics.boxes import Half, corners, sat
+
+PERCEPTION, REACTION = 0.4, 0.75  # s, UN R157 annex 3
+CAREFUL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
+CAREFUL_RAMP = 0.6  # s to full braking, UN R157
+RAMP = 0.3  # s to full braking of a manoeuvre
+LATERAL = 4.5  # m/s2, peak of a manoeuvre's shift; with 6 m/s2 of braking inside the friction circle of 8
+STEER_BRAKING = (0.0, 3.0, 6.0)  # m/s2, with a shift
+BRAKING = (8.0, 4.0)  # m/s2, without
+SHIFTS = (1.0, -1.0, 2.0, -2.0, 3.2, -3.2)  # m, left positive
+SLOPE = 0.4  # lateral over longitudinal motion at most
+MARGIN = 0.05  # m, nearer than this is not avoided
+ROAD_TOLERANCE = 0.15  # m a corner may be off the road
+SAME_LANE, NEARBY = 1.8, 150.0  # m, a vehicle behind in the lane is not an obstacle to braking; beyond 150 m none is
+OnRoad = Callable[[Floats, Floats], Bools]
+"""Whether points (x, y) of any common shape lie on the drivable area."""
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """One way out: ``delay`` [s] after the hazard, ``braking`` [m/s2] after ``ramp`` [s], ``shift`` [m] to the left."""
+
+    delay: float
+    braking: float
+    ramp: float = RAMP
+    shift: float = 0.0
+
+
+CAREFUL = Manoeuvre(PERCEPTION + REACTION, CAREFUL_BRAKING, CAREFUL_RAMP)
+
+
+def manoeuvres(delay: float) -> tuple[Manoeuvre, ...]:
+    """The combinations tried at one delay, brake-only ones first."""
+    steer = tuple(Manoeuvre(delay, b, RAMP, d) for b in STEER_BRAKING for d in SHIFTS)
+    return tuple(Manoeuvre(delay, b) for b in BRAKING) + steer
+
+
+def avoidance(
+    ego: Boxes,
+    adversary: Boxes,
+    hazard_index: NDArray[np.integer],
+    dt: float,
+    *,
+    delays: Sequence[float] = (0.6, 0.8, 1.0),
+    careful: bool = True,
+    careful_delay: float = PERCEPTION + REACTION,
+    horizon: float = 6.0,
+    on_road: OnRoad | None = None,
+    others: Boxes | None = None,
+    reacting: Manoeuvre | None = None,
+) -> dict[str, Bools]:
+    """Which of N encounters could have been avoided, and how.
+
+    ego, adversary: ``(N, T)`` states on one grid of step ``dt`` [s] (sizes scalar or ``(N, 1)``); past T both go on at
+    constant speed and heading.  hazard_index ``(N,)``: the step at which the hazard shows.  The ego does what it did
+    until a manoeuvre begins and is never further along its path than it was.  ``others``: ``(K, T)``, NaN = absent, one
+    surrounding for all N; those behind the ego at the hazard do not count.  ``reacting``: the adversary, too, brakes.
+    Returns ``careful (N,)`` and ``manoeuvre (N, len(delays))``.
+    """
+    careful_driver = Manoeuvre(careful_delay, CAREFUL_BRAKING, CAREFUL_RAMP)
+    table = ((careful_driver,) if careful else ()) + tuple(m for d in delays for m in manoeuvres(d))
+    steps = round(horizon / dt)
+    own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
+    poses = _poses(own, table, dt)
+    foe_poses = _straight(foe) if reacting is None else _poses(foe, (reacting,), dt)
+    clear: Bools = np.asarray(~_hits(poses, foe_poses, _half(own), _half(foe)).any(axis=-1))
+    if others is not None and np.size(others.x):
+        clear &= _clear_of_others(poses, own, others, hazard_index, dt)
+    if on_road is not None:
+        clear &= _on_road(poses, own, table, clear, on_road, dt)
+    first = 1 if careful else 0
+    groups = clear[first:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
+    result: dict[str, Bools] = {"manoeuvre": np.asarray(groups.any(axis=1).T)}
+    if careful:
+        result["careful"] = clear[0]
+    return result
+
+
+def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes:
+    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end."""
+    n, last = b.x.shape[0], b.x.shape[1] - 1
+    wanted = np.asarray(index)[:, None] + np.arange(steps + 1)
+    rows = np.arange(n)[:, None]
+    taken = np.clip(wanted, 0, last)
+    x, y, heading, speed = (np.broadcast_to(v, b.x.shape)[rows, taken] for v in (b.x, b.y, b.heading, b.speed))
+    beyond = speed * (np.maximum(wanted - last, 0) * dt)
+    size = [np.broadcast_to(np.asarray(v, dtype=float), b.x.shape)[:, :1] for v in (b.length, b.width)]
+    return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1])
+
+
+@dataclass(frozen=True, slots=True)
+class _Poses:
+    """x, y [m], cosine and sine of the heading, each broadcastable to ``(manoeuvres, N, steps + 1)``."""
+
+    x: Floats
+    y: Floats
+    cos: Floats
+    sin: Floats
+
+
+def _half(b: Boxes) -> Half:
+    return b.length / 2 + MARGIN / 2, b.width / 2 + MARGIN / 2
+
+
+def _straight(b: Boxes) -> _Poses:
+    return _Poses(b.x[None], b.y[None], np.cos(b.heading)[None], np.sin(b.heading)[None])
+
+
+def _hits(a: _Poses, b: _Poses, half_a: Half, half_b: Half) -> Bools:
+    one, two, three, four = sat(b.x - a.x, b.y - a.y, a.cos, a.sin, b.cos, b.sin, half_a, half_b)
+    return np.asarray((one <= 0) & (two <= 0) & (three <= 0) & (four <= 0))
+
+
+def _poses(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> _Poses:
+    """Where each manoeuvre takes the vehicle: braking along its own path, then the shift across it."""
+    step = np.hypot(np.diff(own.x), np.diff(own.y))
+    travelled = np.concatenate([np.zeros((len(own.x), 1)), np.cumsum(step, axis=1)], axis=1)
+    plans = list(dict.fromkeys((m.delay, m.braking, m.ramp) for m in table))
+    progress = np.stack([_progress(travelled, own.speed, *plan, dt) for plan in plans])
+    along = _along(own, travelled, progress)
+    which = np.array([plans.index((m.delay, m.braking, m.ramp)) for m in table])
+    shift, slope = _shift(table, progress[which], dt)
+    x, y, cos, sin = (v[which] for v in (along.x, along.y, along.cos, along.sin))
+    turn = 1.0 / np.sqrt(1.0 + slope * slope)
+    return _Poses(x - shift * sin, y + shift * cos, (cos - sin * slope) * turn, (sin + cos * slope) * turn)
+
+
+def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ramp: float, dt: float) -> Floats:
+    """Distance along the path ``(N, steps + 1)`` [m]: as it was until ``delay``, then braked, never beyond that.
+
+    Braking b reached linearly in r: v = v0 - b t^2 / 2r until r, then v0 - b (t - r/2); integrated in closed form and
+    stopped at standstill.
+    """
+    if braking == 0:
+        return travelled
+    low = min(int(delay / dt + 1e-9), travelled.shape[1] - 2)
+    part = delay / dt - low
+    v0 = (speed[:, low] * (1 - part) + speed[:, low + 1] * part)[:, None]
+    s0 = (travelled[:, low] * (1 - part) + travelled[:, low + 1] * part)[:, None]
+    stop = np.where(v0 <= braking * ramp / 2, np.sqrt(2 * ramp * v0 / braking), v0 / braking + ramp / 2)
+    t = np.clip(np.arange(travelled.shape[1]) * dt - delay, 0.0, stop)
+    early, late = np.minimum(t, ramp), np.maximum(t - ramp, 0.0)
+    lost = braking * (early**3 / (6 * ramp) + late * ramp / 2 + late * late / 2)
+    return np.minimum(travelled, s0 + v0 * t - lost)
+
+
+def _along(own: Boxes, travelled: Floats, progress: Floats) -> _Poses:
+    """Poses at given distances along each row's own path; progress ``(plans, N, steps + 1)``."""
+    n, count = travelled.shape
+    spread = float(travelled[:, -1].max()) + 1.0
+    rows = np.arange(n)[:, None]
+    index = np.searchsorted((travelled + rows * spread).ravel(), progress + rows * spread, side="right") - 1
+    index = np.clip(index, rows * count, rows * count + count - 2)
+    start, step = travelled.ravel()[index], np.diff(travelled, append=travelled[:, -1:]).ravel()[index]
+    part = np.clip((progress - start) / np.where(step > 0, step, 1.0), 0.0, 1.0)
+    x, y = own.x.ravel(), own.y.ravel()
+    cos, sin = np.cos(own.heading).ravel(), np.sin(own.heading).ravel()
+    c, s, x, y = (v[index] + part * (v[index + 1] - v[index]) for v in (cos, sin, x, y))
+    norm = np.sqrt(c * c + s * s)
+    return _Poses(x, y, c / norm, s / norm)
+
+
+def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Lateral offset [m] and its slope over the path: a quintic of peak ``LATERAL``, never steeper than ``SLOPE``."""
+    time = np.arange(progress.shape[-1]) * dt
+    duration = np.array([[_duration(m.shift)] for m in table])
+    u = np.clip((time - np.array([[m.delay] for m in table])) / duration, 0.0, 1.0)
+    profile = np.array([[m.shift] for m in table]) * (u**3 * (10 + u * (6 * u - 15)))
+    wanted = np.diff(profile)[:, None, :]
+    moved = np.diff(progress)
+    steps = np.sign(wanted) * np.minimum(np.abs(wanted), SLOPE * moved)
+    slope = steps / np.maximum(moved, 1e-6)
+    zero = np.zeros((*steps.shape[:-1], 1))
+    return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1), np.concatenate([zero, slope], axis=-1)
+
+
+def _clear_of_others(poses: _Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float) -> Bools:
+    """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake."""
+    clear = np.ones((poses.x.shape[0], len(own.x)), dtype=bool)
+    half_own = np.asarray(own.length) / 2, np.asarray(own.width) / 2
+    for row, hazard in enumerate(hazard_index):
+        near = window(others, np.full(len(others.x), int(hazard)), own.x.shape[1] - 1, dt)
+        c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])
+        dx, dy = near.x[:, 0] - own.x[row, 0], near.y[:, 0] - own.y[row, 0]
+        behind = (dx * c + dy * s < 0) & (np.abs(dy * c - dx * s) < SAME_LANE)
+        keep = np.flatnonzero(~behind & (np.hypot(dx, dy) < NEARBY))  # an absent one is NaN and drops out here
+        if not keep.size:
+            continue
+        third = _rows(near, keep)
+        mine = _Poses(*(np.asarray(v)[:, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
+        half_third = np.asarray(third.length) / 2, np.asarray(third.width) / 2
+        touched = _hits(mine, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
+        clear[:, row] = ~touched.any(axis=(1, 2))
+    return clear
+
+
+def _rows(b: Boxes, keep: NDArray[np.integer]) -> Boxes:
+    return Boxes(
+        b.x[keep], b.y[keep], b.heading[keep], b.speed[keep], np.asarray(b.length)[keep], np.asarray(b.width)[keep]
+    )
+
+
+def _on_road(poses: _Poses, own: Boxes, table: Sequence[Manoeuvre], clear: Bools, on_road: OnRoad, dt: float) -> Bools:
+    """``(manoeuvres, N)``: the shift keeps the box's corners on the road until 0.5 s after it is complete.
+
+    Asked only of shifts that matter: those that avoid where no braking at the same delay does.
+    """
+    ok = np.ones(clear.shape, dtype=bool)
+    steer, delay = np.array([m.shift != 0 for m in table]), np.array([m.delay for m in table])
+    needed = clear & steer[:, None]
+    for value in np.unique(delay[steer]):
+        needed[delay == value] &= ~clear[(delay == value) & ~steer].any(axis=0)
+    m, n = np.nonzero(needed)
+    if not len(m):
+        return ok
+    ends = np.array([t.delay + _duration(t.shift) + 0.5 for t in table])[m]
+    time = np.arange(poses.x.shape[-1]) * dt
+    steps = np.flatnonzero((time > delay[m].min()) & (time <= ends.max()))[::3]
+    pick = (m[:, None], n[:, None], steps[None])
+    heading = np.arctan2(poses.sin[pick], poses.cos[pick])
+    length, width = (np.asarray(v)[n] - 2 * ROAD_TOLERANCE for v in (own.length, own.width))
+    points = corners(Boxes(poses.x[pick], poses.y[pick], heading, heading, length, width))
+    inside = np.asarray(on_road(points[..., 0], points[..., 1])).all(axis=-1)
+    ok[m, n] = (inside | (time[steps] > ends[:, None])).all(axis=1)
+    return ok
+
+
+def _duration(shift: float) -> float:
+    """Seconds a quintic shift [m] takes at a peak of ``LATERAL``; any positive number for no shift."""
+    return float(np.sqrt(5.7735 * abs(shift) / LATERAL)) or 1.0

@@ -1,0 +1,194 @@
+"""Oriented boxes: corners, overlap, distance, and first contact between recorded steps.
+
+Overlap is the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 1996): with the relative heading's |cos|
+and |sin| the extent of one box along an axis of the other needs no corners.  Swept contact is conservative advancement
+(Mirtich 1996) with a bound for each axis, so that boxes that do not turn are solved in one or two steps.
+Boxes that touch overlap.  A NaN anywhere (a vehicle that is not there) is never a contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Track
+
+LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
+TOUCH = 1e-9  # m, below this two boxes touch
+Half = tuple[Floats | float, Floats | float]
+"""Half the length and half the width [m]."""
+
+
+def wrap(angle: Floats) -> Floats:
+    """The angle [rad] in [-pi, pi)."""
+    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def half(b: Boxes) -> Half:
+    """Half the length and half the width [m]."""
+    return b.length / 2, b.width / 2
+
+
+def corners(b: Boxes) -> Floats:
+    """Corners ``(..., 4, 2)`` [m]: front left, rear left, rear right, front right (counter-clockwise)."""
+    c, s = np.cos(b.heading), np.sin(b.heading)
+    along, across = half(b)
+    x = [b.x + i * along * c - j * across * s for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    y = [b.y + i * along * s + j * across * c for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    return np.stack([np.stack(np.broadcast_arrays(*x), -1), np.stack(np.broadcast_arrays(*y), -1)], -1)
+
+
+def sat(
+    dx: Floats, dy: Floats, ca: Floats, sa: Floats, cb: Floats, sb: Floats, half_a: Half, half_b: Half
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Signed separation [m] along a's length, a's width, b's length, b's width; all <= 0 where the boxes overlap.
+
+    dx, dy: centre of b seen from a [m]; ca, sa, cb, sb: cosine and sine of the headings.
+    """
+    c, s = np.abs(ca * cb + sa * sb), np.abs(sa * cb - ca * sb)
+    (la, wa), (lb, wb) = half_a, half_b
+    return (
+        np.abs(dx * ca + dy * sa) - (la + lb * c + wb * s),
+        np.abs(dy * ca - dx * sa) - (wa + lb * s + wb * c),
+        np.abs(dx * cb + dy * sb) - (lb + la * c + wa * s),
+        np.abs(dy * cb - dx * sb) - (wb + la * s + wa * c),
+    )
+
+
+def axis_separations(a: Boxes, b: Boxes) -> tuple[Floats, Floats, Floats, Floats]:
+    """:func:`sat` for boxes."""
+    ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
+    return sat(b.x - a.x, b.y - a.y, ca, sa, cb, sb, half(a), half(b))
+
+
+def separation(a: Boxes, b: Boxes) -> Floats:
+    """The largest of the four axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
+    one, two, three, four = axis_separations(a, b)
+    return np.maximum(np.maximum(one, two), np.maximum(three, four))
+
+
+def overlaps(a: Boxes, b: Boxes) -> Bools:
+    """Whether the boxes touch or overlap, exact, over the broadcast shape."""
+    return np.asarray(separation(a, b) <= 0)
+
+
+def gap(a: Boxes, b: Boxes) -> Floats:
+    """Exact box-to-box distance [m], 0 where they overlap: the least corner-to-box distance, both ways round."""
+    least = np.minimum(_corner_distance(a, b), _corner_distance(b, a))
+    return np.where(overlaps(a, b), 0.0, np.sqrt(least))
+
+
+def _corner_distance(a: Boxes, b: Boxes) -> Floats:
+    """Least squared distance [m2] from a corner of b to the box a."""
+    ca, sa = np.cos(a.heading), np.sin(a.heading)
+    turn = b.heading - a.heading
+    c, s = np.cos(turn), np.sin(turn)
+    dx, dy = b.x - a.x, b.y - a.y
+    px, py = dx * ca + dy * sa, dy * ca - dx * sa
+    (la, wa), (lb, wb) = half(a), half(b)
+    least = np.asarray(np.inf)
+    for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
+        x = np.maximum(np.abs(px + i * lb * c - j * wb * s) - la, 0.0)
+        y = np.maximum(np.abs(py + i * lb * s + j * wb * c) - wa, 0.0)
+        least = np.minimum(least, x * x + y * y)
+    return least
+
+
+def sweep(a: Boxes, b: Boxes) -> Floats:
+    """First contact inside each interval between consecutive steps, ``(..., n - 1)`` for arrays ``(..., n)``.
+
+    The fraction in [0, 1] of the interval, inf if none.  Between steps positions and headings run linearly (headings
+    the shorter way).  No contact longer than a thousandth of the interval is missed; none is invented.
+    """
+    shape = np.broadcast_shapes(*(np.shape(v) for box in (a, b) for v in (box.x, box.y, box.heading)))
+    ends = [_ends(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading)]
+    (x0, x1), (y0, y1), (ha, ha1), (hb, hb1) = ends
+    sizes = [np.broadcast_to(v, shape)[..., :-1] for v in (*half(a), *half(b))]
+    reach = np.hypot(sizes[0], sizes[1]) + np.hypot(sizes[2], sizes[3])
+    vx, vy = x1 - x0, y1 - y0
+    square = vx * vx + vy * vy
+    nearest = np.clip(-(x0 * vx + y0 * vy) / np.where(square > 0, square, 1.0), 0.0, 1.0)
+    near = np.hypot(x0 + nearest * vx, y0 + nearest * vy) <= reach
+    out = np.full(near.shape, np.inf)
+    if near.any():
+        motion = [v[near] for v in (x0, y0, vx, vy, ha, wrap(ha1 - ha), hb, wrap(hb1 - hb), *sizes)]
+        out[near] = _advance(motion)
+    return out
+
+
+def _ends(values: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
+    full = np.broadcast_to(values, shape)
+    return full[..., :-1], full[..., 1:]
+
+
+def _advance(motion: list[Floats]) -> Floats:
+    """Conservative advancement of ``(k,)`` intervals; see :func:`sweep`."""
+    found = np.full(len(motion[0]), np.inf)
+    active = np.arange(len(found))
+    at = np.zeros(len(found))
+    while active.size:
+        separated, safe = _safe_step(at, motion)
+        found[active[~separated]] = at[~separated]
+        go_on = separated & (at < 1.0) & (at + safe <= 1.0 + 1e-12)
+        active, motion = active[go_on], [v[go_on] for v in motion]
+        at = np.minimum(at[go_on] + np.maximum(safe[go_on], LEAST_ADVANCE), 1.0)
+    return found
+
+
+def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
+    """Whether boxes are apart at fraction ``at``, and a further fraction for which they surely stay so."""
+    x0, y0, vx, vy, ha, da, hb, db, la, wa, lb, wb = motion
+    dx, dy, speed = x0 + at * vx, y0 + at * vy, np.hypot(vx, vy)
+    ca, sa, cb, sb = np.cos(ha + at * da), np.sin(ha + at * da), np.cos(hb + at * db), np.sin(hb + at * db)
+    far = np.maximum(np.hypot(dx, dy), np.hypot(x0 + vx, y0 + vy))
+    turning = np.abs(db - da)
+    rates = []
+    for c, s, own, other in ((ca, sa, da, np.hypot(lb, wb)), (cb, sb, db, np.hypot(la, wa))):
+        extra = np.abs(own) * (speed * (1 - at) + far) + turning * other
+        rates.append(extra - np.sign(dx * c + dy * s) * (vx * c + vy * s))
+        rates.append(extra - np.sign(dy * c - dx * s) * (vy * c - vx * s))
+    apart = np.zeros(len(at), dtype=bool)
+    safe = np.zeros(len(at))
+    for distance, rate in zip(sat(dx, dy, ca, sa, cb, sb, (la, wa), (lb, wb)), rates, strict=True):
+        positive = distance > TOUCH
+        apart |= positive
+        step = np.where(rate > 0, distance / np.where(rate > 0, rate, 1.0), np.inf)
+        safe = np.where(positive, np.maximum(safe, step), safe)
+    return apart, safe
+
+
+def first_contact(a: Boxes, b: Boxes, time: Floats) -> Floats:
+    """Time [s] of the first contact over the last axis (``time``: ``(n,)``), inf if none; the leading axes remain."""
+    if len(time) == 1:
+        return np.where(overlaps(a, b)[..., 0], time[0], np.inf)
+    fractions = sweep(a, b)
+    when = np.where(np.isfinite(fractions), time[:-1] + fractions * np.diff(time), np.inf)
+    return np.asarray(when.min(axis=-1))
+
+
+def at_time(track: Track, when: float) -> Boxes:
+    """The track's box at one time (linear between steps, heading the shorter way), as 0-d arrays."""
+    turns = np.unwrap(track.heading)
+    x, y, heading, speed = (np.asarray(np.interp(when, track.time, v)) for v in (track.x, track.y, turns, track.speed))
+    return Boxes(x, y, heading, speed, track.length, track.width)
+
+
+def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
+    """Tracks on a common regular grid, as boxes ``(len(tracks), len(time))``; NaN where a vehicle is not there.
+
+    Tracks must lie on the same regular grid (any start, any end).
+    """
+    step = time[1] - time[0] if len(time) > 1 else 1.0
+    state = np.full((4, len(tracks), len(time)), np.nan)
+    for row, track in enumerate(tracks):
+        if not len(track.time):
+            continue
+        first = int(np.rint((track.time[0] - time[0]) / step))
+        low, high = max(first, 0), min(first + len(track.time), len(time))
+        if high > low:
+            for values, source in zip(state, (track.x, track.y, track.heading, track.speed), strict=True):
+                values[row, low:high] = source[low - first : high - first]
+    sizes: list[NDArray[np.float64]] = [np.array([[getattr(t, n)] for t in tracks]) for n in ("length", "width")]
+    return Boxes(state[0], state[1], state[2], state[3], sizes[0].reshape(-1, 1), sizes[1].reshape(-1, 1))

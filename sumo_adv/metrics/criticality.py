@@ -1,0 +1,190 @@
+"""How close it was: TTC, PET, DRAC and their kin, on arrays.  ``inf`` = never.
+
+Everything broadcasts: ego ``(time,)`` against vehicles ``(n, time)`` gives ``(n, time)``.  SI units throughout.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Boxes, Floats, Track
+from sumo_adv.metrics.boxes import first_contact, half, overlaps, wrap
+
+TURNING_HORIZON = 10.0  # s, how far a TTC with turn rates looks
+TURNING_STEP = 0.05  # s
+FINE = 51  # parts of a step in which PET is refined
+
+
+def ttc(a: Boxes, b: Boxes, turn_rate: tuple[Floats | float, Floats | float] | None = None) -> Floats:
+    """Two-dimensional time to collision [s] of boxes at constant velocity and heading; 0 touching, inf never.
+
+    Exact: with fixed headings the boxes overlap at t where on each of the four separating axes |p + u t| <= R, an
+    interval in t; TTC is the start of the four intervals' intersection with t >= 0.  ``turn_rate`` (of a, of b) [rad/s]
+    lets both drive circular arcs instead (constant turn rate and speed), up to 10 s ahead, in steps of 0.05 s.
+    """
+    if turn_rate is not None:
+        return _turning_ttc(a, b, turn_rate)
+    ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
+    dx, dy = b.x - a.x, b.y - a.y
+    ux, uy = b.speed * cb - a.speed * ca, b.speed * sb - a.speed * sa
+    c, s = np.abs(ca * cb + sa * sb), np.abs(sa * cb - ca * sb)
+    (la, wa), (lb, wb) = half(a), half(b)
+    enter: Floats = np.zeros(())
+    leave: Floats = np.asarray(np.inf)
+    axes = (
+        (ca, sa, la + lb * c + wb * s),
+        (-sa, ca, wa + lb * s + wb * c),
+        (cb, sb, lb + la * c + wa * s),
+        (-sb, cb, wb + la * s + wa * c),
+    )
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for nx, ny, reach in axes:
+            p, u = dx * nx + dy * ny, ux * nx + uy * ny
+            still = np.abs(u) < 1e-12
+            inside = np.abs(p) <= reach
+            middle, width = -p / u, reach / np.abs(u)
+            enter = np.maximum(enter, np.where(still, np.where(inside, 0.0, np.inf), middle - width))
+            leave = np.minimum(leave, np.where(still, np.inf, middle + width))
+    return np.where(enter <= leave, enter, np.inf)
+
+
+def _turning_ttc(a: Boxes, b: Boxes, turn_rate: tuple[Floats | float, Floats | float]) -> Floats:
+    time = np.arange(0.0, TURNING_HORIZON + TURNING_STEP / 2, TURNING_STEP)
+    return first_contact(_arc(a, turn_rate[0], time), _arc(b, turn_rate[1], time), time)
+
+
+def _arc(b: Boxes, rate: Floats | float, time: Floats) -> Boxes:
+    """The box driving a circular arc: arrays get a last axis of ``len(time)``."""
+    speed, heading, w = (np.asarray(v, dtype=float)[..., None] for v in (b.speed, b.heading, rate))
+    ahead = heading + w * time
+    chord = speed * time * np.sinc(w * time / (2 * np.pi))  # 2 v / w sin(w t / 2)
+    middle = heading + w * time / 2
+    x = np.asarray(b.x, dtype=float)[..., None] + chord * np.cos(middle)
+    y = np.asarray(b.y, dtype=float)[..., None] + chord * np.sin(middle)
+    size = [np.asarray(v, dtype=float)[..., None] for v in (b.length, b.width)]
+    return Boxes(x, y, ahead, speed, size[0], size[1])
+
+
+def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
+    """Deceleration rate to avoid the crash [m/s2]: closing speed along the ego's heading / (2 TTC); 0 if no conflict.
+
+    For car following this is the textbook (v_e - v_l)^2 / (2 gap) (Cooper and Ferguson 1976); across headings it is
+    what the ego needs to lose its closing speed before the moment of contact.  inf where the boxes touch.
+    ``times``: TTC already computed.
+    """
+    times = ttc(ego, other) if times is None else times
+    closing = np.maximum(ego.speed - other.speed * np.cos(other.heading - ego.heading), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.where(closing > 0, closing / (2 * times), 0.0)
+    return np.where(np.isfinite(times), rate, 0.0)
+
+
+def required_lateral(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
+    """Lateral acceleration [m/s2] with which the ego just clears the other's box by the TTC (nearer side); 0 if none.
+
+    a = 2 D / TTC^2, D the lateral shift out of the other's extent across the ego's heading at the moment of contact
+    (Jansson 2005).  inf where the boxes touch.
+    """
+    times = ttc(ego, other) if times is None else times
+    ahead = np.where(np.isfinite(times), times, 0.0)
+    ce, se = np.cos(ego.heading), np.sin(ego.heading)
+    turn = other.heading - ego.heading
+    x = other.x - ego.x + ahead * (other.speed * np.cos(other.heading) - ego.speed * ce)
+    y = other.y - ego.y + ahead * (other.speed * np.sin(other.heading) - ego.speed * se)
+    (_, we), (lo, wo) = half(ego), half(other)
+    shift = we + lo * np.abs(np.sin(turn)) + wo * np.abs(np.cos(turn)) - np.abs(y * ce - x * se)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rate = np.where(shift > 0, 2 * shift / (times * times), 0.0)
+    return np.where(np.isfinite(times), rate, 0.0)
+
+
+def headway(ego: Boxes, other: Boxes) -> Floats:
+    """Time headway [s]: gap ahead to a box that is in the ego's straight path, over the ego's speed; inf if none."""
+    ce, se = np.cos(ego.heading), np.sin(ego.heading)
+    dx, dy = other.x - ego.x, other.y - ego.y
+    turn = other.heading - ego.heading
+    (le, we), (lo, wo) = half(ego), half(other)
+    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    along = dx * ce + dy * se
+    clear = along - le - (lo * c + wo * s)
+    in_path = (np.abs(dy * ce - dx * se) <= we + lo * s + wo * c) & (along > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time = np.maximum(clear, 0.0) / ego.speed
+    return np.where(in_path & (np.asarray(ego.speed) > 0), time, np.inf)
+
+
+def btn(ego: Boxes, other: Boxes, available: float = 8.0, times: Floats | None = None) -> Floats:
+    """Brake threat number: :func:`drac` over the deceleration available [m/s2]; >= 1: braking alone is too late."""
+    return drac(ego, other, times) / available
+
+
+def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats]:
+    """TET [s] and TIT [s2] over the last axis (Minderhoud and Bovy 2001).
+
+    TET: time spent with TTC <= threshold; TIT: integral of (threshold - TTC) over that time.
+    """
+    below = times <= threshold
+    deficit = np.where(below, threshold - np.where(below, times, 0.0), 0.0)
+    return below.sum(axis=-1) * dt, deficit.sum(axis=-1) * dt
+
+
+@dataclass(frozen=True, slots=True)
+class Encroachment:
+    """PET and where: ``pet`` [s] (0 = collision, inf = the swept areas never meet), ``point`` (x, y) [m] or None."""
+
+    pet: float
+    point: tuple[float, float] | None
+    first: str | None  # "a" | "b": who was there first
+
+
+def pet(a: Track, b: Track) -> Encroachment:
+    """Post-encroachment time: the least time between one vehicle leaving and the other reaching a piece of road.
+
+    min |t_i - t_j| over all pairs of steps at which box a(t_i) overlaps box b(t_j) (Allen, Shin, Cooper 1978, for
+    boxes); within the last step to a 50th of it.  For car following it is the time gap.
+    """
+    reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
+    i, j = np.nonzero(np.hypot(a.x[:, None] - b.x, a.y[:, None] - b.y) <= reach)
+    touching = overlaps(_pick(a, i), _pick(b, j))
+    i, j = i[touching], j[touching]
+    if not len(i):
+        return Encroachment(float("inf"), None, None)
+    lag = b.time[j] - a.time[i]
+    best = int(np.argmin(np.abs(lag)))
+    i0, j0, value = int(i[best]), int(j[best]), float(lag[best])
+    point = (float((a.x[i0] + b.x[j0]) / 2), float((a.y[i0] + b.y[j0]) / 2))
+    if value == 0:
+        return Encroachment(0.0, point, None)
+    return Encroachment(
+        _refined(a, b, i0, j0) if value > 0 else _refined(b, a, j0, i0), point, "a" if value > 0 else "b"
+    )
+
+
+def _pick(track: Track, index: NDArray[np.intp]) -> Boxes:
+    return Boxes(
+        track.x[index], track.y[index], track.heading[index], track.speed[index], track.length, track.width
+    )  # fmt: skip
+
+
+def _refined(a: Track, b: Track, i: int, j: int) -> float:
+    """PET inside the last step: the least lag at which the boxes overlap, a later by up to a step, b earlier, in 50ths.
+
+    ``a`` is the one that was there first.
+    """
+    part = np.linspace(0.0, 1.0, FINE)
+    leaving = _between(a, i, min(i + 1, len(a.time) - 1), part)
+    coming = _between(b, j, max(j - 1, 0), part)
+    _, x, y, heading, speed = (v[:, None] for v in leaving)
+    touching = overlaps(Boxes(x, y, heading, speed, a.length, a.width), Boxes(*coming[1:], b.length, b.width))
+    lag = coming[0] - leaving[0][:, None]
+    return max(float(np.where(touching, lag, np.inf).min()), 0.0)
+
+
+def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Time, x, y, heading, speed between two steps of a track, at the given parts of the way."""
+    turn = wrap(np.asarray(track.heading[stop] - track.heading[start]))
+    time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
+    return time, x, y, track.heading[start] + part * turn, speed

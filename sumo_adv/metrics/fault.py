@@ -1,0 +1,116 @@
+"""Whose fault: nuPlan's at-fault rules, and Responsibility-Sensitive Safety as a second opinion.
+
+nuPlan (nuplan-devkit, ``no_ego_at_fault_collisions``): the ego is at fault when it runs into a stopped vehicle or hits
+with its front bumper, and in a lateral collision while between lanes or off the road; never when it stands or is hit
+from behind.  RSS: Shalev-Shwartz, Shammah, Shashua 2017, definitions 1, 6 and the blame rule, same direction only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.metrics.boxes import wrap
+from sumo_adv.metrics.contact import SAME_DIRECTION, CollisionClass, collision_class
+
+EGO, ADVERSARY = "ego", "adversary"
+
+
+@dataclass(frozen=True, slots=True)
+class Rss:
+    """RSS parameters; defaults are those of the ad-rss library."""
+
+    response: float = 1.0  # s
+    acceleration: float = 3.5  # m/s2, at most, while responding
+    braking: float = 4.0  # m/s2, at least, of the one behind
+    hard_braking: float = 8.0  # m/s2, at most, of the one ahead
+    lateral_acceleration: float = 0.2  # m/s2, at most, while responding
+    lateral_braking: float = 0.8  # m/s2, at least
+
+
+DEFAULT_RSS = Rss()
+
+
+def nuplan_fault(ego: Track, adversary: Track, contact_time: float, *, between_lanes: bool = False) -> str:
+    """``ego`` or ``adversary`` by nuPlan's rules; ``between_lanes``: the ego straddles lanes or is off the road."""
+    kind = collision_class(ego, adversary, contact_time)
+    if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT):
+        return EGO
+    return EGO if kind is CollisionClass.ACTIVE_LATERAL and between_lanes else ADVERSARY
+
+
+def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_RSS) -> Floats:
+    """RSS's least gap [m] in one direction: v_r p + a p^2/2 + (v_r + p a)^2 / 2b - v_f^2 / 2B, at least 0."""
+    after = rear + rss.response * rss.acceleration
+    needed = rear * rss.response + rss.acceleration * rss.response**2 / 2 + after**2 / (2 * rss.braking)
+    return np.maximum(needed - front**2 / (2 * rss.hard_braking), 0.0)
+
+
+def lateral_safe_distance(own: Floats, other: Floats, rss: Rss = DEFAULT_RSS) -> Floats:
+    """RSS's least lateral gap [m]; speeds [m/s] positive towards one another."""
+    needed = np.zeros(())
+    for speed in (own, other):
+        after = speed + rss.response * rss.lateral_acceleration
+        needed = needed + (speed + after) / 2 * rss.response + np.sign(after) * after**2 / (2 * rss.lateral_braking)
+    return np.maximum(needed, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SecondOpinion:
+    """RSS's view of a same-direction collision: since when it was dangerous [s], why, and who is to blame."""
+
+    dangerous_since: float
+    trigger: str  # lateral (somebody moved across) | longitudinal (somebody followed too closely)
+    blame: str
+
+
+def rss_opinion(ego: Track, adversary: Track, contact_time: float, rss: Rss = DEFAULT_RSS) -> SecondOpinion | None:
+    """Blame by RSS, None unless both go the same way throughout the dangerous spell.
+
+    Dangerous = both the longitudinal and the lateral distance are unsafe, from the start of the last such spell before
+    contact.  If the lateral distance became unsafe last, the one with the greater speed towards the other is to blame
+    (a cut-in); if the longitudinal one did, the rear vehicle had to brake with ``braking`` after ``response``: where
+    the ego was behind and did, the blame is the adversary's.
+    """
+    start = max(ego.time[0], adversary.time[0])
+    a, b = ego.between(start, contact_time), adversary.between(start, contact_time)
+    if not len(a.time) or abs(float(wrap(b.heading[-1:] - a.heading[-1:])[0])) > SAME_DIRECTION:
+        return None
+    across, behind, unsafe_along, unsafe_across = _unsafe(a, b, rss)
+    spell = _spell(unsafe_along & unsafe_across)
+    since_along, since_across = _spell(unsafe_along), _spell(unsafe_across)
+    if spell == len(a.time):
+        spell = len(a.time) - 1
+    when = float(a.time[spell])
+    if since_across > since_along:
+        mine, theirs = across
+        return SecondOpinion(when, "lateral", ADVERSARY if theirs[spell] >= mine[spell] else EGO)
+    if not behind[spell]:
+        return SecondOpinion(when, "longitudinal", ADVERSARY)
+    due = a.time >= when + rss.response
+    braked = bool((a.acceleration[due] <= -rss.braking + 0.1).all()) if due.any() else True
+    return SecondOpinion(when, "longitudinal", ADVERSARY if braked else EGO)
+
+
+def _unsafe(a: Track, b: Track, rss: Rss) -> tuple[tuple[Floats, Floats], Bools, Bools, Bools]:
+    """Lateral speeds towards one another, ego behind, longitudinal and lateral distance unsafe, by step."""
+    c, s = np.cos(a.heading), np.sin(a.heading)
+    dx, dy, turn = b.x - a.x, b.y - a.y, b.heading - a.heading
+    x, y = dx * c + dy * s, dy * c - dx * s
+    behind = x >= 0
+    along = np.abs(x) - (a.length + b.length * np.abs(np.cos(turn)) + b.width * np.abs(np.sin(turn))) / 2
+    beside = np.abs(y) - (a.width + b.length * np.abs(np.sin(turn)) + b.width * np.abs(np.cos(turn))) / 2
+    forward, towards = b.speed * np.cos(turn), -np.sign(y) * b.speed * np.sin(turn)
+    safe = np.where(
+        behind, longitudinal_safe_distance(a.speed, forward, rss), longitudinal_safe_distance(forward, a.speed, rss)
+    )
+    own = np.zeros_like(towards)
+    return (own, towards), behind, along < safe, beside < lateral_safe_distance(own, towards, rss)
+
+
+def _spell(holds: Bools) -> int:
+    """First step of the spell that runs to the end; ``len(holds)`` if the last step does not hold."""
+    broken = np.flatnonzero(~holds)
+    return int(broken[-1] + 1) if broken.size else 0

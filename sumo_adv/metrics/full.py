@@ -1,0 +1,164 @@
+"""The full verdict, for the attempt that counts: sensitivity, last moments, a reacting adversary, severity, RSS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
+from sumo_adv.metrics.avoidance import PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
+from sumo_adv.metrics.boxes import at_time, on_grid
+from sumo_adv.metrics.contact import CollisionClass, Impact, collision_class, contact_point, impact
+from sumo_adv.metrics.criticality import exposure, pet
+from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
+from sumo_adv.metrics.hazard import Kind
+from sumo_adv.metrics.series import series
+from sumo_adv.metrics.validity import MANOEUVRE_DELAY, MOST, Encounter, align, hazard_time, judge
+
+SENSITIVITY = 0.4  # s, earlier and later
+REACTING = Manoeuvre(PERCEPTION + REACTION, 4.0, RAMP)  # an ordinary driver's braking once the hazard shows
+EXPOSURE_TTC = 1.5  # s, threshold of TET and TIT
+
+
+@dataclass(frozen=True, slots=True)
+class FullVerdict:
+    """All figures of one attempt.  Times s, inf = never, None = the question does not arise (no collision)."""
+
+    verdict: Verdict
+    kind: Kind
+    collision_class: CollisionClass | None
+    impact: Impact | None
+    rss: SecondOpinion | None
+    sensitivity: Mapping[str, bool]  # careful_-0.4, careful_+0.4, manoeuvre_-0.4, manoeuvre_+0.4
+    latest_careful: float | None  # s before contact at which braking as the careful driver must begin
+    latest_manoeuvre: float | None  # s before contact at which some manoeuvre must begin
+    reacting: str | None  # careful_driver | any_manoeuvre | unavoidable, the adversary braking too
+    tet: float  # s with TTC <= 1.5 s
+    tit: float  # s2
+    min_headway: float
+    max_btn: float
+    max_required_lateral: float
+    min_centre_distance: float
+    conflict_point: tuple[float, float] | None
+
+
+def full_judge(
+    ego: Track,
+    adversary: Track,
+    others: Sequence[Track],
+    *,
+    trigger_time: float,
+    ttc_threshold: float = 1.0,
+    limits: Limits = Limits(),  # noqa: B008 - frozen
+    on_road: Callable[[Floats, Floats], Bools] | None = None,
+    lane_half_width: float = 1.6,
+    end: float | None = None,
+) -> FullVerdict:
+    """:func:`~sumo_adv.metrics.validity.judge` and everything that only the attempt that counts needs."""
+    verdict = judge(
+        ego, adversary, others, trigger_time=trigger_time, ttc_threshold=ttc_threshold, limits=limits, on_road=on_road,
+        lane_half_width=lane_half_width, end=end,
+    )  # fmt: skip
+    e = align(ego, adversary, trigger_time, end, verdict.contact_time)
+    stop = float(e.time[-1])
+    hazard, kind = hazard_time(
+        ego.between(-np.inf, stop), adversary, trigger_time=trigger_time, contact_time=verdict.contact_time,
+        lane_half_width=lane_half_width,
+    )  # fmt: skip
+    measures = series(ego.between(trigger_time, stop), [adversary])
+    tet, tit = exposure(measures["ttc"][0], EXPOSURE_TTC, e.dt)
+    contact = verdict.contact_time
+    careful, manoeuvre = (None, None) if contact is None else _latest(e, contact, on_road, others)
+    return FullVerdict(
+        verdict=verdict,
+        kind=kind,
+        collision_class=None if contact is None else collision_class(ego, adversary, contact),
+        impact=None if contact is None else impact(ego, adversary, contact),
+        rss=None if contact is None else rss_opinion(ego, adversary, contact),
+        sensitivity={} if contact is None else _sensitivity(e, hazard, on_road, others),
+        latest_careful=careful,
+        latest_manoeuvre=manoeuvre,
+        reacting=None if contact is None else _reacting(e, hazard, on_road, others),
+        tet=float(tet),
+        tit=float(tit),
+        min_headway=float(measures["headway"].min()),
+        max_btn=_largest(measures["drac"]) / limits.braking,
+        max_required_lateral=_largest(measures["required_lateral"]),
+        min_centre_distance=float(measures["centre_distance"].min()),
+        conflict_point=_conflict(ego, adversary, trigger_time, stop, contact),
+    )
+
+
+def _conflict(
+    ego: Track, adversary: Track, start: float, stop: float, contact: float | None
+) -> tuple[float, float] | None:
+    """Where they met, or where their swept boxes came nearest in time."""
+    if contact is None:
+        return pet(ego.between(start, stop), adversary.between(start, stop)).point
+    return contact_point(at_time(ego, contact), at_time(adversary, contact))
+
+
+def _largest(values: Floats) -> float:
+    return float(np.minimum(values, MOST).max())
+
+
+def _at(e: Encounter, hazard: float) -> NDArray[np.intp]:
+    return np.array([int(np.searchsorted(e.time, hazard - 5e-4))])
+
+
+def _others(e: Encounter, others: Sequence[Track]) -> Boxes | None:
+    return on_grid(others, e.time) if others else None
+
+
+def _sensitivity(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> dict[str, bool]:
+    """Both tiers begun 0.4 s earlier and later."""
+    found: dict[str, bool] = {}
+    for shift in (-SENSITIVITY, SENSITIVITY):
+        answer = avoidance(
+            e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY + shift,),
+            careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=_others(e, others),
+        )  # fmt: skip
+        found[f"careful_{shift:+.1f}"] = bool(answer["careful"][0])
+        found[f"manoeuvre_{shift:+.1f}"] = bool(answer["manoeuvre"][0, 0])
+    return found
+
+
+def _reacting(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> str:
+    answer = avoidance(
+        e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY,), on_road=on_road,
+        others=_others(e, others), reacting=REACTING,
+    )  # fmt: skip
+    if answer["careful"][0]:
+        return "careful_driver"
+    return "any_manoeuvre" if answer["manoeuvre"][0, 0] else "unavoidable"
+
+
+def _latest(
+    e: Encounter, contact: float, on_road: OnRoad | None, others: Sequence[Track]
+) -> tuple[float | None, float | None]:
+    """Seconds before contact of the last step at which acting at once still avoids, for both tiers; None = never."""
+    steps = np.arange(e.trigger, e.last + 1)
+    rows = len(steps)
+    answer = avoidance(
+        _repeat(e.ego, rows),
+        _repeat(e.adversary, rows),
+        steps,
+        e.dt,
+        delays=(0.0,),
+        careful_delay=0.0,
+        on_road=on_road,
+        others=_others(e, others),
+    )
+    found: list[float | None] = []
+    for works in (answer["careful"], answer["manoeuvre"][:, 0]):
+        last = np.flatnonzero(works)
+        found.append(float(contact - e.time[steps[last[-1]]]) if last.size else None)
+    return found[0], found[1]
+
+
+def _repeat(b: Boxes, rows: int) -> Boxes:
+    x, y, heading, speed = (np.repeat(v, rows, axis=0) for v in (b.x, b.y, b.heading, b.speed))
+    return Boxes(x, y, heading, speed, b.length, b.width)

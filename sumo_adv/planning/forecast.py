@@ -1,0 +1,52 @@
+"""What the ego will do: along its path, by its unattacked profile until it is disturbed, then by its driver's model.
+
+The profile comes from the unattacked run that was forked at the trigger (ALGORITHM, "Ego forecast"); in an attempt it
+is shifted by the ego's present offset while the ego still follows it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.planning.situation import NO_ARRIVAL, Situation
+
+ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: closer than this the ego still follows its profile
+HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration so long, then its speed
+LOOK = np.arange(0.0, 9.0)  # s: where planners are told the ego's predicted path
+ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
+
+
+def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
+    """Station [m] and speed [m/s] of the unattacked ego ``time`` seconds after the trigger; constant speed at the end."""
+    s, v = situation.profile_s, situation.profile_v
+    last = len(s) - 1
+    u = np.clip(time / situation.dt, 0.0, last)
+    i = np.minimum(u.astype(np.intp), last - 1)
+    w = u - i
+    beyond = np.maximum(time - last * situation.dt, 0.0)
+    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
+
+
+def stations(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
+    """Predicted stations and speeds ``look`` (k,) seconds from ``now`` for egos at ``s`` with ``v``, ``a`` (n,): (n, k)."""
+    ps, pv = profile_at(situation, np.asarray([now]))
+    fs, fv = profile_at(situation, now + look)
+    held = np.minimum(look, HELD_ACCELERATION)
+    speed = np.maximum(v[:, None] + a[:, None] * held, 0.0)
+    free = s[:, None] + (v[:, None] + speed) / 2 * held + speed * (look - held)
+    on = ((np.abs(s - ps) < ON_PROFILE_DISTANCE) & (np.abs(v - pv) < ON_PROFILE_SPEED))[:, None]
+    return np.where(on, fs + (s - ps)[:, None], free), np.where(on, fv, speed)
+
+
+def arrivals(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
+    """Seconds until egos (n,) are at stations ``conflict_s`` (n,); negative once past, ``NO_ARRIVAL`` if not foreseen."""
+    way, _ = stations(situation, now, s, v, a, ARRIVAL_LOOK)
+    reached = way >= conflict_s[:, None]
+    i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
+    rows = np.arange(len(s))
+    before, after = way[rows, i - 1], way[rows, i]
+    w = np.clip((conflict_s - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
+    time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
+    left = conflict_s - s
+    return np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))

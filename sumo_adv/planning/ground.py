@@ -1,0 +1,191 @@
+"""Adversaries on their ways, ``n`` of them at once (one inside an attempt, many in a prediction).
+
+``Ground`` knows which way each vehicle is on, turns endpoints into goals along it, and writes down what a planner is
+told: the dictionaries ``bv``, ``ego`` and ``road`` in the frame of the ego's pose at the trigger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Endpoint, Floats
+from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planning.forecast import LOOK, arrivals, stations
+from sumo_adv.planning.situation import NO_ARRIVAL, Situation, Target
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRows, pose, start
+
+TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
+LOYALTY = 0.5  # m: how much better another way must be
+SAME_PLACE = 0.4  # m: two ways still coincide
+
+
+class Ground:
+    """``n`` vehicles (``names``: BV ids, repeats allowed) on the ways of a situation."""
+
+    def __init__(self, situation: Situation, names: Sequence[str]) -> None:
+        self.situation = situation
+        self.targets: list[Target] = [situation.targets[n] for n in names]
+        unique = list(dict.fromkeys(names))
+        lines = [w for n in unique for w in situation.targets[n].ways]
+        first = dict(zip(unique, np.cumsum([0] + [len(situation.targets[n].ways) for n in unique])[:-1], strict=True))
+        self.lines = lines
+        self._base = np.array([first[n] for n in names])
+        self._count = np.array([len(situation.targets[n].ways) for n in names])
+        self.rows = PathRows([w.path for w in lines], self._base.copy())
+        longest = max(len(w.path.x) for w in lines)
+        self._ego = np.stack(
+            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
+        )
+        self.length = np.array([t.state.length for t in self.targets])
+        self.cap = np.array([t.fastest for t in self.targets])
+
+    def begin(self) -> Motion:
+        """Everybody as at the trigger."""
+        columns = [(t.station, t.offset, t.drift, t.state.speed, t.state.acceleration) for t in self.targets]
+        s, d, dd, v, a = np.array(columns, float).T
+        return start(Batch, s, d, dd, v, a)
+
+    def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
+        """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""
+        row = self.rows.row
+        u = np.clip(motion.s / PATH_STEP, 0.0, self._ego.shape[2] - 1.0)
+        i = np.minimum(u.astype(np.intp), self._ego.shape[2] - 2)
+        w = u - i
+        s0, d0, h0 = self._ego[row, :, i].T
+        s1, d1, _ = self._ego[row, :, i + 1].T
+        h = h0 + np.arctan2(motion.dd, np.maximum(motion.v, 0.3))
+        near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
+        s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
+        return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
+
+    # -- endpoints ----------------------------------------------------------------------------------------------
+
+    def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: Goal) -> Goal:
+        """Goals on the ways for endpoints in the world; vehicles without one keep the goal ``before``."""
+        have = np.array([e is not None for e in ends])
+        values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
+        x, y, h, v, time = np.array(values, float).T
+        best_cost = np.full(len(ends), np.inf)
+        best_row, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
+        here = pose(Batch, motion, self.rows)
+        for k in range(int(self._count.max())):
+            row = np.minimum(self._base + k, self._base + self._count - 1)
+            s, d, turned = self._project(row, x, y, h)
+            there = pose(Batch, motion, self._on(row))
+            open_ = (np.hypot(there[0] - here[0], there[1] - here[1]) < SAME_PLACE) | (row == self.rows.row)
+            cost = np.abs(d) + TURN_COST * turned - LOYALTY * (row == self.rows.row)
+            better = have & open_ & (cost < best_cost)
+            best_cost = np.where(better, cost, best_cost)
+            best_row, best_s = np.where(better, row, best_row), np.where(better, s, best_s)
+            best_d = np.where(better, d, best_d)
+        self.rows.row = best_row
+        return Goal(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
+
+    def _on(self, row: Any) -> PathRows:
+        other = object.__new__(PathRows)
+        other.__dict__.update(self.rows.__dict__)
+        other.row = row
+        return other
+
+    def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
+        table, last = self.rows.table[row], self.rows.last[row]
+        dx, dy = x[:, None] - table[:, 0], y[:, None] - table[:, 1]
+        i = np.argmin(dx * dx + dy * dy, axis=1)
+        k = np.arange(len(i))
+        heading = table[k, 2, i]
+        c, s = np.cos(heading), np.sin(heading)
+        along, aside = c * dx[k, i] + s * dy[k, i], -s * dx[k, i] + c * dy[k, i]
+        along = np.where((i > 0) & (i < last), np.clip(along, -PATH_STEP, PATH_STEP), along)
+        turned = np.abs(wrap_all(h - heading))
+        return np.minimum(i, last) * PATH_STEP + along, aside, turned
+
+    # -- what planners are told ---------------------------------------------------------------------------------
+
+    def tell(
+        self, motion: Motion, now: float, ego: tuple[Floats, Floats, Floats, Floats], last: Sequence[Mapping[str, float] | None]
+    ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """``(bv, ego)`` for each vehicle. ``ego``: station, offset [m], speed, acceleration of the egos, each (n,)."""
+        sit = self.situation
+        es, ed, ev, ea = ego
+        x, y, h = sit.frame.points_to_local(*pose(Batch, motion, self.rows))
+        rs, rd, rh = self.relative(motion)
+        ahead_s, ahead_v = stations(sit, now, es, ev, ea, LOOK)
+        px, py, ph = sit.frame.points_to_local(*sit.ego_path.at(ahead_s, ed[:, None]))
+        path = np.stack([np.broadcast_to(LOOK, px.shape), px, py, ph, ahead_v], axis=2).tolist()
+        road_h = wrap_all(sit.ego_path.at(rs)[2] - sit.frame.heading)
+        meet = self._arrivals(now, es, ev, ea)
+        target_left = rd + (motion.target - motion.d) * np.cos(rh)
+        busy = np.maximum(motion.span - motion.clock, 0.0) * (np.abs(motion.target - motion.d) > 0.05)
+        columns = np.stack(
+            [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
+             motion.v * np.cos(rh)], axis=1,
+        ).tolist()  # fmt: skip
+        told = []
+        for k, target in enumerate(self.targets):
+            bv = dict(zip(BV_FIELDS, columns[k], strict=True))
+            bv |= {"length": target.state.length, "width": target.state.width, "time": now, "last": last[k]}
+            e = {
+                "x": path[k][0][1], "y": path[k][0][2], "heading": path[k][0][3], "speed": float(ev[k]),
+                "acceleration": float(ea[k]), "length": sit.ego.length, "width": sit.ego.width,
+                "path": path[k], "arrivals": meet[k],
+            }  # fmt: skip
+            told.append((bv, e))
+        return told
+
+    def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
+        """Per vehicle and way: seconds until the ego is at the conflict."""
+        found: list[list[float]] = [[] for _ in self.targets]
+        for k in range(int(self._count.max())):
+            at = [
+                t.ways[k].conflict.ego_s if k < len(t.ways) and t.ways[k].conflict is not None else np.inf  # type: ignore[union-attr]
+                for t in self.targets
+            ]
+            if not np.isfinite(at).any():
+                times = [NO_ARRIVAL] * len(at)
+            else:
+                times = arrivals(self.situation, now, s, v, a, np.asarray(at)).tolist()
+            for j, t in enumerate(self.targets):
+                if k < len(t.ways):
+                    found[j].append(times[j])
+        return found
+
+
+BV_FIELDS = (
+    "x", "y", "heading", "speed", "acceleration", "travelled", "offset", "ahead", "left", "relative_heading",
+    "road_heading", "target_left", "lateral_time", "speed_along",
+)  # fmt: skip
+
+
+def road_of(situation: Situation, name: str) -> dict[str, Any]:
+    """What a planner is told once of the road around a BV (frame of the ego at the trigger)."""
+    target = situation.targets[name]
+    frame = situation.frame
+    x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
+    ways = []
+    for way in target.ways:
+        entry: dict[str, Any] = {"movement": way.movement, "junction": min(way.junction, NO_ARRIVAL), "conflict": None}
+        entry["centreline"] = _points(situation, way.path)
+        if way.conflict is not None:
+            c = way.conflict
+            cx, cy, ch = frame.to_local(c.x, c.y, c.heading)
+            entry["conflict"] = {
+                "kind": c.kind, "x": cx, "y": cy, "heading": ch, "bv_distance": c.bv_s, "ego_distance": c.ego_s,
+                "angle": c.angle,
+            }  # fmt: skip
+        ways.append(entry)
+    return {
+        "relation": target.relation, "left": float(target.ways[0].ego_d[0] + target.offset), "lane_width": situation.lane_width, "ways": ways,
+        "sides": [{"offset": o, "kind": k} for o, k in target.sides],
+        "start": {"x": x, "y": y, "heading": h, "speed": target.state.speed},
+        "ego_centreline": _points(situation, situation.ego_path), "fastest": target.fastest,
+    }  # fmt: skip
+
+
+def _points(situation: Situation, path: Any) -> list[list[float]]:
+    """A centreline every 2 m up to 200 m as [x, y] in the ego's frame."""
+    step = slice(0, 400, 4)
+    x, y, _ = situation.frame.points_to_local(path.x[step], path.y[step], path.heading[step])
+    return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]

@@ -1,0 +1,150 @@
+"""Many attacks at once against a predicted ego: numpy rollouts on the planners' own answers.
+
+A prediction is not an attempt: it is never counted, and only orders what is tried. The ego follows its unattacked
+profile until the adversary counts as its leader and a safe speed falls below the profile; from then on its driver's
+model drives (Krauss's safe speed, IDM, the careful driver's brake), never a steering.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Endpoint, Floats, Limits, Proposal
+from sumo_adv.planning.forecast import profile_at
+from sumo_adv.planning.ground import Ground
+from sumo_adv.planning.situation import Situation
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
+
+Told = tuple[dict[str, Any], dict[str, Any]]
+Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Endpoint | None]]
+
+LEADER_HALF_WIDTH = 1.6  # m: a front centre further aside is not seen by SUMO's drivers (ALGORITHM)
+ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
+EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
+CAREFUL_DELAY, CAREFUL_BRAKE, CAREFUL_RAMP = 1.15, 7.59, 0.6  # s, m/s2, s: UN R157
+SEEN_SHIFT = 0.375  # m: UN R157, lateral movement that can be perceived
+
+
+@dataclass(frozen=True, slots=True)
+class Rollouts:
+    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k."""
+
+    time: Floats
+    ego: tuple[Floats, Floats, Floats, Floats]
+    adversary: tuple[Floats, Floats, Floats, Floats]
+    disturbed: Bools
+
+
+class PredictedEgos:
+    """``n`` copies of the ego along its path."""
+
+    def __init__(self, situation: Situation, n: int) -> None:
+        self.situation = situation
+        self.model: Mapping[str, Any] = situation.ego_model
+        self.s = np.full(n, situation.profile_s[0])
+        self.v = np.full(n, situation.profile_v[0])
+        self.a = np.full(n, situation.profile_a[0])
+        self.disturbed = np.zeros(n, bool)
+        self._furthest = np.zeros(n)
+        self._seen_at = np.full(n, np.inf)
+
+    def step(self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats, length: Floats) -> None:
+        """One step against adversaries at station, offset, heading (ego path's frame, box centres)."""
+        sit, dt = self.situation, self.situation.dt
+        next_s, next_v = (float(q[0]) for q in profile_at(sit, np.array([now + dt])))
+        if self.model["kind"] == "replay":
+            self.s, self.a, self.v = self.s * 0 + next_s, self.s * 0 + (next_v - self.v) / dt, self.s * 0 + next_v
+            return
+        s, d, h = adversary
+        front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
+        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
+        leads = (np.abs(front_d) < LEADER_HALF_WIDTH) & (front_s > self.s + sit.ego.length / 2) & ~across
+        gap = s - self.s - (length + sit.ego.length) / 2
+        pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
+        free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
+        bound = np.where(leads, self._following(gap, speed), np.inf)
+        bound = np.minimum(bound, self._careful(now, d, speed, s))
+        self.disturbed |= bound < next_v - 0.05
+        v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
+        v = np.maximum(v, 0.0)
+        self.a = (v - self.v) / dt
+        self.s = np.where(self.disturbed, self.s + v * dt, next_s)
+        self.v = v
+
+    def _following(self, gap: Floats, leader: Floats) -> Floats:
+        """The speed [m/s] the driver wants behind a leader at a bumper gap [m]."""
+        m, dt = self.model, self.situation.dt
+        b, tau = m["deceleration"], m["tau"]
+        if m["kind"] == "krauss":
+            room = np.maximum(gap - m["min_gap"], 0.0)
+            return -b * tau + np.sqrt(b * b * tau * tau + leader * leader + 2 * b * room)
+        a, v = m["acceleration"], self.v
+        wish = m["min_gap"] + np.maximum(0.0, v * tau + v * (v - leader) / (2 * np.sqrt(a * b)))
+        acceleration = a * (1 - (v / max(m["speed"], 1.0)) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
+        return np.maximum(v + acceleration * dt, 0.0)
+
+    def _careful(self, now: float, d: Floats, speed: Floats, s: Floats) -> Floats:
+        """The careful driver's bound: brakes 1.15 s after the adversary has come 0.375 m closer."""
+        if self.model["kind"] != "careful":
+            return np.full(len(d), np.inf)
+        self._furthest = np.maximum(self._furthest, np.abs(d))
+        near = np.abs(s - self.s) < np.maximum(3.0 * np.abs(self.v - speed * 0.5), 30.0)
+        seen = (np.abs(d) < self._furthest - SEEN_SHIFT) & near
+        self._seen_at = np.minimum(self._seen_at, np.where(seen, now, np.inf))
+        since = now - self._seen_at - CAREFUL_DELAY
+        brake = CAREFUL_BRAKE * np.clip(since / CAREFUL_RAMP, 0.0, 1.0)
+        return np.where(since > 0, np.maximum(self.v - brake * self.situation.dt, 0.0), np.inf)
+
+
+def predict(
+    situation: Situation, proposals: Sequence[Proposal], ask: Ask, *, limits: Limits, steps: int, replan: int
+) -> Rollouts:
+    """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
+
+    ``ask(rows, told)`` answers for the proposals ``rows`` with endpoints in the world, None where a planner fails.
+    """
+    n, dt = len(proposals), situation.dt
+    ground = Ground(situation, [p.bv for p in proposals])
+    motion, egos = ground.begin(), PredictedEgos(situation, n)
+    goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
+    last: list[Mapping[str, float] | None] = [None] * n
+    adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
+    for k in range(steps):
+        now = k * dt
+        if k % replan == 0:
+            goal, motion = _replan(ground, motion, egos, goal, last, now, ask)
+        adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
+        ego[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
+        egos.step(now, ground.relative(motion), motion.v, ground.length)
+        motion = advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt)
+        goal = goal._replace(time=goal.time - dt)
+    x, y, h, v = ego
+    return Rollouts(np.arange(steps) * dt, (x, y, h, v), tuple(adversary), egos.disturbed)  # type: ignore[arg-type]
+
+
+def _replan(
+    ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None], now: float,
+    ask: Ask,
+) -> tuple[Goal, Motion]:  # fmt: skip
+    told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last)
+    ends = ask(range(len(told)), told)
+    for k, end in enumerate(ends):
+        last[k] = None if end is None else local_endpoint(ground.situation, end)
+    goal = ground.aim(motion, ends, goal)
+    return goal, steer(Batch, motion, goal, ground.rows.at(motion.s)[3])
+
+
+def local_endpoint(situation: Situation, end: Endpoint) -> dict[str, float]:
+    """An endpoint as the planner gave it, in the frame of the ego at the trigger."""
+    x, y, h = situation.frame.to_local(end.x, end.y, end.heading)
+    return {"x": x, "y": y, "heading": h, "speed": end.speed, "time": end.time}
+
+
+def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:
+    """A planner's answer in the world."""
+    x, y, h = situation.frame.to_world(end["x"], end["y"], end["heading"])
+    return Endpoint(x, y, h, end["speed"], end["time"])

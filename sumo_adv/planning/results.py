@@ -1,0 +1,117 @@
+"""What a planner may return, checked twice.
+
+First inside the session: ``REDUCERS`` turn a result into a flat tuple or list of plain numbers.  Without that, a dict
+with a hundred thousand chosen integer keys would stop this process for minutes while CPython builds it (hash
+collisions, quadratic; measured: 12 000 keys, 0.8 s), and a key of 40 nested pairs for ever (monty keeps a tuple's hash,
+CPython computes it anew).  The helpers' names are drawn anew for each session.  Then here,
+trusting none of that: exact type, count, finiteness and range.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sumo_adv.errors import PlannerResultError
+
+ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
+MAX_TRAJECTORY = 400  # states
+MAX_MESSAGE = 500  # characters
+RANGES = {"x": (-1e5, 1e5), "y": (-1e5, 1e5), "heading": (-1e3, 1e3), "speed": (0.0, 100.0), "time": (0.0, 60.0)}
+"""Metres, radians, m/s and s; ``time`` must also be more than 0."""
+
+REDUCERS = """
+type_ID, len_ID, dict_ID, list_ID, tuple_ID, float_ID, int_ID = type, len, dict, list, tuple, float, int
+
+def number_ID(v):
+    k = type_ID(v)
+    return k is float_ID or (k is int_ID and -1000000000 < v < 1000000000)
+
+def pick_ID(v):
+    if type_ID(v) is not dict_ID:
+        return "endpoint() must return a dict, not " + type_ID(v).__name__
+    if len_ID(v) != 5:
+        return "endpoint() must return exactly the keys x, y, heading, speed, time"
+    for k in v:
+        if k not in ("x", "y", "heading", "speed", "time"):
+            return "endpoint() must return exactly the keys x, y, heading, speed, time"
+    for k in ("x", "y", "heading", "speed", "time"):
+        if not number_ID(v[k]):
+            return "endpoint() must return a plain number of at most 1e9 as " + k + ", not " + type_ID(v[k]).__name__
+    return (v["x"], v["y"], v["heading"], v["speed"], v["time"])
+
+def one_ID(c):
+    return pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5]))
+
+def many_ID(calls):
+    out = []
+    for c in calls:
+        try:
+            out.append(pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5])))
+        except:
+            out.append(None)
+    return out
+
+def path_ID(c):
+    v = trajectory(c[0], c[1], roads_ID[c[2]], c[3])
+    if type_ID(v) is not list_ID and type_ID(v) is not tuple_ID:
+        return "trajectory() must return a list, not " + type_ID(v).__name__
+    if not 1 <= len_ID(v) <= 400:
+        return "trajectory() must return 1 to 400 states"
+    out = []
+    for s in v:
+        if (type_ID(s) is not tuple_ID and type_ID(s) is not list_ID) or len_ID(s) != 4:
+            return "trajectory() must return states (x, y, heading, speed)"
+        for n in s:
+            if not number_ID(n):
+                return "trajectory() must return plain numbers of at most 1e9, not " + type_ID(n).__name__
+            out.append(n)
+    return out
+"""
+
+
+def check_endpoint(who: str, value: Any) -> dict[str, float]:
+    """Five checked numbers from what the session's reducer gave.
+
+    Raises:
+        PlannerResultError: anything else, with what is wrong.
+    """
+    if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
+        raise _bad(who, value)
+    result = {name: _number(who, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
+    if result["time"] <= 0.0:
+        raise PlannerResultError(f"{who}: time must be more than 0 s, it is {result['time']!r}.")
+    return result
+
+
+def check_trajectory(who: str, value: Any) -> list[tuple[float, float, float, float]]:
+    """States (x, y, heading, speed) from the session's flat list of numbers.
+
+    Raises:
+        PlannerResultError: anything else, with what is wrong.
+    """
+    if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY or len(value) % 4:
+        raise _bad(who, value)
+    n = [_number(who, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
+    return [(n[i], n[i + 1], n[i + 2], n[i + 3]) for i in range(0, len(n), 4)]
+
+
+def clean(text: str) -> str:
+    """At most ``MAX_MESSAGE`` characters, on one line, nothing that a terminal would obey."""
+    short = text[: 2 * MAX_MESSAGE].replace("\n", "; ")
+    return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE].rstrip("; .")
+
+
+def _number(who: str, name: str, value: Any) -> float:
+    if type(value) not in (int, float):
+        raise PlannerResultError(f"{who}: {name} must be a plain number.")
+    low, high = RANGES[name]
+    if not low <= value <= high:  # NaN is in no range, and a huge int compares exactly
+        shown = repr(value) if type(value) is float else "a whole number out of range"
+        raise PlannerResultError(f"{who}: {name} must be finite and within {low:g} to {high:g}, it is {shown}.")
+    return float(value)
+
+
+def _bad(who: str, value: Any) -> PlannerResultError:
+    """The session's own sentence on what was wrong, if that is what came."""
+    what = clean(value) if type(value) is str else "the result is not what a planner may return"
+    return PlannerResultError(f"{who}: {what}.")

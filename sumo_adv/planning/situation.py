@@ -1,0 +1,131 @@
+"""The situation at a trigger: what planners, trajectories and predictions need to know of it, in arrays.
+
+It is made once an encounter from the road, the states up to the trigger and an unattacked run forked there, and is
+small enough to be sent between processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Track, VehicleState
+from sumo_adv.geometry import Frame, Path, wrap_all
+
+CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
+NO_ARRIVAL = 1e3  # s: an arrival that is never
+
+
+@dataclass(frozen=True, slots=True)
+class Conflict:
+    """Where a way of the BV meets the path of the ego: stations of both [m], the BV's pose there, the angle [rad]."""
+
+    kind: str  # crossing | merging
+    movement: str  # straight | left | right | none
+    bv_s: float
+    ego_s: float
+    x: float
+    y: float
+    heading: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True)
+class WayLine:
+    """One way on for a BV, with its place relative to the ego's path at every sample of the way.
+
+    ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
+    """
+
+    path: Path
+    movement: str
+    junction: float
+    gives_way: bool
+    ego_s: Floats
+    ego_d: Floats
+    ego_h: Floats
+    conflict: Conflict | None
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A background vehicle that could be the adversary. Its ways begin where it is at the trigger."""
+
+    state: VehicleState
+    relation: str  # leader | follower | neighbour | oncoming | crossing | merging
+    ways: tuple[WayLine, ...]
+    station: float  # m along its ways, about 0
+    offset: float  # m from its way
+    drift: float  # m/s, lateral speed
+    sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
+    risk: float = 0.0
+
+    @property
+    def fastest(self) -> float:
+        """The speed it goes for at most [m/s] (ALGORITHM: max(1.4 v0, v0 + 5))."""
+        return max(1.4 * self.state.speed, self.state.speed + 5.0)
+
+    def applies(self) -> tuple[str, ...]:
+        """Words an intent's ``applies`` list is matched with."""
+        words = {self.relation} - {"crossing"}
+        for way in self.ways:
+            if way.conflict is not None:
+                movement = "straight" if way.movement in ("none", "u-turn") else way.movement
+                words.add("merging" if way.conflict.kind == "merging" else f"crossing_{movement}")
+        return tuple(sorted(words))
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``."""
+
+    time: float
+    dt: float
+    horizon: float
+    frame: Frame
+    ego: VehicleState
+    ego_path: Path
+    profile_s: Floats
+    profile_v: Floats
+    profile_a: Floats
+    ego_model: Mapping[str, Any]  # kind, acceleration, deceleration, tau, min_gap, speed
+    targets: Mapping[str, Target]
+    others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
+    lane_width: float
+
+    def target_list(self) -> list[Target]:
+        """Targets, most dangerous first."""
+        return sorted(self.targets.values(), key=lambda t: (-t.risk, t.state.id))
+
+
+def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> WayLine:
+    """Describe a way relative to the ego's path and find where they meet."""
+    dx = path.x[:, None] - ego_path.x[None, :]
+    dy = path.y[:, None] - ego_path.y[None, :]
+    nearest = np.argmin(dx * dx + dy * dy, axis=1)
+    ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
+    along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
+    d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
+    s = nearest * 0.5 + along
+    h = wrap_all(path.heading - eh)
+    return WayLine(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length))
+
+
+def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach: float) -> Conflict | None:
+    inside = (s > 1.0) & (s < reach - 1.0)
+    crossing = (d[:-1] * d[1:] <= 0) & (np.abs(d[:-1] - d[1:]) < 1.5) & (np.abs(h[:-1]) > CROSSING_ANGLE)
+    crossing &= (np.abs(h[:-1]) < np.pi - CROSSING_ANGLE) & inside[:-1]
+    apart = np.maximum.accumulate((np.abs(d) > 2.0) & (np.abs(h) < 2.6))
+    merging = (np.abs(d) < 0.8) & (np.abs(h) < CROSSING_ANGLE) & inside & apart
+    i_cross = int(np.argmax(crossing)) if crossing.any() else len(d)
+    i_merge = int(np.argmax(merging)) if merging.any() else len(d)
+    i = min(i_cross, i_merge)
+    if i >= len(d):
+        return None
+    kind = "crossing" if i == i_cross else "merging"
+    return Conflict(
+        kind, movement, i * 0.5, float(s[i]), float(path.x[i]), float(path.y[i]), float(path.heading[i]), float(h[i])
+    )

@@ -1,0 +1,267 @@
+"""f_traj: from the present motion and an endpoint to smooth, feasible states along a path.
+
+One set of formulas (ALGORITHM, "How it was built") serves both a single vehicle inside an attempt (Python floats, no
+array overhead: about 15 us a step) and many predicted rollouts at once (numpy arrays).  ``Scalar`` and ``Batch`` are
+the two sets of operations; every function takes one of them as ``m``.
+
+Longitudinal: the acceleration moves by at most J dt towards what the cubic to (s_T, v_T) at T asks for, bounded by the
+limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path on a clock that runs
+slower below 6 m/s, stretched until lateral acceleration, slope and jerk are within bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_adv.datatypes import Limits
+from sumo_adv.geometry import PATH_STEP, Path
+
+FULL_CLOCK_SPEED = 6.0  # m/s: below it lateral motion slows down with the vehicle
+LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
+SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
+STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
+LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: where the bend speed is looked up
+SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
+JERK_RESERVE = 0.92  # share of the jerk limit that is used
+
+
+class Scalar:
+    """Operations on floats."""
+
+    minimum, maximum, sqrt, arctan2 = min, max, math.sqrt, math.atan2
+    cos, sin = math.cos, math.sin
+
+    @staticmethod
+    def where(condition: Any, a: Any, b: Any) -> Any:
+        """``a`` if the condition holds, else ``b``."""
+        return a if condition else b
+
+    any_ = staticmethod(bool)
+    samples: Sequence[Any] = SAMPLES
+
+    @staticmethod
+    def worst(values: Sequence[Any]) -> Any:
+        """The largest of the values at all samples."""
+        return max(values)
+
+
+class Batch:
+    """The same operations on arrays."""
+
+    minimum, maximum, sqrt, arctan2 = np.minimum, np.maximum, np.sqrt, np.arctan2
+    cos, sin = np.cos, np.sin
+    where, any_ = staticmethod(np.where), staticmethod(np.any)
+    samples: Sequence[Any] = (np.array(SAMPLES)[:, None],)  # all at once
+
+    @staticmethod
+    def worst(values: Sequence[Any]) -> Any:
+        """The largest of the values at all samples, for each vehicle."""
+        return values[0].max(axis=0)
+
+
+class Motion(NamedTuple):
+    """A driven vehicle along its path. Floats or arrays ``(n,)``.
+
+    s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
+    clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
+    """
+
+    s: Any
+    d: Any
+    dd: Any
+    ddd: Any
+    v: Any
+    a: Any
+    clock: Any
+    span: Any
+    c: tuple[Any, ...]
+    target: Any
+
+
+class Goal(NamedTuple):
+    """An endpoint in path coordinates: station [m], offset [m], speed [m/s], seconds from now."""
+
+    s: Any
+    d: Any
+    v: Any
+    time: Any
+
+
+class PathRow:
+    """Look-ups on one path for floats."""
+
+    def __init__(self, path: Path) -> None:
+        self._table = list(
+            zip(path.x.tolist(), path.y.tolist(), path.heading.tolist(), path.curvature.tolist(), path.speed.tolist(),
+                strict=True)
+        )  # fmt: skip
+        self._last = len(self._table) - 1
+
+    def at(self, s: float) -> tuple[float, float, float, float]:
+        """x, y, heading, curvature; straight on beyond both ends."""
+        u = s / PATH_STEP
+        i = int(u)
+        if u < 0.0 or i >= self._last:
+            x, y, h, _, _ = self._table[0 if u < 0.0 else self._last]
+            over = s if u < 0.0 else s - self._last * PATH_STEP
+            return x + over * math.cos(h), y + over * math.sin(h), h, 0.0
+        w = u - i
+        a, b = self._table[i], self._table[i + 1]
+        e = 1.0 - w
+        return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
+
+    def bend_speed(self, s: float) -> float:
+        """The speed at which the path can be taken there [m/s]."""
+        i = int(s / PATH_STEP)
+        return self._table[i if 0 <= i < self._last else (0 if i < 0 else self._last)][4]
+
+
+class PathRows:
+    """Look-ups for many vehicles at once: vehicle ``k`` is on path ``row[k]``."""
+
+    def __init__(self, paths: Sequence[Path], row: Any) -> None:
+        longest = max(len(p.x) for p in paths)
+        self.table = np.stack(
+            [
+                np.stack(
+                    [np.pad(a, (0, longest - len(p.x)), "edge") for a in (p.x, p.y, p.heading, p.curvature, p.speed)]
+                )
+                for p in paths
+            ]
+        )
+        self.last = np.array([len(p.x) - 1 for p in paths])
+        self.row = np.asarray(row)
+
+    def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
+        """x, y, heading, curvature; straight on beyond both ends."""
+        row = self.row
+        last = self.last[row]
+        u = np.clip(s / PATH_STEP, 0.0, last)
+        i = np.minimum(u.astype(np.intp), last - 1)
+        w = u - i
+        a, b = self.table[row, :4, i], self.table[row, :4, i + 1]
+        x, y, h, k = (a + (b - a) * w[:, None]).T
+        over = s - u * PATH_STEP
+        return x + over * np.cos(h), y + over * np.sin(h), h, np.where(over == 0.0, k, 0.0)
+
+    def bend_speed(self, s: Any) -> Any:
+        """The speed at which the path can be taken there [m/s]."""
+        i = np.clip((s / PATH_STEP).astype(np.intp), 0, self.last[self.row])
+        return self.table[self.row, 4, i]
+
+
+def start(m: Any, s: Any, d: Any, dd: Any, v: Any, a: Any) -> Motion:
+    """A motion that keeps its offset after the lateral speed ``dd`` [m/s] it comes with has died away."""
+    zero = v * 0.0
+    still = Motion(s, d, dd, zero, v, a, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
+    return bend(m, still, d, zero + 1.5, zero)
+
+
+def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> Motion:
+    """Start a quintic to the offset ``target`` in ``duration`` seconds, longer where the bounds ask for it.
+
+    Bounds at ten samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10.
+    """
+    v = motion.v
+    rate = m.maximum(m.minimum(v / FULL_CLOCK_SPEED, 1.0), 0.05)
+    d0, v0, a0 = motion.d, motion.dd / rate, motion.ddd / (rate * rate)
+    most = m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0)
+    slope = 0.28 * m.maximum(v, FULL_CLOCK_SPEED)
+    span = m.maximum(duration * rate, 0.5)
+    for _ in range(STRETCHES):
+        c = _quintic(d0, v0, a0, target, span)
+        bad = _too_sharp(m, c, span, most, slope)
+        if not m.any_(bad):
+            break
+        span = m.where(bad, span * STRETCH, span)
+    return motion._replace(clock=v * 0.0, span=span, c=_quintic(d0, v0, a0, target, span), target=target)
+
+
+def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:
+    """Coefficients in u = clock / span of the quintic from (d0, v0, a0) to (d1, 0, 0)."""
+    b, c = v0 * span, a0 * span * span / 2
+    h = d1 - d0
+    return (
+        d0, b, c, 10 * h - 6 * b - 3 * c, -15 * h + 8 * b + 3 * c, 6 * h - 3 * b - c,
+    )  # fmt: skip
+
+
+def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> Any:
+    d1, d2, d3 = [], [], []
+    for u in m.samples:
+        d1.append(abs(c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))))
+        d2.append(abs(2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))))
+        d3.append(abs(6 * c[3] + u * (24 * c[4] + u * 60 * c[5])))
+    two = span * span
+    return (m.worst(d1) > slope * span) | (m.worst(d2) > most * two) | (m.worst(d3) > 10.0 * two * span)
+
+
+def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
+    """Aim the lateral motion at a goal; the running quintic goes on where its end moved by less than 0.12 m."""
+    moved = abs(goal.d - motion.target) >= SAME_TARGET
+    if m is Scalar:
+        return bend(m, motion, goal.d, goal.time, curvature) if moved else motion
+    rows = np.flatnonzero(moved)
+    if not len(rows):
+        return motion
+    part = Motion(*(_take(f, rows) for f in motion))
+    fresh = bend(m, part, goal.d[rows], goal.time[rows], curvature[rows])
+    return Motion(*(_put(f, rows, g) for f, g in zip(motion, fresh, strict=True)))
+
+
+def _take(values: Any, rows: Any) -> Any:
+    return tuple(v[rows] for v in values) if isinstance(values, tuple) else values[rows]
+
+
+def _put(values: Any, rows: Any, new: Any) -> Any:
+    if isinstance(values, tuple):
+        return tuple(_put(v, rows, n) for v, n in zip(values, new, strict=True))
+    values = np.array(values, float)
+    values[rows] = new
+    return values
+
+
+def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float) -> Motion:
+    """One step of ``dt`` s towards a goal; ``cap`` is the highest speed [m/s] the vehicle goes for."""
+    s, v, a = motion.s, motion.v, motion.a
+    jerk = limits.jerk * JERK_RESERVE
+    time = m.maximum(goal.time, LEAST_TIME)
+    want = 6.0 * (goal.s - s) / (time * time) - (4.0 * v + 2.0 * goal.v) / time
+    for t in LOOK_AHEAD:
+        ahead = m.maximum(v * t, 0.5)
+        fastest = road.bend_speed(s + ahead)
+        bound = (fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0)
+        want = m.minimum(want, bound)
+    room = cap - v
+    want = m.minimum(want, m.where(room > 0.0, m.sqrt(1.6 * jerk * m.maximum(room, 0.0)), room))
+    want = m.maximum(want, -m.sqrt(0.8 * jerk * m.maximum(v, 0.0)))
+    want = m.minimum(m.maximum(want, -limits.braking), limits.acceleration)
+    a = m.minimum(m.maximum(want, a - jerk * dt), a + jerk * dt)
+    faster = m.maximum(v + a * dt, 0.0)
+    a = (faster - v) / dt
+    clock, d, dd, ddd = _sideways(m, motion, faster, dt)
+    _, _, _, curvature = road.at(s)
+    along = m.sqrt(m.maximum(faster * faster - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
+    return motion._replace(s=s + along * dt, d=d, dd=dd, ddd=ddd, v=faster, a=a, clock=clock)
+
+
+def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any]:
+    """Clock, offset and its two time derivatives after ``dt``."""
+    rate = m.minimum(v / FULL_CLOCK_SPEED, 1.0)
+    clock = m.minimum(motion.clock + rate * dt, motion.span)
+    u, c, span = clock / motion.span, motion.c, motion.span
+    d = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
+    d1 = (c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))) / span
+    d2 = (2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))) / (span * span)
+    return clock, d, d1 * rate, d2 * rate * rate
+
+
+def pose(m: Any, motion: Motion, road: Any) -> tuple[Any, Any, Any]:
+    """x, y [m] and heading [rad] of a motion's box centre."""
+    x, y, h, _ = road.at(motion.s)
+    along = m.sqrt(m.maximum(motion.v * motion.v - motion.dd * motion.dd, 1e-4))
+    return x - motion.d * m.sin(h), y + motion.d * m.cos(h), h + m.arctan2(motion.dd, along)

@@ -1,0 +1,142 @@
+"""Seeded traffic for a network that has none: passenger cars from fringe to fringe, on quickest routes.
+
+Origins and destinations are fringe edges (nothing leads in, nothing leads out), drawn by lane count; departures are a
+jittered regular stream; the bytes are the same for the same arguments. Where such routes cover less than half of the
+network (a test track closed in itself), routes between inner edges are added.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+from sumo_adv.errors import UsageError
+
+FREE_DENSITY = 10.0  # departures per minute and origin lane where nobody must yield: a third of a lane's capacity
+YIELDING_DENSITY = 4.0  # the same where some route must yield or stop at lights
+MAX_DEFAULT_DENSITY = 30.0  # departures per minute over the whole network
+INNER_DENSITY = 12.0  # departures per minute over a network that has no fringe
+INNER_LENGTH = 150.0  # m that a route between inner edges must have
+FRINGE_COVER = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
+PAIR_TRIES = 400
+
+_HEADER = """<?xml version="1.0" encoding="UTF-8"?>
+
+<routes>
+    <vType id="bv" vClass="passenger" carFollowModel="Krauss" sigma="0.5" speedDev="0" length="4.8" width="1.8"/>
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Journey:
+    """One route: edge ids from first to last; ``lanes``: passenger lanes of its first edge (its share of the draw);
+    ``yields``: whether it must give way or obey lights somewhere; ``fringe``: whether it enters from outside."""
+
+    edges: tuple[str, ...]
+    lanes: int
+    yields: bool
+    fringe: bool
+
+
+def generate(
+    network: Path, target: Path, *, seed: int, density: float | None = None, begin: float = 0.0, end: float
+) -> Path:
+    """Writes random traffic for ``network`` to ``target`` and returns that path.
+
+    density: departures per minute over the whole network, None = ``default_density``; begin, end [s]: departures lie
+    between. Vehicles are ``bv0``, ``bv1``, ... Raises UsageError if no route exists or the times make no sense.
+    """
+    if end <= begin:
+        raise UsageError(f"Traffic cannot be generated from {begin:g} to {end:g} s: the end must be later.")
+    if density is not None and not 0.0 < density < float("inf"):
+        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
+    draw = random.Random(seed)
+    found = journeys(network, draw)
+    if density is None:
+        density = default_density(found)
+    lines = [_HEADER]
+    for number, depart in enumerate(_departures(draw, density, begin, end)):
+        journey = draw.choices(found, weights=[journey.lanes for journey in found])[0]
+        lines.append(
+            f'    <vehicle id="bv{number}" type="bv" depart="{depart:.2f}" departLane="best" departPos="base" '
+            f'departSpeed="max"><route edges={quoteattr(" ".join(journey.edges))}/></vehicle>\n'
+        )
+    unfinished = target.with_name(f"{target.name}.part")
+    unfinished.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
+    return unfinished.replace(target)
+
+
+def default_density(found: list[Journey]) -> float:
+    """Departures per minute that give lively but free traffic: so many for each lane on which vehicles enter."""
+    lanes = {journey.edges[0]: journey.lanes for journey in found if journey.fringe}
+    share = YIELDING_DENSITY if any(journey.yields for journey in found) else FREE_DENSITY
+    return min(share * sum(lanes.values()), MAX_DEFAULT_DENSITY) or INNER_DENSITY
+
+
+def journeys(network: Path, draw: random.Random) -> list[Journey]:
+    """Quickest routes from fringe to fringe, and between inner edges where those cover too little (pairs are sampled
+    in a big network). Raises UsageError if there is none."""
+    import sumolib
+
+    try:
+        net = sumolib.net.readNet(str(network))
+    except (KeyError, ValueError) as error:
+        raise UsageError(f"The network {network} lacks what traffic is made from ({error}): build it again.") from error
+    edges = sorted((edge for edge in net.getEdges() if edge.allows("passenger")), key=lambda edge: str(edge.getID()))
+    origins = [edge for edge in edges if not _passable(edge.getIncoming())]
+    destinations = [edge for edge in edges if not _passable(edge.getOutgoing())]
+    found = _routes(net, _pairs(origins, destinations, draw), fringe=True)
+    covered = {edge for journey in found for edge in journey.edges}
+    length = sum(edge.getLength() for edge in edges)
+    if sum(edge.getLength() for edge in edges if edge.getID() in covered) < FRINGE_COVER * length or not found:
+        found += _routes(net, _pairs(edges, edges, draw), fringe=False)
+    if not found:
+        raise UsageError(f"No route leads through the network {network}: give a demand of your own.")
+    return found
+
+
+def _passable(neighbours: Any) -> list[Any]:
+    """An edge's neighbours (in sumolib's dict of connections) that passenger cars may use, turning round excepted."""
+    return [
+        edge
+        for edge, connections in neighbours.items()
+        if edge.allows("passenger") and any(connection.getDirection() != "t" for connection in connections)
+    ]
+
+
+def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> list[tuple[Any, Any]]:
+    """Pairs of different edges, all of them or a seeded sample of PAIR_TRIES."""
+    if len(origins) * len(destinations) <= PAIR_TRIES:
+        return [(a, b) for a in origins for b in destinations if a is not b or not _passable(a.getOutgoing())]
+    drawn = [(draw.choice(origins), draw.choice(destinations)) for _ in range(PAIR_TRIES)]
+    return [(a, b) for a, b in drawn if a is not b]
+
+
+def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Journey]:
+    """The quickest route of every pair that has one, is long enough and does not turn round on the way."""
+    found = []
+    for origin, destination in pairs:
+        route, _ = net.getFastestPath(origin, destination, vClass="passenger")
+        if route is None or (not fringe and sum(edge.getLength() for edge in route) < INNER_LENGTH):
+            continue
+        if any(link.getDirection() == "t" for a, b in pairwise(route) for link in a.getConnections(b)):
+            continue
+        lanes = sum(lane.allows("passenger") for lane in route[0].getLanes())
+        yields = any(link.getState() != "M" for a, b in pairwise(route) for link in a.getConnections(b))
+        found.append(Journey(tuple(str(edge.getID()) for edge in route), lanes, yields, fringe))
+    return found
+
+
+def _departures(draw: random.Random, density: float, begin: float, end: float) -> list[float]:
+    """Times [s] in [begin, end) at ``density`` per minute, each moved by up to half a headway, in order."""
+    headway = 60.0 / density
+    times: list[float] = []
+    slot = begin
+    while slot < end:
+        times.append(min(slot + draw.random() * headway, end - 0.01))
+        slot += headway
+    return times

@@ -1,0 +1,28 @@
+"""Ego controllers: who drives the vehicle under test.
+
+``make_ego`` makes one by name; the engine's step loop shows it an ``Observation`` and carries out the ``Action`` it
+returns. A user's own driver is any class with ``reset(seed)`` and ``act(observation)``: see ``examples/``.
+"""
+
+from sumo_adv.world.egos.bicycle import apply_steer
+from sumo_adv.world.egos.careful import CarefulEgo
+from sumo_adv.world.egos.factory import make_ego
+from sumo_adv.world.egos.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer
+from sumo_adv.world.egos.replay import ReplayEgo
+from sumo_adv.world.egos.sumo_driven import SumoEgo
+from sumo_adv.world.egos.user import UserEgo
+
+__all__ = [
+    "Action",
+    "CarefulEgo",
+    "EgoController",
+    "LaneSpeed",
+    "Observation",
+    "Pose",
+    "ReplayEgo",
+    "Steer",
+    "SumoEgo",
+    "UserEgo",
+    "apply_steer",
+    "make_ego",
+]

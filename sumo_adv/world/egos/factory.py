@@ -1,0 +1,29 @@
+"""From a name on the command line or in a scenario to an ego controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from sumo_adv.errors import UsageError
+from sumo_adv.world.egos.careful import CarefulEgo
+from sumo_adv.world.egos.protocol import EgoController
+from sumo_adv.world.egos.replay import ReplayEgo
+from sumo_adv.world.egos.sumo_driven import MODELS, SumoEgo
+from sumo_adv.world.egos.user import UserEgo
+
+
+def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
+    """The controller called ``name``: krauss, idm, eidm, careful, replay or ``module:Class``.
+
+    Raises UsageError for an unknown name, an unknown parameter, or a class that cannot be used.
+    """
+    if ":" in name:
+        return UserEgo(name, parameters)
+    if name in MODELS:
+        return SumoEgo(name, parameters)
+    if name == "careful":
+        return CarefulEgo(parameters)
+    if name == "replay":
+        return ReplayEgo(parameters)
+    raise UsageError(f"There is no ego {name!r}; choose krauss, idm, eidm, careful, replay or module:Class.")

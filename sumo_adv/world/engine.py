@@ -1,0 +1,176 @@
+"""The engine: a process of its own that holds the simulation, started by spawn.
+
+It alone forks.  It never starts the sandbox, rich, httpx or SQLite; what it needs of those it asks its front for,
+through one connection a fork ("slot"), and the front answers while it waits for the engine's result.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.errors import SimulationError, SumoAdvError
+
+SLOTS = 2  # forks that run at once
+QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+Answer = Callable[[Any], Any]
+Body = Callable[[list[Connection]], dict[str, Callable[..., Any]]]
+
+
+class Engine:
+    """The front's handle. ``body`` (importable by name) makes the handlers inside the new process."""
+
+    def __init__(self, body: Body) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._log = tempfile.NamedTemporaryFile(prefix="sumo_adv-engine-", suffix=".log", delete=False)  # noqa: SIM115
+        self._log.close()
+        self._control, control = context.Pipe()
+        pairs = [context.Pipe() for _ in range(SLOTS)]
+        self._slots = [p[0] for p in pairs]
+        saved = {k: os.environ.get(k) for k in QUIET_VARIABLES}
+        os.environ.update(QUIET_VARIABLES)
+        try:
+            self._process = context.Process(
+                target=_serve, args=(body, control, [p[1] for p in pairs], self._log.name), daemon=True
+            )
+            self._process.start()
+        finally:
+            for name, value in saved.items():
+                os.environ.pop(name) if value is None else os.environ.update({name: value})
+        control.close()
+        for _, theirs in pairs:
+            theirs.close()
+
+    def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
+        """Have the engine do something, answering its questions meanwhile.
+
+        Raises:
+            SumoAdvError: what the engine raised, or SimulationError if its process died.
+        """
+        try:
+            self._control.send((command, arguments))
+            while True:
+                for ready in wait([self._control, *self._slots]):
+                    assert isinstance(ready, Connection)
+                    if ready is self._control:
+                        kind, value = self._control.recv()
+                        if kind == "error":
+                            raise value
+                        return value
+                    question = ready.recv()
+                    ready.send(answer(question) if answer is not None else None)
+        except (EOFError, BrokenPipeError, ConnectionResetError) as error:
+            raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
+
+    def _last_words(self) -> str:
+        lines = [line for line in Path(self._log.name).read_text(errors="replace").splitlines() if line.strip()]
+        errors = [line.removeprefix("Error: ") for line in lines if line.startswith("Error:")] or lines
+        return f" ({errors[-1][:300]})" if errors else ""
+
+    def close(self) -> None:
+        """End the process."""
+        for connection in (self._control, *self._slots):
+            connection.close()
+        self._process.join(timeout=2.0)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        Path(self._log.name).unlink(missing_ok=True)
+
+    def __enter__(self) -> Engine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:
+    """The engine process: SUMO's words go into a file, Ctrl-C is the front's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    words = os.open(log, os.O_WRONLY | os.O_APPEND)
+    sys.stdout.flush()
+    os.dup2(words, 1)
+    os.dup2(words, 2)
+    handlers = body(slots)
+    while True:
+        try:
+            command, arguments = control.recv()
+        except EOFError:
+            return
+        try:
+            reply = ("value", handlers[command](*arguments))
+        except SumoAdvError as error:
+            reply = ("error", _with_words(error, log))
+        except Exception as error:
+            reply = ("error", SimulationError(f"The simulation failed ({type(error).__name__}: {error})."))
+            import traceback
+
+            traceback.print_exc()
+        control.send(reply)
+
+
+def _with_words(error: SumoAdvError, log: str) -> SumoAdvError:
+    """SUMO says what is wrong on stderr only: put its last error into the sentence."""
+    said = [line[7:] for line in Path(log).read_text(errors="replace").splitlines() if line.startswith("Error: ")]
+    if isinstance(error, SimulationError) and said and said[-1] not in str(error):
+        return SimulationError(f"{str(error).rstrip('.')}: {said[-1].strip()[:300]}")
+    return error
+
+
+def can_fork() -> bool:
+    """Whether attempts can be forked on this system."""
+    return hasattr(os, "fork") and sys.platform.startswith("linux")
+
+
+def in_forks(works: Sequence[Callable[[], Any]]) -> list[Any]:
+    """Do each piece of work in a fork of its own, at the same time; results in order.
+
+    Raises:
+        SimulationError: a fork died or failed.
+    """
+    children = []
+    for work in works:
+        inlet, outlet = os.pipe()
+        pid = os.fork()
+        if pid == 0:
+            os.close(inlet)
+            _child(work, outlet)
+        os.close(outlet)
+        children.append((pid, inlet))
+    results = []
+    for pid, inlet in children:
+        with os.fdopen(inlet, "rb") as pipe:
+            data = pipe.read()
+        os.waitpid(pid, 0)
+        results.append(data)
+    return [_result(data) for data in results]
+
+
+def _child(work: Callable[[], Any], outlet: int) -> None:
+    try:
+        value: Any = ("value", work())
+    except SumoAdvError as error:
+        value = ("error", error)
+    except BaseException as error:
+        value = ("error", SimulationError(f"An attempt failed ({type(error).__name__}: {error})."))
+    with os.fdopen(outlet, "wb") as pipe:
+        pickle.dump(value, pipe, protocol=pickle.HIGHEST_PROTOCOL)
+    os._exit(0)
+
+
+def _result(data: bytes) -> Any:
+    if not data:
+        raise SimulationError("A forked attempt died without a word.")
+    kind, value = pickle.loads(data)
+    if kind == "error":
+        raise value
+    return value

@@ -1,0 +1,360 @@
+"""What a run may start from: a network, a SUMO configuration, a scenario, or the name of a shipped one.
+
+``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. SUMO's
+files are read as a stream (expat, gzip or not, no tree): 5 MB take about 0.1 s.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, Literal, cast
+from xml.parsers import expat
+
+from sumo_adv.errors import UsageError
+from sumo_adv.world.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
+
+_OPTIONS = {
+    "net-file": "net", "net": "net", "n": "net",
+    "route-files": "routes", "route": "routes", "r": "routes",
+    "additional-files": "additional", "additional": "additional", "a": "additional",
+    "begin": "begin", "b": "begin", "end": "end", "e": "end",
+}  # fmt: skip
+_NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
+_Handler = Callable[[str, dict[str, str]], None]
+_DRIVING = ("vehicle", "trip", "flow")
+_SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
+
+
+@dataclass(frozen=True, slots=True)
+class EgoRoute:
+    """An ego of the scenario's own: edges from first to last, departure [s], and SUMO's departLane, departPos [m] and
+    departSpeed [m/s] values."""
+
+    edges: tuple[str, ...]
+    depart: float
+    lane: int | str = "best"
+    position: float | str = "base"
+    speed: float | str = "max"
+
+
+@dataclass(frozen=True, slots=True)
+class RunInput:
+    """Everything a run needs to know about its input. Times are simulation times [s]; paths exist.
+
+    density: departures per minute over the whole network, None = the default if ``routes`` is empty.
+    ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
+    warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
+    candidates, intents: empty = no restriction. files: all that a manifest must copy.
+    """
+
+    name: str
+    source: Path
+    network: Path
+    routes: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()
+    begin: float | None = None
+    end: float | None = None
+    density: float | None = None
+    demand_seed: int | None = None
+    ego: str | EgoRoute | None = None
+    ego_type: str | None = None
+    ego_controller: str | None = None
+    ego_parameters: Mapping[str, bool | int | float | str] = field(default_factory=dict)
+    trigger: float | Literal["auto"] = "auto"
+    warm_up: float = DEFAULT_WARM_UP
+    horizon: float | None = None
+    candidates: tuple[str, ...] = ()
+    intents: tuple[str, ...] = ()
+    label: Label | None = None
+    files: tuple[Path, ...] = ()
+
+
+def load_input(path: Path) -> RunInput:
+    """The input at ``path``, or the shipped scenario or network of that name, checked.
+
+    Raises UsageError for anything missing, damaged, undrivable, mismatched or not supported yet.
+    """
+    found = resolve(path)
+    lower = found.name.lower()
+    if ".tfrecord" in lower:
+        raise UsageError(f"{found} is a Waymo record, which is not supported yet: convert it to a scenario first.")
+    if lower.endswith(".toml"):
+        return _from_scenario(found)
+    if lower.endswith((".sumocfg", ".sumo.cfg")):
+        return _from_configuration(found)
+    if lower.endswith(_NETWORK_SUFFIXES):
+        scan_network(found)
+        return RunInput(name=input_name(found), source=found, network=found, files=(found,))
+    raise UsageError(f"{found} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+
+
+def input_name(path: Path) -> str:
+    """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``."""
+    for suffix in _SUFFIXES:
+        if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
+            return path.name[: -len(suffix)]
+    return path.stem
+
+
+def data_folder(name: str) -> Path:
+    """The shipped folder ``name`` (networks, scenarios, ...): in the installed package, else in the checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "data" / name, package.parent / name):
+        if folder.is_dir():
+            return folder
+    raise UsageError(f"The shipped folder '{name}' is missing: reinstall the package or run from a full checkout.")
+
+
+def shipped_names() -> tuple[str, ...]:
+    """The names that ``load_input`` takes instead of a path: scenarios, then networks."""
+    scenarios = sorted(data_folder("scenarios").glob("*.toml"))
+    networks = sorted(data_folder("networks").glob("*.net.xml"))
+    return tuple(input_name(path) for path in (*scenarios, *networks))
+
+
+def resolve(path: Path) -> Path:
+    """``path`` itself if it is a file, else the shipped scenario or network it names."""
+    if path.is_file():
+        return path
+    shipped = _shipped(path)
+    if shipped is not None:
+        return shipped
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder: give a .net.xml, .sumocfg or scenario file in it.")
+    raise UsageError(f"There is no file {path}, nor a shipped scenario or network of that name.")
+
+
+def _shipped(path: Path) -> Path | None:
+    """The shipped file for a bare name, ``networks/x.net.xml`` or ``scenarios/x.toml``; None if there is none."""
+    parts = path.parts
+    for folder, ending in (("scenarios", ".toml"), ("networks", ".net.xml")):
+        if len(parts) == 1 or (len(parts) == 2 and parts[0] == folder):
+            for name in (parts[-1], f"{parts[-1]}{ending}"):
+                if name.endswith(ending) and (data_folder(folder) / name).is_file():
+                    return data_folder(folder) / name
+    return None
+
+
+def _from_configuration(path: Path) -> RunInput:
+    """A run from a .sumocfg: its network, demand, additionals, begin and end; our own flags replace the rest."""
+    options = _configuration_options(path)
+    networks = _paths(path, options.get("net", ""))
+    if not networks:
+        raise UsageError(f"{path} names no network: it needs a net-file.")
+    network = networks[0]
+    routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
+    _scan_all(path, network, (*routes, *additional))
+    begin, end = (_seconds(path, key, options.get(key)) for key in ("begin", "end"))
+    if end is not None and end <= (begin or 0.0):
+        raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
+    return RunInput(
+        name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
+        end=end, files=(path, network, *routes, *additional),
+    )  # fmt: skip
+
+
+def _configuration_options(path: Path) -> dict[str, str]:
+    """The options we keep from a .sumocfg, by our own short names."""
+    found: dict[str, str] = {}
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        value = (attributes.get("value") or attributes.get("v") or "").strip()
+        if tag in _OPTIONS and value:
+            found[_OPTIONS[tag]] = value
+
+    _parse(path, start)
+    return found
+
+
+def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
+    """SUMO's file list (commas, semicolons or blanks between), counted from the configuration's folder."""
+    found: list[Path] = []
+    for name in value.replace(";", ",").split(","):
+        whole = configuration.parent / name.strip()
+        found += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
+    return tuple(found)
+
+
+def _seconds(path: Path, key: str, value: str | None) -> float | None:
+    """A time of a .sumocfg in s: a number, ``h:m:s`` or ``d:h:m:s``; negative means not given."""
+    if value is None:
+        return None
+    try:
+        seconds = 0.0
+        for part, factor in zip(reversed(value.split(":")), (1.0, 60.0, 3600.0, 86400.0), strict=False):
+            seconds += float(part) * factor
+    except ValueError as error:
+        raise UsageError(f"{path} has a bad {key} time '{value}': give seconds.") from error
+    return seconds if seconds >= 0.0 else None
+
+
+def _from_scenario(path: Path) -> RunInput:
+    """A run from a scenario file, its demand and ids checked against one another."""
+    scenario = load_scenario(path)
+    for key in scenario.unsupported():
+        raise UsageError(f"The scenario {path} uses '{key}', which is not supported yet: remove it to run the rest.")
+    routes, additional = scenario.demand.files, scenario.signals.files
+    edges, scans = _scan_all(path, scenario.network, (*routes, *additional))
+    if routes:
+        _check_ids(path, scenario, scans)
+    for edge in scenario.ego.route:
+        if edge not in edges.edges:
+            raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {scenario.network} does not have.")
+    return RunInput(
+        name=input_name(path), source=path, network=scenario.network, routes=routes, additional=additional,
+        begin=scenario.demand.begin, end=scenario.demand.end, density=scenario.demand.density,
+        demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
+        ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
+        trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
+        candidates=scenario.adversary.candidates, intents=scenario.adversary.intents, label=scenario.label,
+        files=(path, scenario.network, *routes, *additional),
+    )  # fmt: skip
+
+
+def _ego(ego: Ego) -> str | EgoRoute | None:
+    """The ego as the run needs it: an id, a route with SUMO's defaults filled in, or None."""
+    if not ego.route:
+        return ego.id
+    chosen = {"lane": ego.lane, "position": ego.position, "speed": ego.speed}
+    given = {key: value for key, value in chosen.items() if value is not None}
+    return EgoRoute(edges=ego.route, depart=ego.depart or 0.0, **given)  # type: ignore[arg-type]
+
+
+def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[NetworkScan, tuple[DemandScan, ...]]:
+    """Scans the files that ``source`` names; a missing one or a demand for another network is a UsageError."""
+    for file in (network, *demand):
+        if not file.is_file():
+            trouble = "is a folder" if file.is_dir() else "is missing"
+            raise UsageError(f"{source} names the file {file}, which {trouble}.")
+    roads, scans = scan_network(network), tuple(scan_demand(file) for file in demand)
+    for file, scan in zip(demand, scans, strict=True):
+        for edge in scan.edges:
+            if edge not in roads.edges and not edge.startswith(":"):
+                raise UsageError(f"The demand {file} is for another network: {network} has no edge '{edge}'.")
+    return roads, scans
+
+
+def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...]) -> None:
+    """Raises UsageError if the scenario names a vehicle that its own route files do not hold."""
+    for role, ids in (("ego", (scenario.ego.id,)), ("adversary candidate", scenario.adversary.candidates)):
+        for vehicle in ids:
+            if vehicle is not None and not any(scan.has(vehicle) for scan in scans):
+                raise UsageError(f"The scenario {path} names the {role} '{vehicle}', which is not in its demand files.")
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkScan:
+    """Edges that are no part of a junction, and those of them with a lane for passenger cars."""
+
+    edges: frozenset[str]
+    drivable: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class DemandScan:
+    """Edges in order of first use, ids of vehicles and trips, ids of flows (whose vehicles are ``flow.0``, ...)."""
+
+    edges: tuple[str, ...]
+    vehicles: frozenset[str]
+    flows: frozenset[str]
+
+    def has(self, vehicle: str) -> bool:
+        """Whether a vehicle of this id can come from the file."""
+        return vehicle in self.vehicles or vehicle.rpartition(".")[0] in self.flows
+
+
+def scan_network(path: Path) -> NetworkScan:
+    """The edges of the SUMO network ``path``.
+
+    Raises UsageError if it is damaged, is no SUMO network, or has no lane for passenger cars.
+    """
+    edges: set[str] = set()
+    drivable: set[str] = set()
+    root: list[str] = []
+    current = ""
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal current
+        if not root:
+            root.append(tag)
+            if tag != "net":
+                raise UsageError(f"{path} is not a SUMO network: its root element is <{tag}>, not <net>.")
+        if tag == "edge":
+            current = attributes.get("id", "") if attributes.get("function", "normal") == "normal" else ""
+            if current:
+                edges.add(current)
+        elif tag == "lane" and current and allows_passenger(attributes):
+            drivable.add(current)
+
+    _parse(path, start)
+    if not drivable:
+        raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
+    return NetworkScan(frozenset(edges), frozenset(drivable))
+
+
+def allows_passenger(lane: dict[str, str]) -> bool:
+    """Whether SUMO's ``allow``/``disallow`` attributes of a lane let a passenger car in."""
+    allow, disallow = lane.get("allow"), lane.get("disallow", "").split()
+    if allow is not None and allow.split() != ["all"]:
+        return "passenger" in allow.split()
+    return "passenger" not in disallow and "all" not in disallow
+
+
+def scan_demand(path: Path) -> DemandScan:
+    """The edges and vehicles of a SUMO route or additional file. Raises UsageError if it is damaged."""
+    edges: dict[str, None] = {}
+    vehicles: set[str] = set()
+    flows: set[str] = set()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if tag == "route":
+            edges.update(dict.fromkeys(attributes.get("edges", "").split()))
+        elif tag in _DRIVING:
+            (flows if tag == "flow" else vehicles).add(attributes.get("id", ""))
+            for key in ("from", "via", "to"):
+                if key in attributes:
+                    edges.update(dict.fromkeys(attributes[key].split()))
+
+    _parse(path, start)
+    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows))
+
+
+def first_departure(files: Sequence[Path]) -> float:
+    """The earliest time [s] at which anything departs; 0 where no file says a time."""
+    times: list[float] = []
+
+    def see(tag: str, attributes: dict[str, str]) -> None:
+        if tag in _DRIVING:
+            with contextlib.suppress(ValueError):
+                times.append(float(attributes.get("depart", attributes.get("begin", ""))))
+
+    for file in files:
+        _parse(file, see)
+    return min(times, default=0.0)
+
+
+def _parse(path: Path, start: _Handler) -> None:
+    """Feeds every element's start to ``start``; a damaged file is a UsageError."""
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    try:
+        with _open(path) as file:
+            parser.ParseFile(file)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise UsageError(f"{path} is a damaged or truncated gzip file: fetch or write it again.") from error
+    except expat.ExpatError as error:
+        raise UsageError(f"{path} is not valid XML (damaged or cut short): {error}.") from error
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
+
+
+def _open(path: Path) -> BinaryIO:
+    """The file for reading, unpacked if it ends in .gz."""
+    if path.name.lower().endswith(".gz"):
+        return cast(BinaryIO, gzip.open(path, "rb"))
+    return path.open("rb")

@@ -1,0 +1,258 @@
+"""The road as the rest of the program sees it, read from a net.xml by sumolib."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import Path, make_path, wrap
+
+MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
+MAX_PATHS = 6  # ways on that are followed for one vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane."""
+
+    to: str
+    via: tuple[str, ...]
+    movement: str  # straight | left | right | u-turn
+    state: str  # SUMO's right of way letter: M has priority, m must give way, s/w stop, = equal, o/O off, - dead end
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]."""
+
+    id: str
+    edge: str
+    index: int
+    shape: Floats
+    width: float
+    length: float
+    speed: float
+    internal: bool
+    passenger: bool
+    connections: tuple[Connection, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A path a vehicle could take from where it is: the lanes, the first movement at a junction, the path."""
+
+    lanes: tuple[str, ...]
+    movement: str
+    path: Path
+    junction: float  # station at which the first junction begins, inf if none is in reach
+    gives_way: bool  # SUMO's rules make it yield there
+
+
+@dataclass(frozen=True)
+class RoadMap:
+    """All lanes of a network, with what can be reached from where."""
+
+    name: str
+    lanes: dict[str, Lane]
+    edges: dict[str, tuple[str, ...]]  # edge -> its lane ids, rightmost first
+    junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
+
+    @cached_property
+    def _tree(self) -> tuple[Any, list[str]]:
+        from shapely import LineString, STRtree
+
+        names = [n for n, lane in self.lanes.items() if not lane.internal and len(lane.shape) > 1]
+        return STRtree([LineString(self.lanes[n].shape) for n in names]), names
+
+    def lanes_near(self, x: float, y: float, radius: float) -> list[Lane]:
+        """Lanes outside junctions that come within ``radius`` metres of a point."""
+        from shapely import Point
+
+        tree, names = self._tree
+        return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
+
+    def opposite_offset(self, x: float, y: float, heading: float, width: float) -> float | None:
+        """Lateral offset of the nearest lane to the left that leads the other way and touches ours; None if none."""
+        best: float | None = None
+        for lane in self.lanes_near(x, y, 12.0):
+            i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
+            for j in range(max(0, i - 1), min(i + 2, len(lane.shape) - 1)):
+                a, b = lane.shape[j], lane.shape[j + 1]
+                h = math.atan2(b[1] - a[1], b[0] - a[0])
+                if not lane.passenger or abs(wrap(h - heading)) < 2.6:
+                    continue
+                d = -(math.cos(h) * (y - a[1]) - math.sin(h) * (x - a[0]))
+                t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
+                if -2 < t < math.hypot(*(b - a)) + 2:
+                    d = -d
+                    if 0 < d and (best is None or d < best):
+                        best = d
+        return best
+
+    def side_offsets(self, lane_id: str, x: float, y: float, heading: float) -> list[tuple[float, str]]:
+        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side."""
+        lane = self.lanes.get(lane_id)
+        if lane is None or lane.internal:
+            return []
+        row, found, left = self.edges[lane.edge], [], 0.0
+        widths = [self.lanes[n].width for n in row]
+        for i, name in enumerate(row):
+            if i == lane.index or not self.lanes[name].passenger:
+                continue
+            between = sum(widths[min(i, lane.index) + 1 : max(i, lane.index)])
+            offset = between + (widths[i] + lane.width) / 2
+            if abs(i - lane.index) <= 2:
+                found.append((math.copysign(offset, i - lane.index), "same"))
+        left = sum(widths[lane.index + 1 :]) + lane.width / 2
+        opposite = self.opposite_offset(x, y, heading, lane.width)
+        if opposite is not None and opposite < left + 2.6:
+            found.append((opposite, "opposite"))
+        return found
+
+    def ways(self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = ()) -> list[Way]:
+        """Ways on from ``position`` metres along a lane for ``reach`` metres.
+
+        With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
+        junction, then the straightest.
+        """
+        found: list[Way] = []
+        for chain, movement, junction, yields in self._chains(lane_id, position, reach, route):
+            points = np.vstack([self.lanes[n].shape for n in chain])
+            path = make_path(_cut(points, position))
+            if path.length < reach:
+                path = path.extended(reach - path.length)
+            found.append(Way(tuple(chain), movement, path, junction, yields))
+            if len(found) == MAX_PATHS:
+                break
+        return found
+
+    def _chains(
+        self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
+    ) -> Iterator[tuple[list[str], str, float, bool]]:
+        lane = self.lanes[lane_id]
+        start = lane.length - position
+        options = self._onward(lane, route)
+        if start >= reach or not options:
+            yield [lane_id], "none", math.inf, False
+            return
+        for first in options:
+            chain, length = [lane_id, *first.via, first.to], start
+            length += sum(self.lanes[n].length for n in (*first.via, first.to))
+            while length < reach:
+                onward = self._onward(self.lanes[chain[-1]], route)
+                if not onward:
+                    break
+                step = onward[0]
+                chain += [*step.via, step.to]
+                length += sum(self.lanes[n].length for n in (*step.via, step.to))
+            inside = 0.0 if lane.internal else start
+            yield chain, first.movement, inside, first.state not in "MOo"
+
+    def _onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
+        """Connections from a lane, straight ones first; only along ``route`` where that says something."""
+        order = {"straight": 0, "right": 1, "left": 2, "u-turn": 3}
+        options = sorted((c for c in lane.connections if c.to in self.lanes), key=lambda c: order[c.movement])
+        if route and not lane.internal and lane.edge in route:
+            at = route.index(lane.edge)
+            following = route[at + 1] if at + 1 < len(route) else None
+            chosen = [c for c in options if self.lanes[c.to].edge == following]
+            if not chosen and following is not None:  # a neighbour lane leads there: the vehicle will change lanes
+                for name in self.edges[lane.edge]:
+                    chosen += [c for c in self.lanes[name].connections if self.lanes[c.to].edge == following]
+            return chosen[:1] if following is not None else []
+        return [c for c in options if c.movement != "u-turn"]
+
+    def drivable(self, x: float, y: float, radius: float) -> Drivable:
+        """The carriageway within about ``radius`` metres of a place."""
+        from shapely import LineString, Point, Polygon, union_all
+
+        reach = Point(x, y).buffer(radius)
+        shapes = []
+        for lane in self.lanes.values():
+            if not lane.passenger or len(lane.shape) < 2:
+                continue
+            if np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) > radius + lane.length:
+                continue
+            line = LineString(lane.shape)
+            if line.intersects(reach):
+                shapes.append(line.buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat"))
+        for polygon in self.junctions:
+            if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
+                shapes.append(p)
+        return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
+
+
+class Drivable:
+    """A test of points (arrays of any one shape) for lying on the carriageway; can be sent between processes."""
+
+    def __init__(self, area: Any) -> None:
+        from shapely import prepare
+
+        self.area = area
+        prepare(area)
+
+    def __call__(self, x: Floats, y: Floats) -> Bools:
+        from shapely import contains_xy
+
+        return np.asarray(contains_xy(self.area, x, y))
+
+    def __reduce__(self) -> tuple[type[Drivable], tuple[Any]]:
+        return Drivable, (self.area,)
+
+
+def _cut(points: Floats, position: float) -> Floats:
+    """The polyline from ``position`` metres on."""
+    step = np.hypot(*np.diff(points, axis=0).T)
+    station = np.concatenate([[0.0], np.cumsum(step)])
+    position = min(max(position, 0.0), station[-1] - 0.1)
+    start = [np.interp(position, station, points[:, 0]), np.interp(position, station, points[:, 1])]
+    return np.vstack([start, points[station > position + 1e-6]])
+
+
+def read_network(path: FilePath) -> RoadMap:
+    """Read a net.xml or net.xml.gz.
+
+    Raises:
+        UsageError: sumolib cannot read the file.
+    """
+    from sumolib.net import readNet
+
+    try:
+        net = readNet(str(path), withInternal=True)
+    except Exception as error:  # sumolib raises what its XML and gzip readers raise
+        raise UsageError(f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert.") from error
+    lanes: dict[str, Lane] = {}
+    edges: dict[str, tuple[str, ...]] = {}
+    for edge in net.getEdges(withInternal=True):
+        edges[edge.getID()] = tuple(lane.getID() for lane in edge.getLanes())
+        internal = edge.getFunction() == "internal"
+        for lane in edge.getLanes():
+            lanes[lane.getID()] = Lane(
+                lane.getID(), edge.getID(), lane.getIndex(), np.asarray(lane.getShape(), float)[:, :2],
+                float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
+                bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
+            )  # fmt: skip
+    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions)
+
+
+def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
+    found = []
+    for c in lane.getOutgoing():
+        via, name = [], c.getViaLaneID()
+        while name:
+            via.append(name)
+            onward = net.getLane(name).getOutgoing()
+            name = onward[0].getViaLaneID() if onward and onward[0].getViaLaneID() not in via else ""
+        if c.getToLane().allows("passenger"):
+            movement = MOVEMENTS.get(c.getDirection(), "straight")
+            found.append(Connection(c.getToLane().getID(), tuple(via), movement, c.getState() or "M"))
+    return tuple(found)

@@ -1,0 +1,209 @@
+"""The scenario file: one encounter, or one place and its traffic, in TOML (``schema = 1``).
+
+    schema = 1                              # version of this layout
+    network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder
+    tracks = "log.csv"                      # recorded tracks with valid flags
+    background = "sumo"                     # sumo | log (the BVs are driven by the tracks)
+
+    [demand]     files = [..] | density [departures per minute over the whole network]; seed, begin [s], end [s]
+    [ego]        id | route = [edges..] with depart [s], lane, position [m], speed [m/s];
+                 controller, parameters, type
+    [window]     warm_up [s], trigger [s] or "auto", horizon [s]
+    [adversary]  candidates = [ids..], intents = [labels..]
+    [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded signal states)
+    [label]      intents = [labels..], source = "annotated" | "oracle"
+    [[parked]] [[pedestrians]] [[cyclists]]
+                 x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
+
+Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a duration.
+Nothing here opens any file but the scenario; ``inputs.py`` checks what it names and refuses what is not supported yet.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic_core import ErrorDetails
+
+from sumo_adv.errors import UsageError
+
+SCHEMA = 1
+DEFAULT_WARM_UP = 3.0  # s after the ego's insertion
+
+
+def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
+    """``path`` counted from the scenario's folder, which the validation context carries; absolute paths stay."""
+    folder = Path(info.context["folder"]) if info.context else Path()
+    return Path(path) if Path(path).is_absolute() else (folder / path)
+
+
+Located = Annotated[Path, AfterValidator(_from_scenario_folder)]
+Seconds = Annotated[float, Field(ge=0.0)]
+Metres = Annotated[float, Field(gt=0.0)]
+Name = Annotated[str, Field(min_length=1)]
+
+
+class _Table(BaseModel):
+    """A table of the file: frozen, no unknown keys, no infinities."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Demand(_Table):
+    """Who drives: route files, or generated traffic of ``density`` [departures per minute over the whole network]."""
+
+    files: tuple[Located, ...] = ()
+    density: Annotated[float, Field(gt=0.0)] | None = None
+    seed: Annotated[int, Field(ge=0)] | None = None
+    begin: Seconds | None = None
+    end: Seconds | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.files and self.density is not None:
+            raise ValueError("give either files or density, not both")
+        if self.begin is not None and self.end is not None and self.end <= self.begin:
+            raise ValueError("end must be later than begin")
+        return self
+
+
+class Ego(_Table):
+    """The vehicle under test: one of the demand (``id``) or one of its own (``route``, edges from first to last)."""
+
+    id: Name | None = None
+    route: tuple[Name, ...] = ()
+    depart: Seconds | None = None
+    lane: Annotated[int, Field(ge=0)] | Literal["best", "first", "free", "random"] | None = None
+    position: float | Literal["base", "free", "last", "random"] | None = None
+    speed: Seconds | Literal["desired", "max", "last", "avg"] | None = None
+    controller: Name | None = None
+    parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    type: Name | None = None
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        placed = [key for key in ("depart", "lane", "position", "speed") if getattr(self, key) is not None]
+        if self.id is not None and self.route:
+            raise ValueError("give either id or route, not both")
+        if placed and not self.route:
+            raise ValueError(f"{placed[0]} needs a route")
+        if self.route and self.depart is None:
+            raise ValueError("a route needs a depart time")
+        return self
+
+
+class Window(_Table):
+    """When to attack: ``trigger`` [s] or "auto" (looked for online, ``warm_up`` s after the ego's insertion at the
+    earliest), and for how long (``horizon`` [s])."""
+
+    warm_up: Seconds = DEFAULT_WARM_UP
+    trigger: Seconds | Literal["auto"] = "auto"
+    horizon: Annotated[float, Field(gt=0.0)] | None = None
+
+
+class Adversary(_Table):
+    """Which BVs may become the adversary and what they may try; empty means no restriction."""
+
+    candidates: tuple[Name, ...] = ()
+    intents: tuple[Name, ...] = ()
+
+
+class Box(_Table):
+    """A parked obstacle, pedestrian or cyclist: centre [m], heading [rad, counter-clockwise from +x], size [m]."""
+
+    x: float
+    y: float
+    heading: float
+    length: Metres
+    width: Metres
+    speed: Seconds = 0.0
+    times: tuple[Seconds, Seconds] | None = None
+
+
+class Signals(_Table):
+    """Signal programs of the scenario's own (``files``, loaded as SUMO additionals) or recorded states (``log``)."""
+
+    files: tuple[Located, ...] = ()
+    log: Located | None = None
+
+
+class Label(_Table):
+    """The intents held to be the most dangerous here, and who says so."""
+
+    intents: Annotated[tuple[Name, ...], Field(min_length=1)]
+    source: Literal["annotated", "oracle"] = "annotated"
+
+
+class Scenario(_Table):
+    """A whole scenario file; paths are already counted from its folder."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    network: Located
+    tracks: Located | None = None
+    background: Literal["sumo", "log"] = "sumo"
+    demand: Demand = Demand()
+    ego: Ego = Ego()
+    window: Window = Window()
+    adversary: Adversary = Adversary()
+    signals: Signals = Signals()
+    label: Label | None = None
+    parked: tuple[Box, ...] = ()
+    pedestrians: tuple[Box, ...] = ()
+    cyclists: tuple[Box, ...] = ()
+
+    def unsupported(self) -> tuple[str, ...]:
+        """The keys used here that this release can read but not honour; a run refuses them, it never ignores them."""
+        used = {
+            "tracks": self.tracks is not None,
+            'background = "log"': self.background == "log",
+            "parked": bool(self.parked),
+            "pedestrians": bool(self.pedestrians),
+            "cyclists": bool(self.cyclists),
+            "signals.log": self.signals.log is not None,
+        }
+        return tuple(key for key, present in used.items() if present)
+
+
+def load_scenario(path: Path) -> Scenario:
+    """The scenario in the TOML file ``path``.
+
+    Raises UsageError, one sentence with file and key, for what cannot be read, unknown keys and bad values.
+    """
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"The scenario {path} cannot be read: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"The scenario {path} is not valid TOML: {error}.") from error
+    try:
+        return Scenario.model_validate(table, context={"folder": path.parent})
+    except ValidationError as error:
+        raise UsageError(_sentence(path, error.errors()[0])) from error
+
+
+def _sentence(path: Path, detail: ErrorDetails) -> str:
+    """The first thing wrong with the file, as one sentence that names file and key."""
+    parts = [part for part in detail["loc"] if not (isinstance(part, str) and part.startswith(("literal[", "constr")))]
+    key = ".".join(str(part) for part in parts)
+    if detail["type"] == "extra_forbidden":
+        return f"The scenario {path} has an unknown key '{key}'; {_known_keys(detail['loc'])}"
+    if detail["type"] == "missing":
+        return f"The scenario {path} lacks the key '{key}'."
+    if key == "schema":
+        return f"The scenario {path} has schema = {detail['input']!r}; this program reads schema = {SCHEMA}."
+    reason = detail["msg"].removeprefix("Value error, ")
+    return f"The scenario {path} has a bad '{key}': {reason[:1].lower()}{reason[1:]}."
+
+
+def _known_keys(location: tuple[int | str, ...]) -> str:
+    """Which keys there are beside the unknown one at ``location``."""
+    tables: dict[str, type[BaseModel]] = {
+        "demand": Demand, "ego": Ego, "window": Window, "adversary": Adversary, "signals": Signals, "label": Label,
+        "parked": Box, "pedestrians": Box, "cyclists": Box,
+    }  # fmt: skip
+    table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario
+    names = [info.alias or name for name, info in table.model_fields.items()]
+    return f"known keys there are {', '.join(names)}."

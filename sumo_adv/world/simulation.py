@@ -1,0 +1,304 @@
+"""The one adapter over libsumo (traci has the same functions and is to fit here later).
+
+SUMO's poses (front bumper, degrees clockwise from north) exist in this file alone; everybody else sees box centres and
+headings in rad counter-clockwise from +x.  Facts about SUMO that shape the calls are measured ones: a moved vehicle
+needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this order and in every step, or its speed is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Role, Track, VehicleState
+from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import wrap_all
+
+BASE_FLAGS = (
+    "--time-to-teleport", "-1", "--collision.action", "warn", "--collision.mingap-factor", "0",
+    "--collision.check-junctions", "--lateral-resolution", "0.8", "--xml-validation", "never", "--no-step-log",
+    "--no-warnings", "--duration-log.disable", "--default.speeddev", "0",
+)  # fmt: skip
+KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
+LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
+INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
+
+RawState = tuple[float, float, float, float, str]  # bumper x, y [m], angle [deg], speed [m/s], lane id
+
+
+def heading_of(angle_deg: float) -> float:
+    """SUMO's angle as a heading in (-pi, pi]."""
+    h = math.radians(90.0 - angle_deg)
+    return math.pi - (math.pi - h) % (2 * math.pi)
+
+
+def angle_deg_of(heading: float) -> float:
+    """A heading as SUMO's angle in [0, 360)."""
+    return (90.0 - math.degrees(heading)) % 360.0
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSpec:
+    """What SUMO is started with. Times in s."""
+
+    network: Path
+    routes: tuple[Path, ...]
+    additional: tuple[Path, ...]
+    begin: float
+    seed: int
+    step_length: float = 0.1
+
+    def arguments(self) -> list[str]:
+        """The command line without the program's name."""
+        args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
+        args += ["--seed", str(self.seed), *BASE_FLAGS]
+        if self.routes:
+            args += ["-r", ",".join(map(str, self.routes))]
+        if self.additional:
+            args += ["-a", ",".join(map(str, self.additional))]
+        return args
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a driven vehicle is put: box centre [m], heading [rad], speed [m/s]."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane."""
+
+    time: float
+    raw: Mapping[str, RawState]
+
+
+@dataclass(slots=True)
+class Fleet:
+    """Sizes of all vehicles ever seen (length, width in m), asked of SUMO once each."""
+
+    sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+class Simulation:
+    """Holds the only libsumo of this process. Use :func:`start`; a second one at the same time is refused."""
+
+    _running = False
+
+    def __init__(self, spec: SimulationSpec) -> None:
+        if Simulation._running:
+            raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
+        import libsumo
+
+        self._sumo: Any = libsumo
+        self.spec = spec
+        self.fleet = Fleet()
+        self._departed: dict[str, None] = {}
+        try:
+            libsumo.start(["sumo", *spec.arguments()])
+        except libsumo.TraCIException as error:
+            raise SimulationError(f"SUMO refused to start ({error}).") from error
+        Simulation._running = True
+        self._list = libsumo.vehicle.getIDList
+        self._position = libsumo.vehicle.getPosition
+        self._angle = libsumo.vehicle.getAngle
+        self._speed = libsumo.vehicle.getSpeed
+        self._lane = libsumo.vehicle.getLaneID
+
+    def reload(self) -> None:
+        """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
+        self.fleet.sizes.clear()
+        try:
+            self._sumo.load(self.spec.arguments())
+        except self._sumo.TraCIException as error:
+            raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
+
+    def close(self) -> None:
+        """End the simulation; the process may start another."""
+        if Simulation._running:
+            Simulation._running = False
+            self._sumo.close()
+
+    # -- reading ------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return round(float(self._sumo.simulation.getTime()), 6)
+
+    def step(self) -> None:
+        """One step of ``step_length``.
+
+        Raises:
+            SimulationError: SUMO failed.
+        """
+        try:
+            self._sumo.simulationStep()
+        except self._sumo.TraCIException as error:
+            raise SimulationError(f"SUMO failed at {self.time:.1f} s ({error}).") from error
+
+    def read(self) -> Snapshot:
+        """The present states of all vehicles."""
+        position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
+        sizes = self.fleet.sizes
+        raw: dict[str, RawState] = {}
+        for v in self._list():
+            if v not in sizes:
+                sizes[v] = (self._sumo.vehicle.getLength(v), self._sumo.vehicle.getWidth(v))
+            x, y = position(v)
+            if x > INVALID:
+                raw[v] = (x, y, angle(v), speed(v), lane(v))
+        return Snapshot(self.time, raw)
+
+    def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
+        """One vehicle of a snapshot as a box (KeyError if it is not there)."""
+        x, y, angle_deg, speed, lane = snapshot.raw[vehicle]
+        length, width = self.fleet.sizes[vehicle]
+        h = heading_of(angle_deg)
+        back = length / 2
+        return VehicleState(
+            vehicle, x - back * math.cos(h), y - back * math.sin(h), h, speed, acceleration, length, width, lane
+        )
+
+    def expected(self) -> int:
+        """Vehicles that are on the road or still to come."""
+        return int(self._sumo.simulation.getMinExpectedNumber())
+
+    def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
+        """A vehicle's edges and the index of the present one."""
+        return tuple(self._sumo.vehicle.getRoute(vehicle)), int(self._sumo.vehicle.getRouteIndex(vehicle))
+
+    def lane_position(self, vehicle: str) -> float:
+        """Metres from the start of the present lane to the front bumper."""
+        return float(self._sumo.vehicle.getLanePosition(vehicle))
+
+    def vehicle_class(self, vehicle: str) -> str:
+        """SUMO's vClass."""
+        return str(self._sumo.vehicle.getVehicleClass(vehicle))
+
+    def model(self, vehicle: str) -> dict[str, float]:
+        """Car-following numbers as SUMO has them: acceleration, deceleration [m/s2], tau [s], gap [m], speed [m/s]."""
+        v = self._sumo.vehicle
+        return {
+            "acceleration": v.getAccel(vehicle), "deceleration": v.getDecel(vehicle), "tau": v.getTau(vehicle),
+            "min_gap": v.getMinGap(vehicle), "speed": v.getAllowedSpeed(vehicle),
+        }  # fmt: skip
+
+    def signals(self, vehicle: str) -> list[tuple[str, float, str]]:
+        """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
+        return [(t[0], t[2], t[3]) for t in self._sumo.vehicle.getNextTLS(vehicle)]
+
+    # -- driving ------------------------------------------------------------------------------------------------
+
+    def inject(self, poses: Mapping[str, Pose]) -> None:
+        """Put vehicles at poses; visible after the next step, and for that step alone.
+
+        Raises:
+            SimulationError: SUMO does not know the vehicle, or could not place it.
+        """
+        vehicle = self._sumo.vehicle
+        for name, pose in poses.items():
+            ahead = self.fleet.sizes[name][0] / 2
+            x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
+            try:
+                vehicle.setSpeedMode(name, FREE_SPEED_MODE)
+                vehicle.setSpeed(name, pose.speed)
+                vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE)
+            except self._sumo.TraCIException as error:
+                raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
+
+    def set_speed(self, vehicle: str, speed: float | None) -> None:
+        """Hold a speed [m/s] whatever SUMO's driver thinks; None gives the speed back to SUMO."""
+        self._sumo.vehicle.setSpeedMode(vehicle, SUMO_SPEED_MODE if speed is None else FREE_SPEED_MODE)
+        self._sumo.vehicle.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
+
+    def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
+        """Ask SUMO's driver to change to the lane of that index."""
+        self._sumo.vehicle.changeLane(vehicle, lane, duration)
+
+    def set_type(self, vehicle: str, type_id: str) -> None:
+        """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""
+        length, width = self.fleet.sizes[vehicle]
+        fastest = self._sumo.vehicle.getMaxSpeed(vehicle)
+        habits = {n: self._sumo.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
+        self._sumo.vehicle.setType(vehicle, type_id)
+        for name, value in habits.items():
+            self._sumo.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
+        self._sumo.vehicle.setLength(vehicle, length)
+        self._sumo.vehicle.setWidth(vehicle, width)
+        self._sumo.vehicle.setMaxSpeed(vehicle, fastest)
+
+    def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str]) -> None:
+        """Insert a vehicle with a route of its own."""
+        try:
+            self._sumo.route.add(f"{vehicle}.route", list(edges))
+            self._sumo.vehicle.add(vehicle, f"{vehicle}.route", type_id, **depart)
+        except self._sumo.TraCIException as error:
+            raise SimulationError(f"SUMO could not insert vehicle '{vehicle}' ({error}).") from error
+
+
+class Recording:
+    """Snapshots in order, turned into tracks all at once."""
+
+    def __init__(self, step_length: float) -> None:
+        self.step_length = step_length
+        self.snapshots: list[Snapshot] = []
+
+    def append(self, snapshot: Snapshot) -> None:
+        """Keep one more snapshot."""
+        self.snapshots.append(snapshot)
+
+    def acceleration(self, vehicle: str) -> float:
+        """The last step's change of speed over time [m/s2]; 0 for a vehicle that has just come."""
+        if len(self.snapshots) < 2:
+            return 0.0
+        now, before = self.snapshots[-1].raw.get(vehicle), self.snapshots[-2].raw.get(vehicle)
+        return 0.0 if now is None or before is None else (now[3] - before[3]) / self.step_length
+
+    def tracks(
+        self, sizes: Mapping[str, tuple[float, float]], roles: Mapping[str, Role], only: Sequence[str] | None = None
+    ) -> list[Track]:
+        """One track a vehicle, ordered by its first appearance."""
+        return tracks_of(self.snapshots, sizes, roles, self.step_length, only)
+
+
+def tracks_of(
+    snapshots: Sequence[Snapshot],
+    sizes: Mapping[str, tuple[float, float]],
+    roles: Mapping[str, Role],
+    step_length: float,
+    only: Sequence[str] | None = None,
+) -> list[Track]:
+    """Tracks from snapshots; acceleration is the difference of speeds over the step (0 at the first state)."""
+    rows: dict[str, list[tuple[float, RawState]]] = {}
+    wanted = None if only is None else set(only)
+    for snapshot in snapshots:
+        for name, raw in snapshot.raw.items():
+            if wanted is None or name in wanted:
+                rows.setdefault(name, []).append((snapshot.time, raw))
+    return [_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items()]
+
+
+def _track(
+    name: str, rows: list[tuple[float, RawState]], size: tuple[float, float], role: Role, step_length: float
+) -> Track:
+    numbers = np.array([(t, *raw[:4]) for t, raw in rows])
+    time, x, y, angle_deg, speed = numbers.T
+    heading = wrap_all(np.radians(90.0 - angle_deg))
+    back = size[0] / 2
+    acceleration = np.zeros(len(time))
+    acceleration[1:] = np.diff(speed) / step_length
+    return Track(
+        name, role, time, x - back * np.cos(heading), y - back * np.sin(heading), heading, speed, acceleration,
+        size[0], size[1], tuple(raw[4] for _, raw in rows),
+    )  # fmt: skip

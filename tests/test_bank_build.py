@@ -1,0 +1,127 @@
+"""The shipped bank is built from text: same content each time, differences named, wrong sources refused."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+from bank_samples import BRAKE_PLANNER, evidence
+
+from sumo_adv.datatypes import Parameter
+from sumo_adv.errors import BankError, PlannerSyntaxError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import build, read_sources, verify_same
+from sumo_adv.memory.records import RELATIONS
+from sumo_adv.memory.similarity import TfIdf
+
+SHIPPED = Path(__file__).parent.parent / "memory_bank"
+LABELS = {
+    "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
+    "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
+}  # fmt: skip
+INTENT = 'label = "Emergency Braking"\ndescription = """\nIt brakes\nhard."""\napplies = ["leader"]\n'
+
+
+def parse(source: str) -> tuple[Parameter, ...]:
+    """A reader of PARAMETERS, as the planning package has one."""
+    try:
+        table = ast.literal_eval(source.partition("=")[2].strip())
+    except SyntaxError:
+        raise PlannerSyntaxError("It does not parse.") from None
+    return tuple(Parameter(name, *values) for name, values in table.items())
+
+
+def sources(folder: Path) -> Path:
+    (folder / "braking").mkdir(parents=True)
+    (folder / "braking" / "intent.toml").write_text(INTENT)
+    (folder / "braking" / "plain.py").write_text(BRAKE_PLANNER.source)
+    (folder / "braking" / "late.py").write_text("PARAMETERS = {}\n")
+    return folder
+
+
+def test_building_twice_gives_the_same_bank(tmp_path: Path) -> None:
+    folder = sources(tmp_path / "memory_bank")
+    one, two = tmp_path / "one.sqlite", tmp_path / "two.sqlite"
+    build(folder, one, parse)
+    two.write_text("something old, which is replaced")
+    build(folder, two, parse)
+    with MemoryBank.open(one, read_only=True) as a, MemoryBank.open(two, read_only=True) as b:
+        assert a.content_hash() == b.content_hash()
+        assert [record.description for record in a.intents()] == ["It brakes hard."]
+        assert [planner.mode for planner in a.planners("Emergency Braking")] == ["late", "plain"]
+        assert a.planners("Emergency Braking")[1] == BRAKE_PLANNER
+        assert a.epsilon() == (TfIdf.epsilon, TfIdf.calibrated_on)
+    assert one.read_bytes() == two.read_bytes()
+    assert verify_same(folder, one, parse) == []
+    assert {file.name for file in tmp_path.iterdir()} == {"memory_bank", "one.sqlite", "two.sqlite"}
+
+
+def test_differences_are_named(tmp_path: Path) -> None:
+    folder = sources(tmp_path / "memory_bank")
+    bank_path = tmp_path / "bank.sqlite"
+    build(folder, bank_path, parse)
+    (folder / "braking" / "plain.py").write_text("PARAMETERS = {'x': (1.0, 0.0, 2.0, 'm')}\n")
+    (folder / "braking" / "intent.toml").write_text(INTENT.replace("leader", "follower"))
+    (folder / "more").mkdir()
+    (folder / "more" / "intent.toml").write_text(INTENT.replace("Emergency", "More"))
+    (folder / "more" / "plain.py").write_text("PARAMETERS = {}\n")
+    with MemoryBank.open(bank_path) as bank:
+        bank.record(evidence())
+    said = "\n".join(verify_same(folder, bank_path, parse))
+    assert "lacks the intent 'More Braking'" in said
+    assert "'Emergency Braking' differs" in said
+    assert "bank lacks the planner 'plain'" in said
+    assert "sources lack the planner 'plain'" in said
+    assert "holds evidence" in said
+    assert said.count("\n") == 4
+
+
+def test_wrong_sources_are_refused_and_the_old_bank_stays(tmp_path: Path) -> None:
+    folder = sources(tmp_path / "memory_bank")
+    target = tmp_path / "bank.sqlite"
+    build(folder, target, parse)
+    before = target.read_bytes()
+    intent = folder / "braking" / "intent.toml"
+    wrong = {
+        "colour = 1\n" + INTENT: "must hold label",
+        INTENT.replace("leader", "above"): "applies to above",
+        INTENT.replace("It brakes\nhard.", " "): "needs a description",
+        "label = ": "cannot be read as TOML",
+    }
+    for text, sentence in wrong.items():
+        intent.write_text(text)
+        with pytest.raises(BankError, match=sentence):
+            build(folder, target, parse)
+    intent.write_text(INTENT)
+    (folder / "braking" / "plain.py").write_text("PARAMETERS = {(\n")
+    with pytest.raises(BankError, match=r"plain\.py is no planner"):
+        build(folder, target, parse)
+    for file in (folder / "braking").glob("*.py"):
+        file.unlink()
+    with pytest.raises(BankError, match="has no planner"):
+        build(folder, target, parse)
+    with pytest.raises(BankError, match="no bank to build"):
+        build(tmp_path / "nowhere", target, parse)
+    assert target.read_bytes() == before
+
+
+def test_a_label_may_be_used_once(tmp_path: Path) -> None:
+    folder = sources(tmp_path)
+    (folder / "again").mkdir()
+    (folder / "again" / "intent.toml").write_text(INTENT.replace("Emergency Braking", "emergency-braking"))
+    (folder / "again" / "plain.py").write_text("PARAMETERS = {}\n")
+    with pytest.raises(BankError, match="Two folders"):
+        read_sources(folder, parse)
+
+
+def test_the_seven_intents_of_the_paper_are_there(tmp_path: Path) -> None:
+    for file in SHIPPED.glob("*/intent.toml"):
+        (tmp_path / file.parent.name).mkdir()
+        (tmp_path / file.parent.name / "intent.toml").write_text(file.read_text())
+        (tmp_path / file.parent.name / "plain.py").write_text("PARAMETERS = {}\n")
+    found = [source.intent for source in read_sources(tmp_path, parse)]
+    assert {record.label for record in found} == LABELS
+    assert len(found) == 7
+    covered = {relation for record in found for relation in record.applies}
+    assert covered == set(RELATIONS) - {"crossing_right", "merging"}

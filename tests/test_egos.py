@@ -1,0 +1,311 @@
+"""Ego controllers: stories with numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sumo_adv.datatypes import Role, Track, VehicleState
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.world.egos import (
+    CarefulEgo,
+    LaneSpeed,
+    Observation,
+    Pose,
+    ReplayEgo,
+    Steer,
+    apply_steer,
+    make_ego,
+)
+from sumo_adv.world.egos.careful import FULL_BRAKING, braking_at
+from sumo_adv.world.egos.hazard import HazardWatch, box_ttc, needed_braking
+from sumo_adv.world.egos.path import EgoPath
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def car(
+    id: str, x: float, y: float, heading: float = 0.0, speed: float = 0.0, acceleration: float = 0.0
+) -> VehicleState:
+    return VehicleState(id, x, y, heading, speed, acceleration, 5.0, 2.0, "")
+
+
+# ---- SUMO's own drivers
+
+
+def test_defaults_are_written_out_and_parameters_override() -> None:
+    ego = make_ego("krauss", {"tau": 1.5})
+    assert ego.sumo_type == {
+        "carFollowModel": "Krauss", "tau": "1.5", "accel": "2.6", "decel": "4.5", "emergencyDecel": "9",
+        "minGap": "2.5", "speedFactor": "1", "speedDev": "0", "sigma": "0",
+    }  # fmt: skip
+    assert not ego.needs_observation
+    assert ego.forkable
+    assert make_ego("idm", {}).sumo_type["carFollowModel"] == "IDM"
+    assert make_ego("eidm", {}).sumo_type["sigmagap"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "said"),
+    [
+        ("idm", {"sigma": 0.5}, "no parameter 'sigma'; it knows tau, accel"),
+        ("krauss", {"tau": 0}, "'tau' to be above zero"),
+        ("krauss", {"minGap": -1}, "'minGap' to be zero or more"),
+        ("eidm", {"accel": "fast"}, "finite number for 'accel', not 'fast'"),
+        ("idm", {"accel": math.nan}, "finite number for 'accel'"),
+        ("careful", {"driver": "me"}, "no driver 'me'; choose one of krauss, idm, eidm"),
+        ("wild", {}, "There is no ego 'wild'"),
+    ],
+)
+def test_wrong_names_and_values_are_named(name: str, parameters: dict[str, object], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        make_ego(name, parameters)
+
+
+# ---- the bicycle
+
+
+def test_straight_braking_and_standstill() -> None:
+    after = apply_steer(car("ego", 0, 0, speed=10.0), Steer(-4.0, 0.0), dt=0.5)
+    assert (after.x, after.y, after.speed, after.acceleration) == (4.5, 0.0, 8.0, -4.0)  # 10*0.5 - 4*0.25/2
+    stopped = apply_steer(car("ego", 0, 0, speed=2.0), Steer(-8.0, 0.0), dt=1.0)
+    assert (stopped.x, stopped.speed, stopped.acceleration) == (0.25, 0.0, -2.0)  # 4 / 16, not backwards
+
+
+def test_full_left_is_a_circle() -> None:
+    # tan 0.5 = 0.546302, slip = atan(0.273151) = 0.266659, curvature = cos(slip) * 0.546302 / 2.8 = 0.188213 1/m
+    state, steer = car("ego", 0, 0, speed=5.0), Steer(0.0, 0.5)
+    one = apply_steer(state, steer, dt=0.1)
+    assert one.heading == pytest.approx(0.188213 * 0.5, abs=1e-6)
+    around = 2 * math.pi / 0.188213 / 5.0
+    for _ in range(100):
+        state = apply_steer(state, steer, dt=around / 100)
+    assert math.hypot(state.x, state.y) < 1e-3
+    assert abs(state.heading) < 1e-4
+
+
+def test_pedals_and_wheel_are_limited() -> None:
+    wild = apply_steer(car("ego", 0, 0, speed=10.0), Steer(50.0, -3.0), dt=0.1)
+    assert wild == apply_steer(car("ego", 0, 0, speed=10.0), Steer(4.0, -0.6), dt=0.1)
+    assert apply_steer(car("ego", 0, 0, speed=10.0), Steer(-50.0, 0.0), dt=0.1).speed == pytest.approx(9.1)
+
+
+# ---- replay
+
+
+def track(heading: list[float]) -> Track:
+    time = np.array([0.0, 1.0, 2.0])
+    zero = np.zeros(3)
+    return Track("ego", Role.EGO, time, 10 * time, zero, np.array(heading), np.full(3, 10.0), zero, 5.0, 2.0)
+
+
+def test_replay_answers_with_the_end_of_the_step() -> None:
+    ego = ReplayEgo()
+    look = Observation(0.4, 0.1, car("ego", 4, 0), ())
+    assert ego.act(look) is None  # nothing loaded: the unattacked run, SUMO drives
+    ego.load(track([0.0, 0.2, 0.2]))
+    pose = ego.act(look)
+    assert isinstance(pose, Pose)
+    assert (pose.x, pose.y, pose.heading, pose.speed) == pytest.approx((5.0, 0.0, 0.1, 10.0))
+    last = ego.act(Observation(7.0, 0.1, car("ego", 4, 0), ()))
+    assert isinstance(last, Pose)
+    assert (last.x, last.heading, last.speed) == pytest.approx((20.0, 0.2, 0.0))  # stands after its last
+
+
+def test_replay_turns_the_short_way() -> None:
+    ego = ReplayEgo()
+    ego.load(track([3.1, -3.1, -3.1]))  # 0.083 rad across pi, not 6.2 back through zero
+    pose = ego.act(Observation(0.4, 0.1, car("ego", 0, 0), ()))
+    assert isinstance(pose, Pose)
+    assert abs(pose.heading) == pytest.approx(math.pi, abs=1e-9)
+
+
+# ---- the careful driver
+
+
+def drive(ego: CarefulEgo, scene: list[list[VehicleState]]) -> list[LaneSpeed | None]:
+    """Its actions; each scene's first vehicle is the ego; steps of 0.1 s."""
+    answers = []
+    for step, (me, *others) in enumerate(scene):
+        action = ego.act(Observation(step / 10, 0.1, me, others))
+        assert action is None or isinstance(action, LaneSpeed)
+        answers.append(action)
+    return answers
+
+
+def test_braking_profile_of_the_regulation() -> None:
+    assert braking_at(1.15) == 0.0
+    assert braking_at(1.45) == pytest.approx(0.774 * 9.81 / 2)
+    assert braking_at(1.75) == braking_at(9.0) == FULL_BRAKING == pytest.approx(7.593, abs=1e-3)
+
+
+def test_hazard_at_once_is_braked_for_after_perception_and_reaction() -> None:
+    # a car stands 40 m ahead in the lane: 20^2 / (2 * 35) = 5.7 m/s2 > 4.5 at t = 0
+    scene = [[car("ego", 0, 0, speed=20.0), car("bv", 40, 0)] for _ in range(20)]
+    answers = drive(CarefulEgo(), scene)
+    assert answers[:11] == [None] * 11  # steps that end at 1.1 s or before
+    # over the step 1.1..1.2 s only 0.05 s of the ramp: 7.593 / 0.6 * 0.05^2 / 2 = 0.0158 m/s
+    assert answers[11] is not None and answers[11].speed == pytest.approx(20 - 0.0158, abs=1e-4)
+    assert answers[18] is not None and answers[18].speed == pytest.approx(20 - 0.7593, abs=1e-4)  # full from 1.75 s
+
+
+def test_standing_with_the_hazard_still_there_it_holds() -> None:
+    scene = [[car("ego", 0, 0, speed=20.0), car("bv", 40, 0)]] * 20 + [[car("ego", 33, 0), car("bv", 40, 0)]] * 5
+    assert drive(CarefulEgo(), scene)[-1] == LaneSpeed(None, 0.0)
+
+
+def test_following_and_overtaking_do_not_alarm() -> None:
+    following = [[car("ego", 2 * s, 0, speed=20.0), car("bv", 25 + 2 * s, 0, speed=20.0)] for s in range(40)]
+    assert drive(CarefulEgo(), following) == [None] * 40  # one second behind its leader
+    passing = [[car("ego", 2 * s, 0, speed=20.0), car("bv", 20 + s, 3.2, speed=10.0)] for s in range(40)]
+    assert drive(CarefulEgo(), passing) == [None] * 40
+
+
+def test_cut_in_shows_after_0375_metres() -> None:
+    watch, seen = HazardWatch(), []
+    for step in range(12):  # 1 m/s sideways, 10 m/s slower, 20 m ahead: 0.1 m a step
+        others = [car("bv", 20 + 1.0 * step, 3.2 - 0.1 * step, heading=-0.1, speed=10.0)]
+        seen.append(watch.update(Observation(step / 10, 0.1, car("ego", 2.0 * step, 0, speed=20.0), others)))
+    assert seen.index(frozenset({"bv"})) == 4  # 0.4 m
+    assert seen[4:] == [frozenset({"bv"})] * 8
+
+
+def test_oncoming_only_over_the_line() -> None:
+    for sideways, expected in ((0.0, False), (1.5, True)):
+        watch = HazardWatch()
+        alarmed = False
+        for step in range(20):
+            bv = car("bv", 110 - 1.5 * step, 3.2 - sideways * step / 10, heading=0.1 - math.pi, speed=15.0)
+            if not sideways:
+                bv = car("bv", 110 - 1.5 * step, 3.2, heading=math.pi, speed=15.0)
+            me = car("ego", 1.5 * step, 0, speed=15.0)
+            alarmed |= bool(watch.update(Observation(step / 10, 0.1, me, [bv])))
+        assert alarmed is expected
+
+
+def test_crossing_only_when_it_cannot_stop_short() -> None:
+    ego = car("ego", 0, 0, speed=14.0)
+    # 12 m/s needs 144 / 6 = 24 m; from y = -28 its front has 28 - 2.5 - 1 = 24.5 m to the ego's side; both reach x = 28
+    able = Observation(0.0, 0.1, ego, [car("bv", 28, -28, math.pi / 2, 12.0)])
+    assert HazardWatch().update(able) == frozenset()
+    later = Observation(0.1, 0.1, car("ego", 1.4, 0, speed=14.0), [car("bv", 28, -26.8, math.pi / 2, 12.0)])
+    assert HazardWatch().update(later) == {"bv"}
+    slow = Observation(0.1, 0.1, car("ego", 1.4, 0, speed=14.0), [car("bv", 28, -25.8, math.pi / 2, 5.0)])
+    assert HazardWatch().update(slow) == frozenset()  # 25 / 6 = 4.2 m: it can
+
+
+def test_traffic_in_a_bend_is_measured_along_the_told_path() -> None:
+    angle = np.linspace(0, 1.5, 60)
+    centre = [(100 * math.sin(a), 100 - 100 * math.cos(a)) for a in angle]  # left bend, radius 100 m
+    at, left, heading = EgoPath(centre).locate(103.2 * math.sin(0.5), 100 - 103.2 * math.cos(0.5))
+    assert (at, left, heading) == pytest.approx((50.0, -3.2, 0.5), abs=0.03)
+    assert EgoPath(centre).pose(50.0) == pytest.approx((100 * math.sin(0.5), 100 - 100 * math.cos(0.5), 0.5), abs=0.03)
+
+
+def test_closed_forms() -> None:
+    assert needed_braking(20.0, 40.0, 10.0, 0.0) == pytest.approx(1.25)  # 10^2 / 80
+    assert needed_braking(10.0, 5.0, 10.0, -5.0) == pytest.approx(100 / (2 * 15))  # stops 10 m on
+    assert needed_braking(10.0, 20.0, 12.0, 0.0) == 0.0
+    assert box_ttc(car("a", 0, 0, speed=20.0), car("b", 45, 0)) == pytest.approx(2.0)  # 40 m between bumpers
+    assert box_ttc(car("a", 0, 0, speed=20.0), car("b", 45, 2.1)) == math.inf
+    assert box_ttc(car("a", 0, 0, speed=10.0), car("b", 23.5, 23.5, -math.pi / 2, 10.0)) == pytest.approx(2.0)
+
+
+# ---- a user's class
+
+USER = """
+class Good:
+    def __init__(self, gain=1.0): self.gain = gain
+    def reset(self, seed): self.seed = seed
+    def act(self, seen): return None
+class Breaks(Good):
+    def reset(self, seed): raise RuntimeError("no road")
+    def act(self, seen): return 1 / 0
+class Text(Good):
+    def act(self, seen): return "left"
+class Wild(Good):
+    def act(self, seen):
+        from sumo_adv.world.egos import Steer
+        return Steer(float("nan"), 0.0)
+class NoAct:
+    def reset(self, seed): pass
+Number = 3
+"""
+
+
+@pytest.fixture
+def user_module(tmp_path: Path) -> Iterator[str]:
+    (tmp_path / "users_own_egos.py").write_text(USER, encoding="utf-8")
+    sys.path.insert(0, str(tmp_path))
+    yield "users_own_egos"
+    sys.path.remove(str(tmp_path))
+    sys.modules.pop("users_own_egos", None)
+
+
+LOOK = Observation(3.0, 0.1, car("ego", 0, 0), ())
+
+
+def test_a_users_class_drives(user_module: str) -> None:
+    ego = make_ego(f"{user_module}:Good", {"gain": 2.0})
+    ego.reset(1)
+    assert ego.act(LOOK) is None
+    assert (ego.name, ego.forkable, ego.needs_observation) == ("users_own_egos:Good", False, True)
+    assert ego.sumo_type["carFollowModel"] == "IDM"
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "said"),
+    [
+        ("Missing", {}, "has no class 'Missing'"),
+        ("Number", {}, "has no class 'Number'"),
+        ("NoAct", {}, "has no method 'act'"),
+        ("Good", {"speed": 1}, "could not be made: TypeError: .*speed"),
+    ],
+)
+def test_a_users_class_that_cannot_be_used(
+    user_module: str, name: str, parameters: dict[str, float], said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        make_ego(f"{user_module}:{name}", parameters)
+
+
+def test_a_module_that_is_not_there() -> None:
+    with pytest.raises(UsageError, match=r"could not be imported .*ModuleNotFoundError"):
+        make_ego("no_such_module_anywhere:Driver", {})
+    with pytest.raises(UsageError, match="not of the form 'module:Class'"):
+        make_ego("module:", {})
+
+
+def test_a_users_errors_are_one_sentence(user_module: str) -> None:
+    breaks = make_ego(f"{user_module}:Breaks", {})
+    with pytest.raises(SimulationError, match=r"users_own_egos:Breaks' failed in reset: RuntimeError: no road\."):
+        breaks.reset(0)
+    with pytest.raises(SimulationError, match=r"failed in act at 3\.0 s: ZeroDivisionError: division by zero\."):
+        breaks.act(LOOK)
+    with pytest.raises(SimulationError, match="returned str; act must return Steer, LaneSpeed, Pose or None"):
+        make_ego(f"{user_module}:Text", {}).act(LOOK)
+    with pytest.raises(SimulationError, match="its numbers must be finite"):
+        make_ego(f"{user_module}:Wild", {}).act(LOOK)
+
+
+@pytest.fixture
+def examples_on_path() -> Iterator[None]:
+    sys.path.insert(0, str(EXAMPLES))
+    yield
+    sys.path.remove(str(EXAMPLES))
+
+
+@pytest.mark.usefixtures("examples_on_path")
+def test_the_example_brakes_for_what_is_near() -> None:
+    ego = make_ego("cautious_ego:CautiousEgo", {"cruise": 15.0})
+    ego.reset(0)
+    assert ego.act(Observation(0, 0.1, car("ego", 0, 0, speed=10.0), [])) == LaneSpeed(None, 15.0)
+    far = Observation(0, 0.1, car("ego", 0, 0, speed=10.0), [car("bv", 35, 0)])
+    assert ego.act(far) == LaneSpeed(None, 10.0)  # 30 m / 3 s
+    near = Observation(0, 0.1, car("ego", 0, 0, speed=10.0), [car("bv", 7, 1.0)])
+    assert ego.act(near) == Steer(-8.0, -0.05)  # 2 m left, vehicle to the left: to the right

@@ -1,0 +1,231 @@
+"""What a run may start from: every right input is resolved, every wrong one is one sentence before anything begins."""
+
+from __future__ import annotations
+
+import gzip
+import time
+from pathlib import Path
+
+import pytest
+
+from sumo_adv.errors import UsageError
+from sumo_adv.world.inputs import EgoRoute, data_folder, input_name, load_input, scan_demand, shipped_names
+
+NET = """<net version="1.20">
+    <edge id=":n_0" function="internal"><lane id=":n_0_0" index="0" speed="10" length="5" shape="0,0 5,0"/></edge>
+    <edge id="a" from="m" to="n"><lane id="a_0" index="0" {lane} speed="10" length="50" shape="0,0 50,0"/></edge>
+    <edge id="b" from="n" to="o"><lane id="b_0" index="0" {lane} speed="10" length="50" shape="55,0 99,0"/></edge>
+</net>
+"""
+ROUTES = """<routes>
+    <vehicle id="ego" depart="0"><route edges="a b"/></vehicle>
+    <trip id="t" depart="1" from="a" to="b"/>
+    <flow id="f" begin="0" end="9" number="3" from="a" to="b"/>
+</routes>
+"""
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def network(folder: Path, lane: str = "") -> Path:
+    return write(folder / "small.net.xml", NET.format(lane=lane))
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(UsageError) as caught:
+        load_input(path)
+    sentence = str(caught.value)
+    assert caught.value.exit_status == 2
+    assert sentence.endswith(".")
+    assert "\n" not in sentence
+    return sentence
+
+
+def test_a_network_alone_has_no_demand_and_no_ego(tmp_path: Path) -> None:
+    path = network(tmp_path)
+    found = load_input(path)
+    assert (found.name, found.network, found.routes, found.ego) == ("small", path, (), None)
+    assert (found.begin, found.density, found.trigger) == (None, None, "auto")
+    assert found.files == (path,)
+
+
+def test_a_packed_network_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "packed.net.xml.gz"
+    path.write_bytes(gzip.compress(NET.format(lane="").encode()))
+    assert load_input(path).name == "packed"
+
+
+def test_a_configuration_keeps_its_files_begin_and_end(tmp_path: Path) -> None:
+    network(tmp_path)
+    write(tmp_path / "one.rou.xml", ROUTES)
+    write(tmp_path / "two three.rou.xml", "<routes/>")
+    write(tmp_path / "x.add.xml", '<additional><vType id="car"/></additional>')
+    text = """<configuration><input>
+        <net-file value="small.net.xml"/><route-files value="one.rou.xml, two three.rou.xml"/>
+        <additional-files value="x.add.xml"/></input>
+        <time><begin value="0:01:40"/><end value="200"/><step-length value="0.5"/></time></configuration>"""
+    found = load_input(write(tmp_path / "case.sumocfg", text))
+    assert [path.name for path in found.routes] == ["one.rou.xml", "two three.rou.xml"]
+    assert [path.name for path in found.additional] == ["x.add.xml"]
+    assert (found.begin, found.end) == (100.0, 200.0)
+    assert len(found.files) == 5
+
+
+def test_an_end_of_minus_one_is_no_end(tmp_path: Path) -> None:
+    network(tmp_path)
+    text = '<configuration><n value="small.net.xml"/><end value="-1"/></configuration>'
+    assert load_input(write(tmp_path / "case.sumocfg", text)).end is None
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("<configuration/>", "names no network"),
+        ('<configuration><net-file value="gone.net.xml"/></configuration>', "gone.net.xml, which is missing"),
+        ('<configuration><net-file value="small.net.xml"/><begin value="noon"/></configuration>', "begin time 'noon'"),
+        (
+            '<configuration><n value="small.net.xml"/><b value="50"/><e value="50"/></configuration>',
+            "not after its begin",
+        ),
+        ("<configuration>", "not valid XML"),
+    ],
+)
+def test_a_bad_configuration_is_refused(tmp_path: Path, text: str, part: str) -> None:
+    network(tmp_path)
+    assert part in refusal(write(tmp_path / "case.sumocfg", text))
+
+
+def test_a_scenario_gives_everything(tmp_path: Path) -> None:
+    network(tmp_path)
+    write(tmp_path / "one.rou.xml", ROUTES)
+    text = (
+        'schema = 1\nnetwork = "small.net.xml"\n[demand]\nfiles = ["one.rou.xml"]\nend = 30\n'
+        '[ego]\nid = "ego"\ncontroller = "krauss"\nparameters = { tau = 1.5 }\n[window]\ntrigger = 4\nhorizon = 9\n'
+        '[adversary]\ncandidates = ["t", "f.2"]\nintents = ["Aggressive Cut-in"]\n'
+        '[label]\nintents = ["Aggressive Cut-in"]\n'
+    )
+    found = load_input(write(tmp_path / "case.toml", text))
+    assert (found.ego, found.ego_controller, found.ego_parameters) == ("ego", "krauss", {"tau": 1.5})
+    assert (found.trigger, found.horizon, found.end, found.warm_up) == (4.0, 9.0, 30.0, 3.0)
+    assert (found.candidates, found.intents) == (("t", "f.2"), ("Aggressive Cut-in",))
+    assert found.label is not None
+    assert found.label.source == "annotated"
+    assert {path.name for path in found.files} == {"case.toml", "small.net.xml", "one.rou.xml"}
+
+
+def test_a_scenarios_own_ego_has_sumos_defaults_filled_in(tmp_path: Path) -> None:
+    network(tmp_path)
+    text = 'schema = 1\nnetwork = "small.net.xml"\n[ego]\nroute = ["a", "b"]\ndepart = 2\nlane = 0\n'
+    found = load_input(write(tmp_path / "case.toml", text))
+    assert found.ego == EgoRoute(edges=("a", "b"), depart=2.0, lane=0, position="base", speed="max")
+
+
+@pytest.mark.parametrize(
+    ("extra", "part"),
+    [
+        ('tracks = "log.csv"\n', "'tracks', which is not supported yet"),
+        ('background = "log"\n', "not supported yet"),
+        ("[[parked]]\nx=0\ny=0\nheading=0\nlength=4\nwidth=2\n", "'parked', which is not supported yet"),
+        ("[[cyclists]]\nx=0\ny=0\nheading=0\nlength=2\nwidth=1\n", "'cyclists', which is not supported yet"),
+        ('[signals]\nlog = "l.csv"\n', "'signals.log', which is not supported yet"),
+        ('[demand]\nfiles = ["one.rou.xml"]\n[ego]\nid = "nobody"\n', "the ego 'nobody'"),
+        ('[demand]\nfiles = ["one.rou.xml"]\n[adversary]\ncandidates = ["g.1"]\n', "adversary candidate 'g.1'"),
+        ('[ego]\nroute = ["a", "z"]\ndepart = 0\n', "edge 'z'"),
+        ('[demand]\nfiles = ["none.rou.xml"]\n', "none.rou.xml, which is missing"),
+    ],
+)
+def test_what_a_scenario_asks_in_vain_is_refused(tmp_path: Path, extra: str, part: str) -> None:
+    network(tmp_path)
+    write(tmp_path / "one.rou.xml", ROUTES)
+    assert part in refusal(write(tmp_path / "case.toml", 'schema = 1\nnetwork = "small.net.xml"\n' + extra))
+
+
+def test_a_demand_for_another_network_names_edge_and_file(tmp_path: Path) -> None:
+    network(tmp_path)
+    write(tmp_path / "other.rou.xml", ROUTES.replace('edges="a b"', 'edges="a elsewhere"'))
+    text = '<configuration><n value="small.net.xml"/><r value="other.rou.xml"/></configuration>'
+    sentence = refusal(write(tmp_path / "case.sumocfg", text))
+    assert "'elsewhere'" in sentence
+    assert "other.rou.xml" in sentence
+
+
+@pytest.mark.parametrize(
+    ("lane", "drivable"),
+    [
+        ("", True),
+        ('allow="bus passenger"', True),
+        ('allow="all"', True),
+        ('disallow="tram rail"', True),
+        ('allow="bus bicycle"', False),
+        ('disallow="passenger truck"', False),
+        ('disallow="all"', False),
+    ],
+)
+def test_a_network_needs_a_lane_for_passenger_cars(tmp_path: Path, lane: str, drivable: bool) -> None:
+    path = network(tmp_path, lane)
+    if drivable:
+        assert load_input(path).network == path
+    else:
+        assert "no lane that a passenger car" in refusal(path)
+
+
+def test_damaged_networks_are_refused(tmp_path: Path) -> None:
+    whole = gzip.compress(NET.format(lane="").encode())
+    cut = tmp_path / "cut.net.xml.gz"
+    cut.write_bytes(whole[:-20])
+    assert "truncated" in refusal(cut)
+    noise = tmp_path / "noise.net.xml.gz"
+    noise.write_bytes(b"no gzip at all")
+    assert "damaged" in refusal(noise)
+    assert "not valid XML" in refusal(write(tmp_path / "half.net.xml", NET.format(lane="")[:200]))
+    assert "not valid XML" in refusal(write(tmp_path / "empty.net.xml", ""))
+    assert "<routes>" in refusal(write(tmp_path / "one.rou.xml", ROUTES))
+
+
+def test_what_is_no_input_is_refused(tmp_path: Path) -> None:
+    assert "no file" in refusal(tmp_path / "none.net.xml")
+    assert "is a folder" in refusal(tmp_path)
+    assert "convert it" in refusal(write(tmp_path / "v.tfrecord-00001-of-00150", "x"))
+    assert "is no input" in refusal(write(tmp_path / "notes.txt", "x"))
+    assert "shipped" in refusal(Path("no_such_place"))
+
+
+@pytest.mark.parametrize("name", ["two_way", "two_way.net.xml", "networks/two_way.net.xml", "networks/two_way"])
+def test_a_shipped_network_is_found_from_anywhere(name: str, tmp_path: Path) -> None:
+    if not (data_folder("networks") / "two_way.net.xml").is_file():
+        pytest.skip("the networks are not built")
+    found = load_input(Path(name))
+    assert found.name == "two_way"
+    assert found.network.resolve() == (data_folder("networks") / "two_way.net.xml").resolve()
+
+
+def test_a_file_at_hand_goes_before_a_shipped_name(tmp_path: Path) -> None:
+    mine = write(tmp_path / "two_way.net.xml", NET.format(lane=""))
+    assert load_input(mine).source == mine
+
+
+def test_every_shipped_name_loads() -> None:
+    names = shipped_names()
+    assert len(names) == len(set(names))
+    assert all(load_input(Path(name)).name == name for name in names)
+
+
+def test_names_lose_their_known_endings() -> None:
+    names = ("x.net.xml.gz", "a.b.net.xml", "run.sumocfg", "s.toml")
+    assert [input_name(Path(name)) for name in names] == ["x", "a.b", "run", "s"]
+
+
+def test_five_megabytes_of_demand_take_less_than_a_second(tmp_path: Path) -> None:
+    line = '<vehicle id="v{}" depart="{}" departLane="best"><route edges="a b a b a b a b a b a b"/></vehicle>\n'
+    text = "<routes>" + "".join(line.format(i, i) for i in range(52_000)) + "</routes>"
+    path = write(tmp_path / "big.rou.xml", text)
+    assert path.stat().st_size > 5_000_000
+    begin = time.perf_counter()
+    scan = scan_demand(path)
+    assert time.perf_counter() - begin < 1.0
+    assert scan.edges == ("a", "b")
+    assert len(scan.vehicles) == 52_000

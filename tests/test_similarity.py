@@ -1,0 +1,76 @@
+"""Similarity of intents: stems, phrases, distances by hand, speed at 5,000 entries."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+
+from sumo_adv.memory.similarity import TfIdf, term_counts
+from sumo_adv.memory.words import features, stem
+
+
+@pytest.mark.parametrize(
+    ("words", "root"),
+    [
+        ("brake brakes braked braking", "brak"),
+        ("stop stops stopped stopping", "stop"),
+        ("hurry hurries hurried", "hurri"),
+        ("sudden suddenly", "sudden"),
+        ("sharp sharply", "sharp"),
+        ("decelerate decelerates decelerating deceleration", "deceler"),
+        ("merge merges merging", "merg"),
+    ],
+)
+def test_forms_of_a_word_have_one_stem(words: str, root: str) -> None:
+    assert {stem(word) for word in words.split()} == {root}
+
+
+def test_the_longest_phrase_wins_and_stop_words_vanish() -> None:
+    assert list(features("The zebra drives head-on")) == ["zebra", "@oncoming"]
+    assert list(features("in front of us it stops")) == ["@ahead", "@brake"]
+    assert list(features("... 42 !")) == []
+
+
+def test_counts_of_label_and_description_are_damped() -> None:
+    counts = term_counts("Braking", "brakes, brakes; zebra")
+    assert counts == {"@brake": pytest.approx(1 + math.log(3)), "zebra": pytest.approx(1.0)}
+
+
+def test_distances_by_hand() -> None:
+    metric = TfIdf()
+    metric.fit([("zebra", ""), ("zebra lion", ""), ("oncoming", "")])
+    distances = metric.distances("zebra", "")
+    # idf(zebra) = ln(4/3) + 1 = 1.287682, idf(lion) = ln(4/2) + 1 = 1.693147, equal counts:
+    # cos = 1.287682 / sqrt(1.287682^2 + 1.693147^2) = 0.605348
+    assert distances == pytest.approx([0.0, 1 - 0.605348, 1.0], abs=1e-6)
+    assert metric.distances("", "") == pytest.approx([1.0, 1.0, 1.0])
+    metric.fit([])
+    assert metric.distances("zebra", "").shape == (0,)
+
+
+def test_a_word_nobody_knows_makes_the_distance_larger() -> None:
+    metric = TfIdf()
+    metric.fit([("brakes", ""), ("left turn", "")])
+    known = metric.distances("brakes", "")[0]
+    assert known == pytest.approx(0.0, abs=1e-12)
+    assert metric.distances("brakes xylophone", "")[0] > 0.05
+
+
+def test_five_thousand_entries_are_searched_in_under_a_millisecond() -> None:
+    rng = np.random.default_rng(0)
+    vocabulary = [f"{a}{b}{c}" for a in "bdfgklm" for b in "aeiou" for c in ("rt", "nk", "st", "lm", "mp", "sk")]
+    words = [*vocabulary, "brakes", "oncoming", "lane", "sudden", "front"]
+    entries = [(" ".join(rng.choice(words, 3)), " ".join(rng.choice(words, 25))) for _ in range(5000)]
+    metric = TfIdf()
+    metric.fit(entries)
+    seconds = []
+    for entry in entries[:50]:
+        start = time.perf_counter()
+        distances = metric.distances(*entry)
+        seconds.append(time.perf_counter() - start)
+    assert distances.shape == (5000,)
+    assert distances[49] == pytest.approx(0.0, abs=1e-12)
+    assert float(np.median(seconds)) < 1e-3
