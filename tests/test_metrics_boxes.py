@@ -59,7 +59,7 @@ def test_boxes_that_touch_overlap_and_a_millimetre_apart_do_not() -> None:
 
 
 def test_sumo_s_false_positives_are_apart_and_its_misses_overlap() -> None:
-    """ENGINE.md: perpendicular 2 m apart and side by side 0.15 m apart are not; a perpendicular overlap is."""
+    """Perpendicular 2 m apart and side by side 0.15 m apart are not; a perpendicular overlap is."""
     assert gap(box(0, 0), box(5.5, 0, np.pi / 2)) == pytest.approx(2.0)
     assert gap(box(0, 0), box(0, 2.15)) == pytest.approx(0.15)
     assert overlaps(box(0, 0), box(2, 3, np.pi / 2))

@@ -136,7 +136,7 @@ RECURSION = [
 
 REACHING_OUT = [
     inside("open", RUNTIME, "return open('/etc/passwd').read()"),
-    inside("open_write", RUNTIME, "return open('/tmp/sumo_adv_attack', 'w')"),
+    inside("open_write", RUNTIME, "return open('/etc/sumo_adv_attack', 'w')"),
     inside("pathlib", RUNTIME, "import pathlib\nreturn pathlib.Path('/etc/passwd').read_text()"),
     inside("pathlib_list", RUNTIME, "import pathlib\nreturn list(pathlib.Path('/').iterdir())"),
     inside("os_listdir", RUNTIME, "import os\nreturn os.listdir('/')"),

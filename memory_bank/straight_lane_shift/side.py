@@ -5,10 +5,10 @@
 PARAMETERS = {
     "gap": (2.5, -3.0, 4.4, "m", "adversary's front minus ego's front when they meet"),
     "speed": (0.0, -1.5, 1.5, "m/s", "speed relative to the ego when they meet"),
-    "drift": (3.8, 2.2, 5.5, "s", "duration of the move into the ego's lane"),
+    "drift": (4.5, 2.5, 7.0, "s", "duration of the move into the ego's lane"),
     "gate": (1.2, 0.8, 2.0, "m", "how exact the place must be before the move begins"),
     "side": (1.0, -1.0, 1.0, "", "side to come from where it drives in the ego's lane: -1 right, 1 left"),
-    "across": (0.0, 0.0, 1.2, "m", "how far beyond the ego's lane centre it moves"),
+    "across": (-0.6, -1.3, 1.2, "m", "how far beyond the ego's lane centre it moves"),
     "brake": (0.0, 0.0, 3.0, "m/s2", "braking once it is in the ego's lane"),
 }
 

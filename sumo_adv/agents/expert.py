@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
-from sumo_adv.planning.situation import Situation, Target
+from sumo_adv.situation import Situation, Target
 
 NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 
 
 class Scorer(Protocol):

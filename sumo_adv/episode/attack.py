@@ -19,7 +19,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.predict import Told, local_endpoint
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance, pose, steer
 from sumo_adv.world.simulation import Pose
 
@@ -100,7 +100,7 @@ def attack(
     """Drive ``bv`` against the ego for at most ``steps`` steps; the drive records everything."""
     assert drive.ego is not None
     ego_id = drive.ego
-    adversary = Adversary(situation, bv, limits)
+    adversary, apart = Adversary(situation, bv, limits), math.inf
     for k in range(steps):
         if ego_id not in drive.snapshot.raw or bv not in drive.snapshot.raw:
             return Driven("ego_left" if ego_id not in drive.snapshot.raw else "passed", "", None)
@@ -110,10 +110,10 @@ def attack(
             if failure is not None:
                 return Driven("planner_failed", failure, None)
         drive.tick({bv: adversary.advance()})
-        apart = _apart(drive, ego_id, bv)
+        before, apart = apart, _apart(drive, ego_id, bv)
         if apart == 0.0:
             return Driven("contact", "", _beyond(drive, adversary, bv))
-        if apart > PARTED and k > 20:
+        if apart > PARTED and apart > before:
             return Driven("passed", "", None)
     return Driven("time_limit", "", None)
 

@@ -15,7 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import Path, wrap
-from sumo_adv.planning.situation import WayLine, relate
+from sumo_adv.situation import WayLine, relate
 from sumo_adv.world.network import RoadMap
 from sumo_adv.world.simulation import heading_of
 

@@ -24,7 +24,7 @@ from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.ground import road_of
 from sumo_adv.planning.predict import Rollouts, Told, predict, world_endpoint
 from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
 NONE, MISS, OFF_ROAD, THIRD, REAR, FAILED = 1.2, 1.5, 3.0, 4.0, 5.0, 9.0

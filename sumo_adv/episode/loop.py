@@ -23,7 +23,7 @@ from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 from sumo_adv.planning.source import make_planner
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine

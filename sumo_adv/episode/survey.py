@@ -11,7 +11,7 @@ import numpy as np
 from sumo_adv.datatypes import Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
-from sumo_adv.planning.situation import Situation, Target, relate
+from sumo_adv.situation import Situation, Target, relate
 from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m around the ego: whose motion is kept

@@ -26,7 +26,7 @@ from sumo_adv.episode.survey import survey
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 from sumo_adv.world.egos import make_ego
 from sumo_adv.world.engine import can_fork, in_forks
 from sumo_adv.world.inputs import EgoRoute

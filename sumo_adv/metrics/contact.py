@@ -17,7 +17,7 @@ from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps,
 STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
 SAME_DIRECTION = np.pi / 4  # rad, heading difference below which two vehicles go the same way
 BEHIND = np.deg2rad(150.0)  # rad, nuPlan's angle from the rear axle beyond which an agent is behind
-BUMPER = 0.02  # m about the ego's front edge: nuPlan asks whether that line meets the other's box
+BUMPER = 0.02  # m before the ego's front edge, and in from its ends: a touch of the corner alone is lateral
 REAR_AXLE = 0.3  # of the length, rear axle behind the box centre
 
 
@@ -104,7 +104,11 @@ def rear_end(ego: Track, adversary: Track, contact_time: float) -> bool:
 
 
 def collision_class(ego: Track, adversary: Track, contact_time: float) -> CollisionClass:
-    """nuPlan's class of a collision, in its order: stopped ego, stopped track, rear, front bumper, else lateral."""
+    """nuPlan's class of a collision, in its order: stopped ego, stopped track, rear, front bumper, else lateral.
+
+    nuPlan looks at the first overlapping sample (0.1 s), where a box that ran into the ego's flank may already cut the
+    line of its front bumper; here it is the exact first contact.
+    """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     if a.speed <= STOPPED:
         return CollisionClass.STOPPED_EGO
@@ -116,7 +120,7 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
     if abs(float(wrap(np.asarray(bearing)))) > BEHIND:
         return CollisionClass.ACTIVE_REAR
     front = a.length / 2 * np.cos(a.heading), a.length / 2 * np.sin(a.heading)
-    bumper = Boxes(a.x + front[0], a.y + front[1], a.heading, a.speed, 2 * BUMPER, a.width)
+    bumper = Boxes(a.x + front[0], a.y + front[1], a.heading, a.speed, 2 * BUMPER, a.width - 2 * BUMPER)
     return CollisionClass.ACTIVE_FRONT if overlaps(bumper, b) else CollisionClass.ACTIVE_LATERAL
 
 

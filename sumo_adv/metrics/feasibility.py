@@ -17,11 +17,11 @@ from sumo_adv.metrics.boxes import corners, first_contact, on_grid, wrap
 ACCELERATION_SLACK = 0.1  # m/s2: a speed rounded to 5 mm/s over 0.1 s
 LATERAL_SLACK = 0.1  # m/s2: a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
 CURVATURE_SLACK = 0.01  # 1/m
-JERK_SLACK = 3.0  # m/s3: accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3; ALGORITHM's judge allows 15 for 12
+JERK_SLACK = 3.0  # m/s3: accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
 CRAWL = 1.0  # m/s, below it curvature is not defined by two poses 0.2 s apart
 REST = 0.05  # m/s, coming to rest ends every braking in one step
 ROAD_TOLERANCE = 0.15  # m a corner may be off the drivable area
-STEP_SLACK, STEP_SHARE = 0.2, 0.1  # m, and share of v dt, by which a step may differ from the mean speed
+STEP_SLACK, STEP_SHARE = 0.15, 0.05  # m, and share of v dt, by which a step may differ from the mean speed
 SIDEWAYS = 1.2  # m/s: the lateral speed of SUMO's own lane changes (3.2 m in 3 s) and a little more
 GATES = (
     "longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party",
@@ -104,7 +104,7 @@ def _limits_failed(m: Motion, limits: Limits, judged: Bools) -> dict[str, bool]:
 def _jumps(track: Track, limits: Limits, judged: Bools) -> bool:
     """Whether a step is not what its speeds and headings say: too long or short, backwards, sideways, or a speed jump.
 
-    Along the mean heading a step may differ from the mean speed by 0.2 m + 10 %; across it by the slip of a box centre
+    Along the mean heading a step may differ from the mean speed by 0.15 m + 5 %; across it by the slip of a box centre
     in the tightest curve allowed, plus 1.2 m/s.  Speed may change by what the acceleration limits allow.
     """
     if len(track.time) < 2:

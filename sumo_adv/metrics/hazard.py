@@ -107,4 +107,4 @@ def _cannot_stop(adversary: Boxes, entry: NDArray[np.intp]) -> Bools:
     step = np.hypot(np.diff(adversary.x), np.diff(adversary.y))
     travelled = np.concatenate([np.zeros((len(entry), 1)), np.cumsum(step, axis=1)], axis=1)
     left = travelled[np.arange(len(entry)), entry][:, None] - travelled
-    return np.asarray(left <= adversary.speed * adversary.speed / (2 * STOPPING))
+    return np.asarray(left <= adversary.speed * adversary.speed / (2 * STOPPING) + 1e-6)  # a micrometre of rounding

@@ -49,7 +49,9 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Estimate:
     scale = 1 + z * z / n
     centre = (p + z * z / (2 * n)) / scale
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / scale
-    return Estimate(p, max(centre - half, 0.0), min(centre + half, 1.0), n)
+    low = 0.0 if successes == 0 else centre - half
+    high = 1.0 if successes == n else centre + half
+    return Estimate(p, low, high, n)
 
 
 def bootstrap(values: Values, *, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0) -> Estimate:

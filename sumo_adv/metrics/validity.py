@@ -1,4 +1,4 @@
-"""The verdict on one attempt: critical, feasible, rear-end, avoidable, valid, strict (DESIGN.md, Verdicts).
+"""The verdict on one attempt: critical, feasible, rear-end, avoidable, valid, strict.
 
 :func:`judge` is the gate verdict of the search; ``metrics.full`` adds what only the attempt that counts needs.
 """

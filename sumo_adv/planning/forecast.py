@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.planning.situation import NO_ARRIVAL, Situation
+from sumo_adv.situation import NO_ARRIVAL, Situation
 
 ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: closer than this the ego still follows its profile
 HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration so long, then its speed

@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
-from sumo_adv.planning.situation import NO_ARRIVAL, Situation, Target
+from sumo_adv.situation import NO_ARRIVAL, Situation, Target
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRows, pose, start
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen

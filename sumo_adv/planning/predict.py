@@ -16,7 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Endpoint, Floats, Limits, Proposal
 from sumo_adv.planning.forecast import profile_at
 from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.situation import Situation
+from sumo_adv.situation import Situation
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
 
 Told = tuple[dict[str, Any], dict[str, Any]]

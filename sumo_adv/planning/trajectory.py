@@ -26,6 +26,7 @@ SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quin
 STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
 LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: where the bend speed is looked up
 SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
+LATERAL_RESERVE = 0.6  # m/s2: lateral acceleration may grow by this before braking can be eased
 JERK_RESERVE = 0.92  # share of the jerk limit that is used
 
 
@@ -239,12 +240,14 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     room = cap - v
     want = m.minimum(want, m.where(room > 0.0, m.sqrt(1.6 * jerk * m.maximum(room, 0.0)), room))
     want = m.maximum(want, -m.sqrt(0.8 * jerk * m.maximum(v, 0.0)))
-    want = m.minimum(m.maximum(want, -limits.braking), limits.acceleration)
+    _, _, _, curvature = road.at(s)
+    lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
+    grip = m.sqrt(m.maximum(limits.braking * limits.braking - lateral * lateral, 4.0))  # the friction circle
+    want = m.minimum(m.maximum(want, -grip), limits.acceleration)
     a = m.minimum(m.maximum(want, a - jerk * dt), a + jerk * dt)
     faster = m.maximum(v + a * dt, 0.0)
     a = (faster - v) / dt
     clock, d, dd, ddd = _sideways(m, motion, faster, dt)
-    _, _, _, curvature = road.at(s)
     along = m.sqrt(m.maximum(faster * faster - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
     return motion._replace(s=s + along * dt, d=d, dd=dd, ddd=ddd, v=faster, a=a, clock=clock)
 

@@ -1,0 +1,90 @@
+"""How long the verdicts take.  ``python benchmarks/verdict_speed.py``; best of several runs, one core.
+
+Bounds (issue 3): TTC of the ego against 100 vehicles x 91 steps < 10 ms, a gate verdict on 120 steps with 10 others
+< 5 ms, a full verdict < 150 ms; scoring of 60 predicted rollouts (avoidability, three delays) < 30 ms.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Floats, Role, Track
+from sumo_adv.metrics.avoidance import avoidance
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.full import full_judge
+from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.validity import judge
+
+DT = 0.1
+TIME = np.arange(0.0, 12.0, DT)
+
+
+def best(work: Callable[[], object], runs: int = 15) -> float:
+    """Least time of several runs [ms]."""
+    took = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - start)
+    return 1000 * min(took)
+
+
+def track(name: str, x: Floats, y: Floats, speed: float) -> Track:
+    """A car of 5 x 1.8 m along +x."""
+    heading = np.arctan2(np.gradient(y, DT), speed)
+    role = Role(name) if name in {"ego", "adversary"} else Role.BACKGROUND
+    return Track(name, role, TIME, x, y, heading, np.full(len(TIME), speed), np.zeros(len(TIME)), 5.0, 1.8)
+
+
+def cut_in(speed: float, ahead: float, duration: float) -> Track:
+    """A lane change of 3.2 m towards the ego from 2 s on."""
+    u = np.clip((TIME - 2.0) / duration, 0.0, 1.0)
+    return track("adversary", ahead + speed * TIME, 3.2 * (1 - u**3 * (10 - 15 * u + 6 * u * u)), speed)
+
+
+def rollouts(tracks: list[Track]) -> Boxes:
+    """Tracks as ``(n, steps)``."""
+    x, y, heading, speed = (np.stack([getattr(t, n) for t in tracks]) for n in ("x", "y", "heading", "speed"))
+    return Boxes(x, y, heading, speed, 5.0, 1.8)
+
+
+def main() -> int:
+    """Print a line a figure; 1 if one is over its bound."""
+    generator = np.random.default_rng(0)
+    many = Boxes(*(generator.uniform(-50, 50, (100, 91)) for _ in range(4)), 5.0, 2.0)
+    one = Boxes(*(generator.uniform(-50, 50, 91) for _ in range(4)), 5.0, 2.0)
+    ego, adversary = track("ego", 15 * TIME, 0 * TIME, 15.0), cut_in(9.0, 50.0, 5.0)
+    others = [track(f"b{i}", 20 * i - 50 + 14 * TIME, 0 * TIME - 3.2 * (i % 3 + 1) - 1, 14.0) for i in range(10)]
+
+    def on_road(x: Floats, y: Floats) -> np.ndarray:
+        return np.abs(y) < 6.0
+
+    egos = rollouts([ego] * 60)
+    foes = rollouts([cut_in(9.0 + i / 10, 3.0 + i, 1.5 + i / 15) for i in range(60)])
+    trigger, contact = np.full(60, 10), np.full(60, 80)
+    hazards, _ = hazard_index(egos, foes, trigger, contact, DT)
+    figures = (
+        ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(one, many)),
+        (
+            "gate verdict, 120 steps, 10 others",
+            5.0,
+            lambda: judge(ego, adversary, others, trigger_time=1.0, on_road=on_road),
+        ),
+        ("full verdict", 150.0, lambda: full_judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)),
+        ("hazard of 60 rollouts", 10.0, lambda: hazard_index(egos, foes, trigger, contact, DT)),
+        ("avoidability of 60 rollouts", 30.0, lambda: avoidance(egos, foes, hazards, DT)),
+    )
+    over = False
+    for name, bound, work in figures:
+        took = best(work)
+        over |= took > bound
+        print(f"{name:40s} {took:7.2f} ms  (bound {bound:g} ms)")
+    return int(over)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
