@@ -167,6 +167,7 @@ def replay_episode(
 ) -> Episode:
     """The encounter again, with one given attempt and nothing else: no analyzer, no bank."""
     episode = Episode(source, settings, task)
+    episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
     found = seek(episode, engine, lambda *_: None)
     if found is None:
         return episode

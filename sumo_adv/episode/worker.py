@@ -66,6 +66,7 @@ class Found:
     raw: Sequence[Snapshot]  # from the trigger on
     passed_over: tuple[str, ...]
     drivable: Drivable
+    sizes: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,7 @@ class AttemptResult:
     verdict: Verdict | None
     start: float
     snapshots: Sequence[Snapshot] = field(repr=False, default=())
+    sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +298,7 @@ class Worker:
         order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
         ego = situations[0.0].ego
         drivable = self._map.drivable(ego.x, ego.y, ROAD_RADIUS)
-        return Found(drive.ego, time, order, situations, raw[0], passed, drivable), ""
+        return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes), ""
 
     def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive, settings = self._drive, self._settings
@@ -353,7 +355,7 @@ class Worker:
         )  # fmt: skip
         return AttemptResult(
             replace(driven, beyond=None), self._verdict(proposal.bv, start, driven, limits), start,
-            drive.recording.snapshots[self._trigger_step :],
+            drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes),
         )  # fmt: skip
 
     def _situation_for(self, proposal: Proposal) -> Situation:

@@ -102,12 +102,12 @@ def input_name(path: Path) -> str:
 
 
 def data_folder(name: str) -> Path:
-    """The shipped folder ``name`` (networks, scenarios, ...): in the installed package, else in the checkout."""
+    """The shipped folder or file ``name`` (networks, scenarios, memory_bank.sqlite): in the installed package, else in the checkout."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "data" / name, package.parent / name):
-        if folder.is_dir():
+        if folder.exists():
             return folder
-    raise UsageError(f"The shipped folder '{name}' is missing: reinstall the package or run from a full checkout.")
+    raise UsageError(f"The shipped '{name}' is missing: reinstall the package or run from a full checkout.")
 
 
 def shipped_names() -> tuple[str, ...]:

@@ -1,0 +1,48 @@
+"""The command line: one sentence on stderr for what is wrong, exit status 0 done, 1 the work failed, 2 wrong use."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from sumo_adv import __version__
+from sumo_adv.cli import doctor, memory, run
+from sumo_adv.errors import SumoAdvError
+
+app = typer.Typer(
+    name="sumo-adv", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    help="Finds the dangerous case inside SUMO, online, against your driver.",
+    epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
+)  # fmt: skip
+app.command("run", epilog=run.EXAMPLE)(run.run)
+app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
+app.add_typer(memory.app, name="memory")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sumo-adv {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Finds the dangerous case inside SUMO, online, against your driver."""
+
+
+def main() -> None:
+    """The program."""
+    try:
+        app()
+    except SumoAdvError as error:
+        typer.echo(f"sumo-adv: {error}", err=True)
+        sys.exit(error.exit_status)
+    except KeyboardInterrupt:
+        typer.echo("sumo-adv: interrupted.", err=True)
+        sys.exit(1)

@@ -1,0 +1,128 @@
+"""``run``: one encounter, from a network to a dangerous one."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.config import Settings, Until, load_settings
+from sumo_adv.datatypes import Ending
+from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.episode.loop import Episode
+    from sumo_adv.report.folder import RunFolder
+
+EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
+FAILED = {
+    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+    Ending.INTERRUPTED,
+}  # fmt: skip
+
+
+def run(
+    source: Annotated[
+        Path | None, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a shipped name.")
+    ] = None,
+    ego: Annotated[str | None, typer.Option(help="krauss, idm, eidm, careful, replay, or module:Class.")] = None,
+    ego_id: Annotated[str | None, typer.Option(help="The vehicle under test [default: chosen].")] = None,
+    adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
+    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s [default: found].")] = None,
+    begin: Annotated[float | None, typer.Option(help="Simulation begin, s [default: first departure].")] = None,
+    end: Annotated[float | None, typer.Option(help="Look for an encounter until this time, s.")] = None,
+    until: Annotated[Until | None, typer.Option(help="What an attempt must come to [default: ttc].")] = None,
+    attempts: Annotated[int | None, typer.Option(help="At most so many attempts [default: 25].")] = None,
+    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
+    tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
+    learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
+    memory: Annotated[Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")] = None,
+    density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/<input>-<seed>].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    replay: Annotated[Path | None, typer.Option(help="Run the attempt of that folder again, from its manifest.")] = None,
+    no_fork: Annotated[bool, typer.Option("--no-fork", help="Load and repeat instead of forking (slower).")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Turn an encounter into a dangerous one and write what happened."""
+    if replay is not None:
+        if source is not None:
+            raise UsageError("Give either an INPUT or --replay DIR, not both.")
+        _replay(replay, out, force=force, as_json=as_json)
+        return
+    if source is None:
+        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
+    from sumo_adv.world.inputs import load_input
+
+    given = load_input(source)
+    settings = load_settings(
+        settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin,
+        end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, memory=memory, seed=seed,
+        density=density, horizon=given.horizon, fork=False if no_fork else None,
+    )  # fmt: skip
+    target = out or Path("runs") / f"{given.name}-{settings.seed}"
+    _run(given, settings, target, force=force, as_json=as_json)
+
+
+def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.cli.progress import make_reporter
+    from sumo_adv.episode.loop import make_task, run_episode
+    from sumo_adv.episode.worker import body
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.report.folder import staged
+    from sumo_adv.world.engine import Engine
+    from sumo_adv.world.inputs import data_folder
+
+    bank_path = settings.memory or default_bank_path()
+    reporter = make_reporter(quiet=as_json)
+    with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        task = make_task(given, settings, Path(scratch))
+        with (
+            MemoryBank.open(bank_path, seed_from=data_folder("memory_bank.sqlite")) as bank,
+            Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
+            Engine(body) as engine,
+            reporter,
+        ):
+            episode = run_episode(given, settings, task, engine, sandbox, bank, reporter.tell)
+        _finish(folder, episode, force=force, as_json=as_json)
+
+
+def _finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.cli.progress import summary
+    from sumo_adv.report.folder import write_run
+
+    result = write_run(folder, episode)
+    folder.keep(force=force)
+    if as_json:
+        typer.echo(json.dumps({**result, "folder": str(folder.target)}))
+    else:
+        typer.echo(summary(result, folder.target))
+    if episode.ending in FAILED:
+        typer.echo(f"sumo-adv: {result['reason']}", err=True)
+        raise typer.Exit(1)
+
+
+def _replay(source: Path, out: Path | None, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.episode.loop import replay_episode
+    from sumo_adv.episode.worker import body
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.report.folder import staged
+    from sumo_adv.report.manifest import read_manifest
+    from sumo_adv.world.engine import Engine
+
+    recorded = read_manifest(source)
+    target = out or source.with_name(f"{source.resolve().name}-replay")
+    with staged(target, force=force) as folder:
+        with Sandbox() as sandbox, Engine(body) as engine:
+            episode = replay_episode(
+                recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal
+            )
+            episode.isolation = sandbox.isolation
+        _finish(folder, episode, force=force, as_json=as_json)

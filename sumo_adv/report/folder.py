@@ -1,0 +1,183 @@
+"""The folder of a run: staged beside its place and moved there whole, so that nobody ever sees half of it."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.episode.loop import Episode
+from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.metrics.boxes import first_contact, on_grid
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.report.outcome import manifest, number, outcome
+from sumo_adv.report.tables import write_states
+from sumo_adv.world.simulation import Snapshot, tracks_of
+
+RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "encounter.png")
+
+
+class RunFolder:
+    """Where a run's files go. Use :func:`staged`."""
+
+    def __init__(self, target: Path, stage: Path) -> None:
+        self.target, self.stage = target, stage
+
+    def keep(self, *, force: bool) -> None:
+        """Put the staged folder in its place."""
+        if self.target.exists() and force:
+            shutil.rmtree(self.target)
+        os.replace(self.stage, self.target)
+
+
+@contextmanager
+def staged(target: Path, *, force: bool) -> Iterator[RunFolder]:
+    """A folder to write into; removed again unless it was kept.
+
+    Raises:
+        UsageError: the place is taken (without ``force``), or cannot be written.
+    """
+    if target.exists() and not force:
+        raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")
+    if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / "manifest.json").exists())):
+        raise UsageError(f"{target} is not the folder of a run, so --force does not replace it; give another --out.")
+    made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
+    stage: Path | None = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        stage.chmod(0o755)
+        yield RunFolder(target, stage)
+    except OSError as error:
+        raise _sentence(error, target) from error
+    finally:
+        if stage is not None and stage.exists():
+            shutil.rmtree(stage, ignore_errors=True)
+        if not target.exists():
+            for parent in made:
+                if parent.exists() and not any(parent.iterdir()):
+                    parent.rmdir()
+
+
+def _sentence(error: OSError, target: Path) -> SumoAdvError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return SumoAdvError(f"There is no space left to write {target}; free some or give another --out.")
+    return UsageError(f"The output folder {target} cannot be written ({error.strerror or error}); give another --out.")
+
+
+def write_run(folder: RunFolder, episode: Episode) -> dict[str, Any]:
+    """All files of the contract; gives back what ``outcome.json`` holds."""
+    stage = folder.stage
+    inputs = _copy_inputs(episode, stage / "inputs")
+    result = outcome(episode, raw_figures(episode))
+    _json(stage / "manifest.json", manifest(episode, inputs))
+    if episode.found is not None and episode.prefix is not None:
+        _tables(stage, episode)
+        if episode.best is not None:
+            _figure(stage / "encounter.png", episode)
+    _json(stage / "outcome.json", result)
+    return result
+
+
+def _json(target: Path, value: Any) -> None:
+    target.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=str) + "\n")
+
+
+def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
+    """Content-addressed copies of network, demand and additional files."""
+    spec = episode.task.spec
+    folder.mkdir()
+    names = {}
+    for file in (spec.network, *spec.routes, *spec.additional):
+        data = file.read_bytes()
+        names[file] = f"{hashlib.sha256(data).hexdigest()[:12]}-{file.name}"
+        (folder / names[file]).write_bytes(data)
+    return names
+
+
+def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
+    assert episode.prefix is not None
+    best = episode.refinement.best
+    after = episode.found.raw if best is None and episode.found else episode.refinement.results[best or 0].snapshots
+    return [*episode.prefix.snapshots, *after]
+
+
+def _tables(stage: Path, episode: Episode) -> None:
+    assert episode.found is not None and episode.prefix is not None
+    roles = {episode.found.ego: Role.EGO}
+    sizes, step = all_sizes(episode), episode.settings.step_length
+    write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.raw], sizes, roles, step)
+    if episode.best is not None:
+        roles[episode.best.proposal.bv] = Role.ADVERSARY
+    write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
+
+
+def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
+    """Sizes of every vehicle of the episode."""
+    assert episode.prefix is not None
+    sizes = dict(episode.prefix.sizes)
+    for result in episode.refinement.results:
+        sizes.update(result.sizes)
+    if episode.found is not None:
+        sizes.update(episode.found.sizes)
+    return sizes
+
+
+def raw_figures(episode: Episode) -> dict[str, Any] | None:
+    """The unattacked run over the same pair and window as the attempt that counts."""
+    best, found = episode.best, episode.found
+    if best is None or found is None or episode.prefix is None:
+        return None
+    k = episode.refinement.best or 0
+    end = episode.refinement.results[k].snapshots[-1].time
+    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *found.raw], best.trigger_time, end)
+    if pair is None:
+        return {"min_ttc": None, "collided": False}
+    time = pair[0].time
+    a, b = (on_grid([t], time) for t in pair)
+    least = ttc(a, b)
+    contact = first_contact(a, b, time)
+    return {"min_ttc": number(float(np.nanmin(least)) if np.isfinite(least).any() else None),
+            "collided": bool(np.isfinite(contact).any())}  # fmt: skip
+
+
+def _pair(episode: Episode, snapshots: list[Snapshot], start: float, end: float) -> tuple[Track, Track] | None:
+    assert episode.found is not None and episode.best is not None
+    names = (episode.found.ego, episode.best.proposal.bv)
+    tracks = {t.id: t for t in tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length, names)}
+    if any(n not in tracks for n in names):
+        return None
+    first, second = tracks[names[0]], tracks[names[1]]
+    low, high = max(start, first.time[0], second.time[0]), min(end, first.time[-1], second.time[-1])
+    if high - low < episode.settings.step_length:
+        return None
+    return first.between(low, high), second.between(low, high)
+
+
+def _figure(target: Path, episode: Episode) -> None:
+    from sumo_adv.report.figure import draw_encounter
+
+    best, found, prefix = episode.best, episode.found, episode.prefix
+    assert best is not None and found is not None and prefix is not None
+    names = {found.ego: Role.EGO, best.proposal.bv: Role.ADVERSARY}
+    sizes, step = all_sizes(episode), episode.settings.step_length
+    history = episode.settings.steps(episode.settings.history)
+    attacked = {t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, names, step)}
+    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.raw], sizes, names, step, tuple(names))}
+    others = [t for n, t in attacked.items() if n not in names]
+    p = best.proposal
+    draw_encounter(
+        target, lanes=episode.lanes, ego=attacked[found.ego], adversary=attacked[p.bv], others=others,
+        raw_ego=raw.get(found.ego), raw_adversary=raw.get(p.bv), trigger_time=best.trigger_time, verdict=best.verdict,
+        title=f"{episode.source.name}: {p.bv} — {p.label} against {found.ego} ({episode.task.ego_driver})",
+    )  # fmt: skip

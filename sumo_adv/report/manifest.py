@@ -1,0 +1,81 @@
+"""Reading a manifest back: everything that ``run --replay`` needs, and nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import Proposal
+from sumo_adv.episode.worker import Task
+from sumo_adv.errors import UsageError
+from sumo_adv.planning.source import make_planner
+from sumo_adv.report.outcome import SCHEMA
+from sumo_adv.world.inputs import EgoRoute, RunInput
+from sumo_adv.world.simulation import SimulationSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """A run as its manifest tells it."""
+
+    source: RunInput
+    settings: Settings
+    task: Task
+    proposal: Proposal
+
+
+def read_manifest(folder: Path) -> Recorded:
+    """The manifest of a run's folder.
+
+    Raises:
+        UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
+    """
+    file = folder / "manifest.json"
+    if not file.is_file():
+        raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")
+    try:
+        m: dict[str, Any] = json.loads(file.read_text())
+        if m["schema"] != SCHEMA:
+            raise UsageError(f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it.")
+        if m["attempt"] is None:
+            raise UsageError(f"The run in {folder} made no attempt, so there is nothing to replay.")
+        return _recorded(folder, m)
+    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise UsageError(f"{file} is not a manifest of this program ({type(error).__name__}: {error}).") from error
+
+
+def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
+    settings = load_settings(None, **m["settings"])
+    spec = SimulationSpec(
+        _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
+        tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
+    )  # fmt: skip
+    ego = m["ego"]
+    if isinstance(ego, dict):
+        ego = EgoRoute(tuple(ego["edges"]), ego["depart"], ego["lane"], ego["position"], ego["speed"])
+    task = Task(
+        spec, settings, ego, m["ego_base_type"], m["ego_driver"], m["ego_parameters"], tuple(m["only"]), m["trigger"],
+        m["warm_up"], m["end"],
+    )  # fmt: skip
+    a = m["attempt"]
+    p = m["planners"][a["planner"]]
+    planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
+    if planner.hash != a["planner"]:
+        raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
+    proposal = Proposal(a["bv"], a["label"], planner, a["parameters"], a["acceleration"], a["delay"], a["by"])
+    source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
+    return Recorded(source, settings, task, proposal)
+
+
+def _copy(folder: Path, name: str) -> Path:
+    """A content-addressed input, checked."""
+    file = folder / "inputs" / Path(name).name
+    if not file.is_file():
+        raise UsageError(f"{file} is missing, so the run in {folder} cannot be replayed.")
+    if hashlib.sha256(file.read_bytes()).hexdigest()[:12] != name[:12]:
+        raise UsageError(f"{file} was changed after the run, so it cannot be replayed.")
+    return file.resolve()

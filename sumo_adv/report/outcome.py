@@ -1,0 +1,139 @@
+"""``outcome.json`` and ``manifest.json``: what came of a run, and what it takes to run it again bit for bit."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sumo_adv import __version__
+from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict
+from sumo_adv.episode.loop import Episode
+
+SCHEMA = 1
+EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
+
+
+def outcome(episode: Episode, raw: Mapping[str, Any] | None) -> dict[str, Any]:
+    """The contract's ``outcome.json``. Times s, distances m, never = null."""
+    best, settings, found = episode.best, episode.settings, episode.found
+    sentence = ENDING_SENTENCES[episode.ending]
+    return {
+        "schema": SCHEMA, "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
+        "network": episode.source.name, "seed": settings.seed,
+        "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
+        "adversaries": [{"id": best.proposal.bv}] if best else [],
+        "trigger_time": number(best.trigger_time) if best else None,
+        "encounter": None if found is None else {
+            "time": number(found.time), "passed_over": list(found.passed_over),
+            "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
+        },
+        "agents": {
+            "analyzer": "expert", "generator": "expert", "modifier": "expert", "tuner": settings.tuner,
+            "note": EXPERT_NOTE,
+        },
+        "intent": _intent(episode.intent, settings.recall),
+        "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
+        "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
+        "best": episode.refinement.best, "until": str(settings.until),
+        "outcome": None if best is None else verdict(best.verdict),
+        "realism": {}, "timing": _timing(episode),
+        "llm": {"model": None, "calls": 0, "prompt_tokens": 0, "completion_tokens": 0, "seconds": 0.0},
+        "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
+    }  # fmt: skip
+
+
+def episode_ego(episode: Episode) -> str | None:
+    """The ego's id as far as it was asked for."""
+    return episode.task.ego if isinstance(episode.task.ego, str) else None
+
+
+def number(value: float | None) -> float | None:
+    """A rounded number; infinite and missing are null."""
+    return None if value is None or not math.isfinite(value) else round(float(value), 4)
+
+
+def verdict(v: Verdict) -> dict[str, Any]:
+    """A verdict as the contract's ``outcome``."""
+    return {
+        "min_ttc": number(v.min_ttc), "min_ttc_any": number(v.min_ttc_any), "min_pet": number(v.min_pet),
+        "max_drac": number(v.max_drac), "min_distance": number(v.min_distance), "collided": v.collided,
+        "critical": v.critical, "feasible": v.feasible, "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict,
+        "avoidable": v.avoidable, "fault": v.fault, "failed_gates": list(v.failed_gates),
+        "contact_time": number(v.contact_time), "hazard_time": number(v.hazard_time),
+    }  # fmt: skip
+
+
+def _intent(intent: Intent | None, recall: str) -> dict[str, Any] | None:
+    if intent is None:
+        return None
+    knots = intent.acceleration
+    acceleration = [list(k) for k in knots] if isinstance(knots, tuple) else knots
+    return {
+        "bv": intent.bv, "label": intent.label, "description": intent.description, "risk": intent.risk,
+        "acceleration": acceleration, "reason": intent.reason, "source": intent.source, "recall": recall,
+    }  # fmt: skip
+
+
+def _attempt(a: Attempt) -> dict[str, Any]:
+    v, p = a.verdict, a.proposal
+    return {
+        "index": a.index, "by": p.by, "phase": a.phase, "adversaries": [p.bv], "intent": p.label,
+        "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
+        "parameters": {k: number(q) for k, q in p.parameters.items()}, "acceleration": p.acceleration,
+        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), "min_ttc": number(v.min_ttc),
+        "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
+        "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
+        "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
+    }  # fmt: skip
+
+
+def _timing(episode: Episode) -> dict[str, float | None]:
+    times: dict[str, float | None] = {k: round(v, 4) for k, v in episode.timing.items()}
+    times["first_success"] = number(episode.refinement.first_success_seconds)
+    return times
+
+
+def versions() -> dict[str, str]:
+    """What took part in the numbers."""
+    names = ("libsumo", "numpy", "scipy", "shapely", "pydantic-monty")
+    return {"sumo_adv": __version__, "python": platform.python_version(), **{n: version(n) for n in names}}
+
+
+def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
+    """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
+    task, best = episode.task, episode.best
+    used = {a.proposal.planner.hash: a.proposal.planner for a in episode.refinement.attempts}
+    spec = task.spec
+    return {
+        "schema": SCHEMA, "versions": versions(), "name": episode.source.name,
+        "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
+        "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
+        "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
+        "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
+        "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
+        "ego_parameters": dict(task.ego_parameters), "intents_allowed": list(episode.source.intents),
+        "bank_hash": episode.bank_hash, "model_answers": [],
+        "planners": {name: _planner(p) for name, p in used.items()},
+        "attempt": None if best is None else _proposal(best.proposal),
+    }  # fmt: skip
+
+
+def _ego(ego: Any) -> Any:
+    if ego is None or isinstance(ego, str):
+        return ego
+    return {"edges": list(ego.edges), "depart": ego.depart, "lane": ego.lane, "position": ego.position, "speed": ego.speed}
+
+
+def _planner(p: Planner) -> dict[str, Any]:
+    return {"label": p.label, "mode": p.mode, "origin": p.origin, "parent": p.parent, "source": p.source}
+
+
+def _proposal(p: Proposal) -> dict[str, Any]:
+    return {
+        "bv": p.bv, "label": p.label, "planner": p.planner.hash, "parameters": dict(p.parameters),
+        "acceleration": p.acceleration, "delay": p.delay, "by": p.by,
+    }  # fmt: skip
