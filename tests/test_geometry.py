@@ -124,7 +124,7 @@ def test_before_a_bend_the_speed_is_what_4_metres_a_second_squared_can_still_bra
     bend = [(100.0 + 20.0 * math.sin(a), 20.0 - 20.0 * math.cos(a)) for a in np.arange(0.01, 1.5, 0.01)]
     path = make_path([*[(float(x), 0.0) for x in range(101)], *bend])
     at_bend = int(np.argmax(path.speed < 8.1))
-    assert at_bend * PATH_STEP == pytest.approx(100.0, abs=2.0)
+    assert at_bend * PATH_STEP == pytest.approx(100.0, abs=3.0)  # the bend is smoothed in
     assert path.speed[at_bend - 20] == pytest.approx(12.0, abs=0.1)  # 10 m before: sqrt(8^2 + 2 * 4 * 10)
     assert (np.diff(path.speed[:at_bend] ** 2) >= -2 * 4.0 * PATH_STEP - 1e-9).all()
 

@@ -22,9 +22,9 @@ MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
 NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
     "merging": (
-        "Merge Squeeze",
-        "The vehicle comes from a road or lane that joins the ego's and forces its way in at the moment the ego "
-        "reaches the place where both join.",
+        "Ramp Merge Rush",
+        "From a slip road or a feeder road that joins, the vehicle ignores the yield sign and arrives where both "
+        "carriageways unite together with the ego.",
         "any",
     ),
     "crossing_right": (

@@ -122,7 +122,7 @@ def _replay(source: Path, out: Path | None, *, force: bool, as_json: bool) -> No
     with staged(target, force=force) as folder:
         with Sandbox() as sandbox, Engine(body) as engine:
             episode = replay_episode(
-                recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal
+                recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
             )
             episode.isolation = sandbox.isolation
         _finish(folder, episode, force=force, as_json=as_json)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Endpoint, Limits, Role, Track
+from sumo_adv.datatypes import Boxes, Endpoint, Limits, Role, Track, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planning.ground import Ground
@@ -25,6 +25,7 @@ from sumo_adv.world.simulation import Pose
 
 PARTED = 90.0  # m between centres: nothing will come of it any more
 LOOK_CLOSER = 9.0  # m between centres: boxes are compared
+CLEAR = 1e-3  # m: further apart along an axis, boxes need no exact test
 CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
 
 AskOne = Callable[[Told], Endpoint | str]  # an endpoint in the world, or a sentence why there is none
@@ -127,10 +128,23 @@ def _apart(drive: Drive, ego: str, bv: str) -> float:
     if apart > LOOK_CLOSER:
         return apart
     a, b = drive.state(ego), drive.state(bv)
+    if _surely_apart(a, b):
+        return apart
     boxes = [
         Boxes(*(np.array(q) for q in (v.x, v.y, v.heading, v.speed)), v.length, v.width) for v in (a, b)
     ]
     return 0.0 if bool(overlaps(boxes[0], boxes[1])) else max(apart, 1e-9)
+
+
+def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
+    """Whether one of a's own axes parts the boxes by ``CLEAR``; the exact test costs six times as much."""
+    dx, dy, c, s = b.x - a.x, b.y - a.y, math.cos(a.heading), math.sin(a.heading)
+    turn = b.heading - a.heading
+    along, across = abs(math.cos(turn)), abs(math.sin(turn))
+    return (
+        abs(c * dx + s * dy) > (a.length + b.length * along + b.width * across) / 2 + CLEAR
+        or abs(c * dy - s * dx) > (a.width + b.length * across + b.width * along) / 2 + CLEAR
+    )
 
 
 def _beyond(drive: Drive, adversary: Adversary, bv: str) -> Track:

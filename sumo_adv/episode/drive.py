@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
@@ -12,6 +12,7 @@ from sumo_adv.world.egos import Pose as EgoPose
 from sumo_adv.world.simulation import Pose, Recording, Simulation, SimulationSpec, Snapshot
 
 EGO_TYPE = "sumo_adv_ego"
+LineAhead = Callable[[VehicleState], Sequence[tuple[float, float]] | None]
 OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
@@ -35,6 +36,7 @@ class Drive:
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str]] = []
         self._playing = False
+        self.line_ahead: LineAhead | None = None
 
     @property
     def now(self) -> float:
@@ -115,7 +117,8 @@ class Drive:
         me = self.state(ego)
         raw = self.snapshot.raw
         near = [n for n, r in raw.items() if n != ego and math.hypot(r[0] - me.x, r[1] - me.y) < OBSERVED]
-        return Observation(self.now, self.recording.step_length, me, tuple(self.state(n) for n in near))
+        line = self.line_ahead(me) if self.line_ahead is not None else None
+        return Observation(self.now, self.recording.step_length, me, tuple(self.state(n) for n in near), path=line)
 
     def replay(self, track: Track) -> None:
         """From now on the ego plays a recorded motion back, if it is one that does; others go on as they are."""

@@ -12,14 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, applies_of
+from sumo_adv.agents.expert import REACHES, Expert, ExpertGenerator, ExpertModifier, applies_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.refine import Refinement, Refiner, succeeded
+from sumo_adv.episode.refine import NOTHING, Refinement, Refiner, succeeded
 from sumo_adv.episode.worker import Found, NotFound, Prefix, Task
-from sumo_adv.errors import BankError, SumoAdvError
+from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.planning.sandbox import Sandbox
@@ -30,6 +30,7 @@ from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import RunInput, first_departure
 from sumo_adv.world.simulation import SimulationSpec
 
+MOST_SKIPS = 6  # encounters passed over for being out of reach
 Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", Found), ("attempt", Attempt), ...
 
 
@@ -49,6 +50,7 @@ class Episode:
     prefix: Prefix | None = None
     lanes: Sequence[Any] = ()
     forked: bool = False
+    skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
     isolation: str = ""
     bank_hash: str = ""
     learnt: bool = False
@@ -109,24 +111,22 @@ def run_episode(
 
 def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> None:
     settings, timing = episode.settings, episode.timing
-    found = seek(episode, engine, tell)
-    if found is None:
-        return
-    began = time.perf_counter()
-    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-    expert = Expert(
-        foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents
-    )
     library = read_library(bank)
-    episode.intents = expert.analyze(found.situations, library)
-    timing["analyzer"] = time.perf_counter() - began
-    if not episode.intents:
+    while True:
+        found = seek(episode, engine, tell)
+        if found is None:
+            return
+        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+        expert, entries = analyze(episode, found, foresight, library, bank)
+        if any(p.score < REACHES for p in expert.pool) or episode.task.trigger is not None:
+            break
+        if episode.skips == MOST_SKIPS:
+            break
+        episode.skips += 1
+    if not expert.pool:
         episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
         return
     tell("intents", episode.intents)
-    entries = retrieve(episode, found.situations[0.0], library, bank)
-    if any(e.source == "generated" for e in entries):
-        expert.analyze(found.situations, entries)
     brain = Brain(engine, sandbox, found, settings.seed)
     refiner = Refiner(
         brain, found, expert, ExpertModifier(make_planner), entries, settings, lambda a: tell("attempt", a)
@@ -135,7 +135,7 @@ def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, t
         refiner.run(episode.intents, episode.refinement)
     finally:
         episode.isolation = sandbox.isolation
-        timing["prediction"] = foresight.seconds
+        timing["prediction"] = timing.get("prediction", 0.0) + foresight.seconds
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in foresight.failures.items())
     episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
@@ -143,37 +143,56 @@ def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, t
     learn(episode, bank, entries)
 
 
+def analyze(
+    episode: Episode, found: Found, foresight: Foresight, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> tuple[Expert, Sequence[LibraryEntry]]:
+    """The intents of an encounter, and the library with what was retrieved or generated for new ones."""
+    began = time.perf_counter()
+    settings = episode.settings
+    expert = Expert(foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents)
+    episode.intents = expert.analyze(found.situations, library)
+    entries = retrieve(episode, found.first, library, bank)
+    if entries != library:
+        expert.analyze(found.situations, entries)
+    episode.timing["analyzer"] = episode.timing.get("analyzer", 0.0) + time.perf_counter() - began
+    return expert, entries
+
+
 def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
     """Start the simulation and go on to an encounter; fills the episode in."""
     began = time.perf_counter()
-    engine.request("open", episode.task)
-    episode.forked = engine.request("forks")
-    episode.timing["start"] = time.perf_counter() - began
-    began = time.perf_counter()
-    found = engine.request("seek")
-    episode.timing["seek"] = time.perf_counter() - began
+    if episode.found is None:
+        engine.request("open", episode.task)
+        episode.forked = engine.request("forks")
+        episode.timing["start"] = time.perf_counter() - began
+        began = time.perf_counter()
+    found = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
+    episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
     if isinstance(found, NotFound):
-        episode.ending, episode.reason = found.ending, found.reason
+        episode.ending, episode.reason, episode.found = found.ending, found.reason, None
         return None
     episode.found, episode.prefix = found, engine.request("prefix")
-    ego = found.situations[0.0].ego
+    ego = found.first.ego
     episode.lanes = engine.request("lanes", ego.x, ego.y, 200.0)
     tell("encounter", found)
     return found
 
 
 def replay_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, proposal: Proposal
+    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, proposal: Proposal, skips: int
 ) -> Episode:
-    """The encounter again, with one given attempt and nothing else: no analyzer, no bank."""
+    """The encounter again, with one given attempt and nothing else: no analyzer, no bank; ``skips`` as recorded."""
     episode = Episode(source, settings, task)
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
-    found = seek(episode, engine, lambda *_: None)
-    if found is None:
-        return episode
+    for _ in range(skips + 1):
+        found = seek(episode, engine, lambda *_: None)
+        if found is None:
+            return episode
+    assert found is not None
+    if proposal.delay not in found.situations:
+        raise UsageError(f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed.")
     result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
-    verdict = result.verdict
-    assert verdict is not None
+    verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, (), result.driven.message)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
@@ -194,17 +213,23 @@ def retrieve(
     episode: Episode, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> list[LibraryEntry]:
     """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner."""
-    entries, known = list(library), {e.label for e in library}
+    entries, known = list(library), {e.label: e for e in library}
     began = time.perf_counter()
     for intent in episode.intents:
-        if bank.retrieve(intent.label, intent.description).hit is not None or intent.label in known:
+        if intent.label in known:
+            continue
+        hit = bank.retrieve(intent.label, intent.description).hit
+        words = applies_of(intent.label)
+        if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
+            entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
+            entries = [entry if e.label == hit else e for e in entries]
+            known[hit] = known[intent.label] = entry
             continue
         planner = ExpertGenerator(make_planner).generate(intent, situation, library)
         if planner is not None:
-            known.add(intent.label)
-            entries.append(
-                LibraryEntry(intent.label, intent.description, applies_of(intent.label), (planner,), "generated")
-            )
+            entry = LibraryEntry(intent.label, intent.description, words, (planner,), "generated")
+            known[intent.label] = entry
+            entries.append(entry)
     episode.timing["retrieval"] = time.perf_counter() - began
     return entries
 

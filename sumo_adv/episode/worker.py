@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, Verdict
+from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, VehicleState, Verdict
 from sumo_adv.episode.attack import Driven, attack
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter
+from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter, ego_path
 from sumo_adv.episode.survey import survey
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.geometry import PATH_STEP
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
@@ -37,6 +38,9 @@ COOL_DOWN = 2.0  # s after an encounter that was passed over
 PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
 ROAD_RADIUS = 260.0  # m around the encounter in which the drivable area is known
 INSERTED_EGO = "ego"
+FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
+MOST_SHIFT = 8.0  # s
+LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: how far a driver is told its lane, and how long that serves
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,11 @@ class Found:
     drivable: Drivable
     sizes: Mapping[str, tuple[float, float]]
 
+    @property
+    def first(self) -> Situation:
+        """The situation of the least delay."""
+        return self.situations[min(self.situations)]
+
 
 @dataclass(frozen=True, slots=True)
 class NotFound:
@@ -96,6 +105,25 @@ class Prefix:
     sizes: Mapping[str, tuple[float, float]]
 
 
+class LaneLine:
+    """The centreline of the ego's lane and route ahead; the same object while it still reaches far enough."""
+
+    def __init__(self, road: RoadMap, drive: Drive) -> None:
+        self._road, self._drive = road, drive
+        self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
+
+    def __call__(self, ego: VehicleState) -> Sequence[tuple[float, float]] | None:
+        """(x, y) every metre from the ego on, None off the road."""
+        if ego.lane != self._lane or math.hypot(ego.x - self._from[0], ego.y - self._from[1]) > LINE_FRESH:
+            path = ego_path(self._road, self._drive)
+            if path is None:
+                return None
+            count = round(LINE_AHEAD / PATH_STEP)
+            self._line = list(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
+            self._lane, self._from = ego.lane, (ego.x, ego.y)
+        return self._line
+
+
 class Worker:
     """Holds one episode's simulation. All public methods are commands of the engine."""
 
@@ -103,6 +131,7 @@ class Worker:
         self._slots = slots
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
         self._road: RoadMap | None = None
+        self._passed: list[str] = []
         self._moved = False  # an attempt ran in place: load and repeat before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -116,6 +145,7 @@ class Worker:
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
+        self._drive.line_ahead = LaneLine(self._road, self._drive)
         self._forks = task.settings.fork and can_fork() and controller.forkable
         self._insert_ego()
 
@@ -123,9 +153,16 @@ class Worker:
         """Whether attempts are forked."""
         return self._forks
 
-    def seek(self) -> Found | NotFound:
-        """Go on until an encounter begins that is harmless unattacked, or until none can come."""
-        passed: list[str] = []
+    def seek(self, passed_over: str = "") -> Found | NotFound:
+        """Go on until an encounter begins that is harmless unattacked, or until none can come.
+
+        ``passed_over``: why the encounter found before is left alone.
+        """
+        passed = self._passed
+        if passed_over:
+            passed.append(f"{self._found.time:.1f} s ({passed_over})")
+            self._at_trigger()
+            self._cool_down()
         while True:
             ranking = self._until_encounter()
             if isinstance(ranking, NotFound):
@@ -139,8 +176,11 @@ class Worker:
             passed.append(f"{self._drive.now:.1f} s ({why})")
             if self._task.trigger is not None:
                 return NotFound(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
-            for _ in range(self._settings.steps(COOL_DOWN)):
-                self._drive.tick()
+            self._cool_down()
+
+    def _cool_down(self) -> None:
+        for _ in range(self._settings.steps(COOL_DOWN)):
+            self._drive.tick()
 
     def prefix(self) -> Prefix:
         """The recording up to the trigger."""
@@ -286,23 +326,31 @@ class Worker:
             return None, why
         self._raw_ego = tracks[drive.ego]
         situations = {}
-        for delay in settings.delays if self._task.trigger is None else (0.0,):
+        for delay in self._delays(ranking, tracks, time):
             situation = survey(
                 self._map, tracks, drive.ego, ranking, time + delay, dt=settings.step_length,
                 horizon=settings.horizon, ego_model=model, route=route,
             )  # fmt: skip
             if situation is not None:
                 situations[delay] = situation
-        if 0.0 not in situations:
+        if not situations:
             return None, "the vehicles near it leave at once"
         order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
-        ego = situations[0.0].ego
+        ego = situations[min(situations)].ego
         drivable = self._map.drivable(ego.x, ego.y, ROAD_RADIUS)
         return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes), ""
 
+    def _delays(self, ranking: Sequence[Candidate], tracks: Mapping[str, Track], time: float) -> list[float]:
+        """Seconds after the trigger at which attacks may begin: later where the ways meet only far ahead."""
+        ego = tracks[str(self._drive.ego)].between(time, math.inf)
+        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))])
+        soonest = min((_meeting_time(c, travelled, self._settings.step_length) for c in ranking), default=0.0)
+        shift = min(max(0.0, math.floor(soonest - FORESEEN)), MOST_SHIFT)
+        return [shift + d for d in self._settings.delays]
+
     def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive, settings = self._drive, self._settings
-        for _ in range(settings.steps(settings.duration + max(settings.delays))):
+        for _ in range(settings.steps(settings.duration + max(settings.delays) + MOST_SHIFT)):
             drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
 
@@ -377,8 +425,16 @@ class Worker:
             adversary = _joined(adversary, driven.beyond)
         return judge(
             ego, adversary, others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits, on_road=self._found.drivable,
-            lane_half_width=self._found.situations[0.0].lane_width / 2,
+            lane_half_width=self._found.first.lane_width / 2,
         )  # fmt: skip
+
+
+def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
+    """When the unattacked ego is where it can meet a candidate [s]: at once in its own lanes, else at the conflict."""
+    if candidate.relation not in ("crossing", "merging"):
+        return 0.0
+    stations = [w.conflict.ego_s for w in candidate.ways if w.conflict is not None]
+    return float(min(np.searchsorted(travelled, s) * dt for s in stations)) if stations else 0.0
 
 
 def _copied(files: Sequence[Path], folder: Path) -> list[Path]:

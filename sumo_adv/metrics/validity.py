@@ -173,7 +173,8 @@ def judge(
     lowest = int(np.argmin(times))
     any_ttc = _least_ttc(e, others)
     threat = drac(e.ego, foe)[0, e.trigger :]
-    gates = failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=stop, start=trigger_time)
+    driven = trigger_time + e.dt / 2  # the state at the trigger is SUMO's own still
+    gates = failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven)
     hazard, _ = _hazard(e, lane_half_width)
     from_behind = e.contact_time is not None and rear_end(ego, adversary, e.contact_time)
     avoidable = _avoidable(e, hazard, on_road, others) if collided else None

@@ -56,7 +56,7 @@ class Ground:
         w = u - i
         s0, d0, h0 = self._ego[row, :, i].T
         s1, d1, _ = self._ego[row, :, i + 1].T
-        h = h0 + np.arctan2(motion.dd, np.maximum(motion.v, 0.3))
+        h = h0 + np.arcsin(motion.slope)
         near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)

@@ -33,7 +33,7 @@ JERK_RESERVE = 0.92  # share of the jerk limit that is used
 class Scalar:
     """Operations on floats."""
 
-    minimum, maximum, sqrt, arctan2 = min, max, math.sqrt, math.atan2
+    minimum, maximum, sqrt, arcsin = min, max, math.sqrt, math.asin
     cos, sin = math.cos, math.sin
 
     @staticmethod
@@ -53,7 +53,7 @@ class Scalar:
 class Batch:
     """The same operations on arrays."""
 
-    minimum, maximum, sqrt, arctan2 = np.minimum, np.maximum, np.sqrt, np.arctan2
+    minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
     where, any_ = staticmethod(np.where), staticmethod(np.any)
     samples: Sequence[Any] = (np.array(SAMPLES)[:, None],)  # all at once
@@ -68,7 +68,7 @@ class Motion(NamedTuple):
     """A driven vehicle along its path. Floats or arrays ``(n,)``.
 
     s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
-    clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
+    slope: sine of the angle between its heading and the path's; clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
     """
 
     s: Any
@@ -77,6 +77,7 @@ class Motion(NamedTuple):
     ddd: Any
     v: Any
     a: Any
+    slope: Any
     clock: Any
     span: Any
     c: tuple[Any, ...]
@@ -115,10 +116,11 @@ class PathRow:
         e = 1.0 - w
         return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
 
-    def bend_speed(self, s: float) -> float:
-        """The speed at which the path can be taken there [m/s]."""
+    def bend_speed(self, s: float, d: float) -> float:
+        """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
         i = int(s / PATH_STEP)
-        return self._table[i if 0 <= i < self._last else (0 if i < 0 else self._last)][4]
+        row = self._table[i if 0 <= i < self._last else (0 if i < 0 else self._last)]
+        return row[4] * math.sqrt(max(1.0 - row[3] * d, 0.2))
 
 
 class PathRows:
@@ -149,16 +151,18 @@ class PathRows:
         over = s - u * PATH_STEP
         return x + over * np.cos(h), y + over * np.sin(h), h, np.where(over == 0.0, k, 0.0)
 
-    def bend_speed(self, s: Any) -> Any:
-        """The speed at which the path can be taken there [m/s]."""
+    def bend_speed(self, s: Any, d: Any) -> Any:
+        """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
         i = np.clip((s / PATH_STEP).astype(np.intp), 0, self.last[self.row])
-        return self.table[self.row, 4, i]
+        curvature, speed = self.table[self.row, 3:5, i].T
+        return speed * np.sqrt(np.maximum(1.0 - curvature * d, 0.2))
 
 
 def start(m: Any, s: Any, d: Any, dd: Any, v: Any, a: Any) -> Motion:
     """A motion that keeps its offset after the lateral speed ``dd`` [m/s] it comes with has died away."""
     zero = v * 0.0
-    still = Motion(s, d, dd, zero, v, a, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
+    slope = dd / m.maximum(v, 1.0)
+    still = Motion(s, d, dd, zero, v, a, slope, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
     return bend(m, still, d, zero + 1.5, zero)
 
 
@@ -231,10 +235,11 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     s, v, a = motion.s, motion.v, motion.a
     jerk = limits.jerk * JERK_RESERVE
     time = m.maximum(goal.time, LEAST_TIME)
-    want = 6.0 * (goal.s - s) / (time * time) - (4.0 * v + 2.0 * goal.v) / time
+    left = goal.s - s + goal.v * (time - goal.time)  # nearer than LEAST_TIME, or past: the goal goes on at its speed
+    want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
     for t in LOOK_AHEAD:
         ahead = m.maximum(v * t, 0.5)
-        fastest = road.bend_speed(s + ahead)
+        fastest = road.bend_speed(s + ahead, motion.d)
         bound = (fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0)
         want = m.minimum(want, bound)
     room = cap - v
@@ -247,24 +252,24 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     a = m.minimum(m.maximum(want, a - jerk * dt), a + jerk * dt)
     faster = m.maximum(v + a * dt, 0.0)
     a = (faster - v) / dt
-    clock, d, dd, ddd = _sideways(m, motion, faster, dt)
+    clock, d, dd, ddd, slope = _sideways(m, motion, faster, dt)
     along = m.sqrt(m.maximum(faster * faster - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
-    return motion._replace(s=s + along * dt, d=d, dd=dd, ddd=ddd, v=faster, a=a, clock=clock)
+    return motion._replace(s=s + along * dt, d=d, dd=dd, ddd=ddd, v=faster, a=a, slope=slope, clock=clock)
 
 
-def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any]:
-    """Clock, offset and its two time derivatives after ``dt``."""
+def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
+    """Clock, offset, its two time derivatives and the slope after ``dt``; the slope stays where the vehicle stops."""
     rate = m.minimum(v / FULL_CLOCK_SPEED, 1.0)
     clock = m.minimum(motion.clock + rate * dt, motion.span)
     u, c, span = clock / motion.span, motion.c, motion.span
     d = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
     d1 = (c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))) / span
     d2 = (2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))) / (span * span)
-    return clock, d, d1 * rate, d2 * rate * rate
+    slope = m.minimum(m.maximum(d1 / m.maximum(v, FULL_CLOCK_SPEED), -0.8), 0.8)
+    return clock, d, d1 * rate, d2 * rate * rate, slope
 
 
 def pose(m: Any, motion: Motion, road: Any) -> tuple[Any, Any, Any]:
     """x, y [m] and heading [rad] of a motion's box centre."""
     x, y, h, _ = road.at(motion.s)
-    along = m.sqrt(m.maximum(motion.v * motion.v - motion.dd * motion.dd, 1e-4))
-    return x - motion.d * m.sin(h), y + motion.d * m.cos(h), h + m.arctan2(motion.dd, along)
+    return x - motion.d * m.sin(h), y + motion.d * m.cos(h), h + m.arcsin(motion.slope)

@@ -100,7 +100,8 @@ def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
     names = {}
     for file in (spec.network, *spec.routes, *spec.additional):
         data = file.read_bytes()
-        names[file] = f"{hashlib.sha256(data).hexdigest()[:12]}-{file.name}"
+        content = hashlib.sha256(data).hexdigest()[:12]
+        names[file] = f"{content}-{file.name.removeprefix(f'{content}-')}"  # a replay copies copies
         (folder / names[file]).write_bytes(data)
     return names
 

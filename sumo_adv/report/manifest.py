@@ -26,6 +26,7 @@ class Recorded:
     settings: Settings
     task: Task
     proposal: Proposal
+    skips: int  # encounters passed over for being out of reach
 
 
 def read_manifest(folder: Path) -> Recorded:
@@ -68,7 +69,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
     proposal = Proposal(a["bv"], a["label"], planner, a["parameters"], a["acceleration"], a["delay"], a["by"])
     source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
-    return Recorded(source, settings, task, proposal)
+    return Recorded(source, settings, task, proposal, m["skips"])
 
 
 def _copy(folder: Path, name: str) -> Path:

@@ -106,10 +106,11 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -
             command, arguments = control.recv()
         except EOFError:
             return
+        said = Path(log).stat().st_size
         try:
             reply = ("value", handlers[command](*arguments))
         except SumoAdvError as error:
-            reply = ("error", _with_words(error, log))
+            reply = ("error", _with_words(error, log, said))
         except Exception as error:
             reply = ("error", SimulationError(f"The simulation failed ({type(error).__name__}: {error})."))
             import traceback
@@ -118,9 +119,10 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -
         control.send(reply)
 
 
-def _with_words(error: SumoAdvError, log: str) -> SumoAdvError:
-    """SUMO says what is wrong on stderr only: put its last error into the sentence."""
-    said = [line[7:] for line in Path(log).read_text(errors="replace").splitlines() if line.startswith("Error: ")]
+def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
+    """SUMO says what is wrong on stderr only: put its last error since byte ``start`` into the sentence."""
+    words = Path(log).read_bytes()[start:].decode(errors="replace")
+    said = [line[7:] for line in words.splitlines() if line.startswith("Error: ")]
     if isinstance(error, SimulationError) and said and said[-1] not in str(error):
         return SimulationError(f"{str(error).rstrip('.')}: {said[-1].strip()[:300]}")
     return error
@@ -156,15 +158,18 @@ def in_forks(works: Sequence[Callable[[], Any]]) -> list[Any]:
 
 
 def _child(work: Callable[[], Any], outlet: int) -> None:
+    """Never returns: whatever goes wrong, a fork must not go on as a second engine."""
     try:
-        value: Any = ("value", work())
-    except SumoAdvError as error:
-        value = ("error", error)
-    except BaseException as error:
-        value = ("error", SimulationError(f"An attempt failed ({type(error).__name__}: {error})."))
-    with os.fdopen(outlet, "wb") as pipe:
-        pickle.dump(value, pipe, protocol=pickle.HIGHEST_PROTOCOL)
-    os._exit(0)
+        try:
+            data = pickle.dumps(("value", work()), protocol=pickle.HIGHEST_PROTOCOL)
+        except SumoAdvError as error:
+            data = pickle.dumps(("error", error))
+        except BaseException as error:
+            data = pickle.dumps(("error", SimulationError(f"An attempt failed ({type(error).__name__}: {error}).")))
+        with os.fdopen(outlet, "wb") as pipe:
+            pipe.write(data)
+    finally:
+        os._exit(0)
 
 
 def _result(data: bytes) -> Any:

@@ -26,6 +26,7 @@ BASE_FLAGS = (
 )  # fmt: skip
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
+HARD_BRAKING_MODE = 27  # SUMO's safe speed holds, its comfortable deceleration does not (mode 31 clips at 4.5 m/s2)
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
 
@@ -91,12 +92,12 @@ class Fleet:
 
 
 class Simulation:
-    """Holds the only libsumo of this process. Use :func:`start`; a second one at the same time is refused."""
+    """Holds the only libsumo of this process; a second one at the same time is refused."""
 
-    _running = False
+    _running: Simulation | None = None
 
     def __init__(self, spec: SimulationSpec) -> None:
-        if Simulation._running:
+        if Simulation._running is not None:
             raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
         import libsumo
 
@@ -107,8 +108,8 @@ class Simulation:
         try:
             libsumo.start(["sumo", *spec.arguments()])
         except libsumo.TraCIException as error:
-            raise SimulationError(f"SUMO refused to start ({error}).") from error
-        Simulation._running = True
+            raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
+        Simulation._running = self
         self._list = libsumo.vehicle.getIDList
         self._position = libsumo.vehicle.getPosition
         self._angle = libsumo.vehicle.getAngle
@@ -125,8 +126,8 @@ class Simulation:
 
     def close(self) -> None:
         """End the simulation; the process may start another."""
-        if Simulation._running:
-            Simulation._running = False
+        if Simulation._running is self:
+            Simulation._running = None
             self._sumo.close()
 
     # -- reading ------------------------------------------------------------------------------------------------
@@ -144,8 +145,8 @@ class Simulation:
         """
         try:
             self._sumo.simulationStep()
-        except self._sumo.TraCIException as error:
-            raise SimulationError(f"SUMO failed at {self.time:.1f} s ({error}).") from error
+        except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
+            raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def read(self) -> Snapshot:
         """The present states of all vehicles."""
@@ -154,11 +155,15 @@ class Simulation:
         raw: dict[str, RawState] = {}
         for v in self._list():
             if v not in sizes:
-                sizes[v] = (self._sumo.vehicle.getLength(v), self._sumo.vehicle.getWidth(v))
+                self._measure(v)
             x, y = position(v)
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         return Snapshot(self.time, raw)
+
+    def _measure(self, vehicle: str) -> None:
+        """Ask for a vehicle's size."""
+        self.fleet.sizes[vehicle] = (self._sumo.vehicle.getLength(vehicle), self._sumo.vehicle.getWidth(vehicle))
 
     def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
         """One vehicle of a snapshot as a box (KeyError if it is not there)."""
@@ -208,9 +213,11 @@ class Simulation:
         """
         vehicle = self._sumo.vehicle
         for name, pose in poses.items():
-            ahead = self.fleet.sizes[name][0] / 2
-            x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
             try:
+                if name not in self.fleet.sizes:
+                    self._measure(name)
+                ahead = self.fleet.sizes[name][0] / 2
+                x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, FREE_SPEED_MODE)
                 vehicle.setSpeed(name, pose.speed)
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE)
@@ -218,8 +225,8 @@ class Simulation:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
-        """Hold a speed [m/s] whatever SUMO's driver thinks; None gives the speed back to SUMO."""
-        self._sumo.vehicle.setSpeedMode(vehicle, SUMO_SPEED_MODE if speed is None else FREE_SPEED_MODE)
+        """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO."""
+        self._sumo.vehicle.setSpeedMode(vehicle, SUMO_SPEED_MODE if speed is None else HARD_BRAKING_MODE)
         self._sumo.vehicle.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
 
     def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
@@ -292,13 +299,14 @@ def tracks_of(
 def _track(
     name: str, rows: list[tuple[float, RawState]], size: tuple[float, float], role: Role, step_length: float
 ) -> Track:
-    numbers = np.array([(t, *raw[:4]) for t, raw in rows])
-    time, x, y, angle_deg, speed = numbers.T
+    times, states = zip(*rows, strict=True)
+    *columns, lane = zip(*states, strict=True)
+    time, x, y, angle_deg, speed = (np.array(c) for c in (times, *columns))
     heading = wrap_all(np.radians(90.0 - angle_deg))
     back = size[0] / 2
     acceleration = np.zeros(len(time))
     acceleration[1:] = np.diff(speed) / step_length
     return Track(
         name, role, time, x - back * np.cos(heading), y - back * np.sin(heading), heading, speed, acceleration,
-        size[0], size[1], tuple(raw[4] for _, raw in rows),
+        size[0], size[1], lane,
     )  # fmt: skip

@@ -1,0 +1,203 @@
+"""Runs of the real program for the tests of the command line, what they leave behind, and banks to run them with."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import IntentRecord
+from sumo_adv.planning.source import make_planner
+
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
+PATIENCE = 180.0  # s: no run of the tests takes a tenth of it
+
+LEADER = ("run", "leader_two_lanes", "--until", "valid", "--attempts", "8")
+CUT_IN = ("run", "motorway_cut_in_left", "--attempts", "1", "--json")
+SAMPLES: Mapping[str, Sequence[str]] = {
+    "first": (*LEADER, "--json"),
+    "again": LEADER,
+    "loaded": (*LEADER, "--json", "--no-fork"),
+    "other seed": (*LEADER, "--json", "--seed", "1"),
+    "calm": (*CUT_IN, "--ego", "ego_samples:CalmEgo"),
+    "braking": (*CUT_IN, "--ego", "ego_samples:BrakingEgo"),
+    "nothing": ("run", "straight_3lane", "--density", "1", "--end", "20", "--json"),
+    "krauss": ("run", "neighbour_ahead_left", "--ego", "krauss", "--json"),
+    "eidm": ("run", "follower_with_free_lane", "--ego", "eidm", "--attempts", "3", "--json"),
+    "replay": ("run", "motorway_cut_in_right", "--ego", "replay", "--attempts", "3", "--json"),
+    "careful": ("run", "oncoming_country_road", "--ego", "careful", "--attempts", "3", "--json"),
+    "idm": ("run", "neighbour_behind_left", "--ego", "idm", "--attempts", "3", "--json"),
+}
+"""Arguments by name; each gets its own home and ``--out out``."""
+
+
+@dataclass(frozen=True)
+class Done:
+    """A program that has ended."""
+
+    status: int
+    out: str
+    err: str
+    folder: Path
+
+    @property
+    def outcome(self) -> dict[str, Any]:
+        """``outcome.json`` of the run."""
+        return dict(json.loads((self.folder / "outcome.json").read_text(encoding="utf-8")))
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """``manifest.json`` of the run."""
+        return dict(json.loads((self.folder / "manifest.json").read_text(encoding="utf-8")))
+
+
+class Program:
+    """``python -m sumo_adv`` in ``folder``, with its home and its temporary files in there."""
+
+    def __init__(self, folder: Path, caches: Path) -> None:
+        self.folder = folder
+        self.temporary = folder / "temporary"
+        self.home = folder / "home"
+        self._caches = caches
+        for made in (self.temporary, self.home):
+            made.mkdir(parents=True, exist_ok=True)
+
+    def environment(self) -> dict[str, str]:
+        """Nothing of the tester's own settings, bank or home."""
+        kept = {k: v for k, v in os.environ.items() if not k.startswith(("SUMO_ADV_", "XDG_", "MPL"))}
+        return {
+            **kept, "HOME": str(self.home), "XDG_DATA_HOME": str(self.home / "data"), "MPLCONFIGDIR": str(self._caches),
+            "TMPDIR": str(self.temporary), "PYTHONPATH": os.pathsep.join((str(ROOT), str(TESTS))), "NO_COLOR": "1",
+        }  # fmt: skip
+
+    def start(self, *arguments: str | Path, before: Sequence[str] = (), **options: Any) -> subprocess.Popen[str]:
+        """A process (and a process group) of its own; ``before`` is put in front of the command."""
+        command = [*before, sys.executable, "-m", "sumo_adv", *map(str, arguments)]
+        return subprocess.Popen(
+            command, cwd=self.folder, env=self.environment(), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True, start_new_session=True,
+            **{"preexec_fn": let_interrupt, **options},
+        )  # fmt: skip
+
+    def __call__(self, *arguments: str | Path, **options: Any) -> Done:
+        """Run to the end; a run's files are expected in ``out``."""
+        with self.start(*arguments, **options) as process:
+            try:
+                out, err = process.communicate(timeout=PATIENCE)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                raise
+        return Done(process.returncode, out, err, self.folder / "out")
+
+    def leftovers(self) -> list[str]:
+        """What lies in the folder besides the home and the temporary folder, and what lies in the latter."""
+        own = sorted(p.name for p in self.folder.iterdir() if p not in (self.home, self.temporary))
+        return own + sorted(f"temporary/{p.name}" for p in self.temporary.iterdir())
+
+
+def let_interrupt() -> None:
+    """In the child, before it starts: Ctrl-C is not ignored, as it is in a shell's background jobs."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+class Runs:
+    """``runs["first"]``: the sample of that name, waited for. The first question starts all of them, a few at once."""
+
+    def __init__(self, folder: Path, caches: Path, at_once: int) -> None:
+        self._folder, self._caches = folder, caches
+        self._pool = ThreadPoolExecutor(at_once)
+        self._runs: dict[str, Future[Done]] = {}
+
+    def __getitem__(self, name: str) -> Done:
+        if not self._runs:
+            self._runs = {each: self._pool.submit(self._run, each) for each in SAMPLES}
+        return self._runs[name].result()
+
+    def _run(self, name: str) -> Done:
+        folder = self._folder / name.replace(" ", "_")
+        return Program(folder, self._caches)(*SAMPLES[name], "--out", "out")
+
+    def close(self) -> None:
+        """Drop what nobody asked for."""
+        self._pool.shutdown(cancel_futures=True)
+
+
+# -- what runs leave behind --------------------------------------------------------------------------------------------
+
+RUN_FILES = {"outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "encounter.png", "inputs"}
+States = dict[str, dict[float, dict[str, str]]]
+
+
+def read_states(file: Path) -> States:
+    """A table of states as vehicle -> time [s] -> row."""
+    found: States = {}
+    with gzip.open(file, "rt", newline="", encoding="utf-8") as text:
+        for row in csv.DictReader(text):
+            found.setdefault(row["id"], {})[float(row["time"])] = row
+    return found
+
+
+def position(row: Mapping[str, str]) -> tuple[float, float]:
+    """x, y [m]."""
+    return float(row["x"]), float(row["y"])
+
+
+def moves(row: Mapping[str, str]) -> tuple[str, ...]:
+    """All of a row but the role."""
+    return tuple(value for key, value in row.items() if key != "role")
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    """All files below a folder."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def untimed(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """An outcome without what the clock says."""
+    return {k: v for k, v in outcome.items() if k != "timing"}
+
+
+# -- banks -------------------------------------------------------------------------------------------------------------
+
+HEAD = """\
+PARAMETERS = {"gap": (3.0, 1.0, 9.0, "m", "how far ahead of where the ego will be")}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+"""
+TRAIL = (
+    HEAD
+    + """\
+    pose = at(ego["path"], 3.0)
+    x, y = offset(pose, bv["ahead"] + parameters["gap"], bv["left"])
+    return {"x": x, "y": y, "heading": pose[2], "speed": pose[3], "time": 3.0}
+"""
+)
+BAD_PLANNERS: Mapping[str, str] = {
+    "loops": HEAD + "    while True:\n        pass\n",
+    "allocates": HEAD + "    return [0] * 10**9\n",
+    "not a number": HEAD + '    return {"x": float("nan"), "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 2.0}\n',
+    "teleports": HEAD + '    return {"x": 1e4, "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 0.2}\n',
+    "another type": HEAD + '    return "over there"\n',
+    "raises": HEAD + "    return 1 / 0\n",
+}
+"""Planners by what is wrong with them. TRAIL has nothing wrong with it, but it only drives beside the ego."""
+
+
+def bank_with(path: Path, source: str) -> Path:
+    """A bank whose only planner is ``source``."""
+    intent = IntentRecord("Odd Driving", "A vehicle near the ego drives in an odd way.", ("neighbour", "leader"))
+    with MemoryBank.open(path) as bank:
+        bank.add(intent, [make_planner(intent.label, "odd", source, "person")])
+    return path

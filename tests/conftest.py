@@ -1,0 +1,40 @@
+"""The program as a user has it: a process of its own in a folder of its own, with a home that nobody has used."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cli_samples import ROOT, Program, Runs
+
+
+@pytest.fixture(scope="session")
+def caches() -> Iterator[Path]:
+    """What matplotlib keeps for a user; shared, because building it takes a second."""
+    folder = Path(tempfile.mkdtemp(prefix="sumo_adv-tests-"))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture
+def program(tmp_path: Path, caches: Path) -> Program:
+    """The program in an empty folder."""
+    return Program(tmp_path, caches)
+
+
+@pytest.fixture(scope="session")
+def runs(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Runs]:
+    """The runs of ``cli_samples``, each done once for all tests, as many at a time as there are processors."""
+    shared = Runs(tmp_path_factory.mktemp("runs"), caches, at_once=min(4, os.cpu_count() or 1))
+    yield shared
+    shared.close()
+
+
+@pytest.fixture(scope="session")
+def networks() -> Path:
+    """The shipped networks."""
+    return ROOT / "networks"

@@ -1,0 +1,116 @@
+"""What the engine process of the tests does; importable by name, as a spawned process needs it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import Any
+
+from sumo_samples import over_the_line
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.world.engine import in_forks
+from sumo_adv.world.simulation import Simulation, SimulationSpec, Snapshot
+
+
+class Errands:
+    """Commands that go well and commands that go wrong."""
+
+    def __init__(self, slots: list[Connection]) -> None:
+        self.slots = slots
+
+    def add(self, a: int, b: int) -> int:
+        return a + b
+
+    def ask(self, questions: list[Any]) -> list[Any]:
+        """The front's answers, one after the other, through the first slot."""
+        answers = []
+        for question in questions:
+            self.slots[0].send(question)
+            answers.append(self.slots[0].recv())
+        return answers
+
+    def ask_in_forks(self) -> list[Any]:
+        """Each fork asks with its process id through its own slot."""
+
+        def work(slot: Connection) -> Any:
+            slot.send(os.getpid())
+            return slot.recv()
+
+        return in_forks([partial(work, slot) for slot in self.slots])
+
+    def wrong_use(self) -> None:
+        raise UsageError("The input is wrong; give another.")
+
+    def complain(self, words: str, failure: str) -> None:
+        """Say something on stderr as SUMO does, and fail."""
+        if words:
+            os.write(2, f"Error: {words}\n".encode())
+        raise SimulationError(failure)
+
+    def bug(self) -> None:
+        raise ZeroDivisionError("one by none")
+
+    def squares(self, numbers: list[int]) -> list[int]:
+        return list(in_forks([partial(pow, n, 2) for n in numbers]))
+
+    def fork_that(self, what: str) -> list[Any]:
+        """One fork that does well and one that fails in the way named."""
+        failures: dict[str, Callable[[], Any]] = {
+            "divides": lambda: 1 // 0,
+            "refuses": self.wrong_use,
+            "dies": lambda: os.kill(os.getpid(), signal.SIGKILL),
+            "cannot_be_sent": lambda: lambda: 0,
+            "exits": lambda: os._exit(3),
+        }
+        return in_forks([lambda: 1, failures[what]])
+
+    def simulate(self, spec: SimulationSpec) -> float:
+        """Start SUMO, take one step, stop."""
+        simulation = Simulation(spec)
+        try:
+            simulation.step()
+            return simulation.time
+        finally:
+            simulation.close()
+
+    def branches(self, spec: SimulationSpec) -> list[list[Snapshot]]:
+        """30 steps of an attack from step 20 on: two forks at once, in place, and in place after loading again."""
+        simulation = Simulation(spec)
+
+        def attack() -> list[Snapshot]:
+            seen = []
+            for k in range(30):
+                simulation.inject({"leader": over_the_line(k)})
+                simulation.step()
+                seen.append(simulation.read())
+            return seen
+
+        def until_trigger() -> None:
+            for _ in range(20):
+                simulation.step()
+                simulation.read()
+
+        until_trigger()
+        runs = [*in_forks([attack, attack]), attack()]
+        simulation.reload()
+        until_trigger()
+        runs.append(attack())
+        simulation.close()
+        return runs
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The commands."""
+    errands = Errands(slots)
+    commands: dict[str, Callable[..., Any]] = {n: getattr(errands, n) for n in dir(errands) if not n.startswith("_")}
+    return {**commands, "pid": os.getpid, "sleep": time.sleep, "die": lambda: os.kill(os.getpid(), signal.SIGKILL)}
+
+
+def broken_body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """A process that cannot be set up."""
+    raise UsageError("Nothing works here.")

@@ -1,0 +1,39 @@
+"""Small SUMO inputs for tests: vehicles written by hand on the shipped networks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+from sumo_adv.world.inputs import data_folder
+from sumo_adv.world.simulation import Pose, SimulationSpec
+
+TYPES = """
+  <vType id="calm" vClass="passenger" carFollowModel="Krauss" sigma="0" tau="1" length="5" width="2" maxSpeed="40"
+    lcSpeedGain="0" lcKeepRight="0" lcStrategic="0" lcCooperative="0"/>
+  <vType id="nervous" vClass="passenger" carFollowModel="Krauss" sigma="0.9" tau="1" length="4.6" width="1.8"/>
+"""
+
+
+def vehicle(name: str, edges: str, lane: int, position: float, speed: float, kind: str = "calm") -> str:
+    """A vehicle whose front bumper is at ``position`` [m] of a lane at time 0."""
+    return (
+        f'<vehicle id="{name}" type="{kind}" depart="0" departLane="{lane}" departPos="{position}" '
+        f'departSpeed="{speed}"><route edges="{edges}"/></vehicle>'
+    )
+
+
+def make_spec(folder: Path, network: str, vehicles: Iterable[str], seed: int = 1) -> SimulationSpec:
+    """A demand file in ``folder`` and what SUMO is to be started with."""
+    routes = folder / f"{network}.rou.xml"
+    routes.write_text(f"<routes>{TYPES}{''.join(vehicles)}</routes>")
+    return SimulationSpec(data_folder("networks") / f"{network}.net.xml", (routes,), (), 0.0, seed)
+
+
+def over_the_line(k: int, start: float = 120.0) -> Pose:
+    """From the right lane of ``straight_3lane`` (y = -3.2) into the middle one in 3 s at 12 m/s, step ``k`` of 0.1 s."""
+    share = min(k / 30.0, 1.0)
+    y = -3.2 + 1.6 * (1.0 - math.cos(math.pi * share))
+    slope = 1.6 * math.pi / 36.0 * math.sin(math.pi * share)
+    return Pose(start + 1.2 * k, y, math.atan(slope), 12.0)

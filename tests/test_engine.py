@@ -1,0 +1,198 @@
+"""The engine process: what it answers, how it fails, and that nothing is left of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from engine_samples import body, broken_body
+from sumo_samples import make_spec, vehicle
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.world.engine import Engine, can_fork
+from sumo_adv.world.simulation import SimulationSpec
+
+needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
+
+
+@pytest.fixture(scope="module")
+def engine() -> Iterator[Engine]:
+    """One engine for all stories that leave it alive."""
+    with Engine(body) as shared:
+        yield shared
+
+
+def alive(pid: int) -> bool:
+    """Whether a process is there and not just waiting to be collected."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def gone(pid: int, patience: float = 3.0) -> bool:
+    """Whether a process has ended within ``patience`` seconds."""
+    end = time.monotonic() + patience
+    while alive(pid) and time.monotonic() < end:
+        time.sleep(0.02)
+    return not alive(pid)
+
+
+# ---- commands and questions
+
+
+def test_commands_are_done_in_another_process(engine: Engine) -> None:
+    assert engine.request("add", 2, 3) == 5
+    assert engine.request("pid") != os.getpid()
+
+
+def test_the_front_answers_while_it_waits(engine: Engine) -> None:
+    assert engine.request("ask", [3, 4], answer=lambda q: q * q) == [9, 16]
+    assert engine.request("ask", [3]) == [None]  # nobody to ask
+
+
+@needs_fork
+def test_two_forks_ask_through_slots_of_their_own(engine: Engine) -> None:
+    asked: list[int] = []
+
+    def answer(pid: int) -> int:
+        asked.append(pid)
+        return -pid
+
+    answers = engine.request("ask_in_forks", answer=answer)
+    assert sorted(answers) == sorted(-pid for pid in asked)
+    assert len({*asked, engine.request("pid")}) == 3
+
+
+def test_errors_of_ours_come_through_and_others_are_named(engine: Engine) -> None:
+    with pytest.raises(UsageError, match=r"^The input is wrong; give another\.$"):
+        engine.request("wrong_use")
+    with pytest.raises(SimulationError, match=r"^The simulation failed \(ZeroDivisionError: one by none\)\.$"):
+        engine.request("bug")
+    assert engine.request("add", 1, 1) == 2
+
+
+# ---- forks
+
+
+@needs_fork
+def test_forks_give_their_results_in_order(engine: Engine) -> None:
+    assert engine.request("squares", [3, 4, 5]) == [9, 16, 25]
+
+
+@needs_fork
+@pytest.mark.parametrize(
+    ("what", "kind", "sentence"),
+    [
+        ("divides", SimulationError, r"An attempt failed \(ZeroDivisionError: .*\)\."),
+        ("refuses", UsageError, "The input is wrong; give another."),
+        ("dies", SimulationError, "A forked attempt died without a word."),
+        ("exits", SimulationError, "A forked attempt died without a word."),
+        ("cannot_be_sent", SimulationError, r"An attempt failed \(.*pickle.*\)\."),
+    ],
+)
+def test_a_fork_that_fails_is_an_error_and_the_engine_goes_on(
+    engine: Engine, what: str, kind: type[Exception], sentence: str
+) -> None:
+    with pytest.raises(kind, match=sentence):
+        engine.request("fork_that", what)
+    assert engine.request("add", 2, 2) == 4
+
+
+@needs_fork
+def test_forks_run_as_the_process_itself_would(engine: Engine, tmp_path: Path) -> None:
+    cars = [vehicle(f"car{k}", "eastbound", k % 3, 40.0 + 9.0 * k, 12.0, "nervous") for k in range(8)]
+    spec = make_spec(tmp_path, "straight_3lane", [*cars, vehicle("leader", "eastbound", 0, 125.0, 12.0)])
+    first, second, in_place, again = engine.request("branches", spec)
+    assert len(first) == 30
+    assert first == second
+    assert first == in_place
+    assert first == again
+
+
+# ---- SUMO's own words
+
+
+def test_sumo_says_what_is_wrong_with_an_input(engine: Engine, tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, "straight_3lane", [vehicle("ego", "nowhere", 0, 10.0, 5.0)])
+    with pytest.raises(
+        SimulationError, match=r"The edge 'nowhere' within the route for vehicle 'ego' is not known\. The"
+    ):
+        engine.request("simulate", spec)
+    missing = SimulationSpec(tmp_path / "missing.net.xml", (), (), 0.0, 1)
+    with pytest.raises(SimulationError, match=r"missing\.net\.xml"):
+        engine.request("simulate", missing)
+
+
+def test_words_on_stderr_end_up_in_the_sentence_of_their_own_failure_alone(engine: Engine) -> None:
+    with pytest.raises(SimulationError, match=r"^SUMO failed: The wheel came off$"):
+        engine.request("complain", "The wheel came off", "SUMO failed.")
+    with pytest.raises(SimulationError, match=r"^No fuel\.$"):
+        engine.request("complain", "", "No fuel.")
+
+
+# ---- ends
+
+
+def test_a_killed_engine_is_one_sentence_and_leaves_no_process() -> None:
+    with Engine(body) as engine:
+        pid = engine.request("pid")
+        assert alive(pid)
+        with pytest.raises(SimulationError, match=r"^The simulation process ended unexpectedly.*\.$"):
+            engine.request("die")
+        with pytest.raises(SimulationError, match="ended unexpectedly"):
+            engine.request("add", 1, 1)
+    assert gone(pid, 0.1)
+
+
+def test_an_engine_that_cannot_be_set_up_says_why() -> None:
+    with Engine(broken_body) as engine, pytest.raises(SimulationError, match="Nothing works here"):
+        engine.request("add", 1, 1)
+
+
+@needs_fork
+def test_a_front_that_gives_up_leaves_neither_engine_nor_forks() -> None:
+    asked: list[int] = []
+
+    def interrupted(pid: int) -> None:
+        asked.append(pid)
+        raise KeyboardInterrupt
+
+    engine = Engine(body)
+    pid = engine.request("pid")
+    with pytest.raises(KeyboardInterrupt):
+        engine.request("ask_in_forks", answer=interrupted)
+    engine.close()
+    assert gone(pid, 0.1)
+    assert all(gone(child) for child in asked)
+
+
+@needs_fork
+def test_forks_of_a_killed_engine_do_not_take_its_place() -> None:
+    asked: list[int] = []
+    with Engine(body) as engine:
+        pid = engine.request("pid")
+
+        def kill_the_engine(child: int) -> None:
+            asked.append(child)
+            if alive(pid):
+                os.kill(pid, signal.SIGKILL)
+
+        with pytest.raises(SimulationError, match="ended unexpectedly"):
+            engine.request("ask_in_forks", answer=kill_the_engine)
+    assert gone(pid, 0.1)
+    assert all(gone(child) for child in asked)
+
+
+def test_a_busy_engine_is_ended_too() -> None:
+    engine = Engine(body)
+    pid = engine.request("pid")
+    engine._control.send(("sleep", (60.0,)))
+    start = time.monotonic()
+    engine.close()
+    assert time.monotonic() - start < 4.0
+    assert gone(pid, 0.1)

@@ -1,0 +1,160 @@
+"""What the ego will do: its profile, its driver, when it is at a conflict; and rollouts of many attacks at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from situation_samples import KRAUSS, crossing, leader, neighbour, situation
+
+from sumo_adv.datatypes import Endpoint, Floats, Limits, Planner, Proposal
+from sumo_adv.geometry import Frame
+from sumo_adv.planning.forecast import arrivals, profile_at, stations
+from sumo_adv.planning.predict import Ask, Rollouts, Told, local_endpoint, predict, world_endpoint
+from sumo_adv.situation import NO_ARRIVAL, Situation
+
+SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
+
+
+def one(*values: float) -> Floats:
+    return np.array(values)
+
+
+# ---- the unattacked profile
+
+
+def test_the_profile_is_read_between_its_samples_and_goes_on_beyond_them() -> None:
+    s, v = profile_at(SIT, one(0.0, 2.05, 5.0, 7.0))
+    assert s == pytest.approx([0.0, 20.5, 50.0, 70.0])
+    assert v == pytest.approx([10.0] * 4)
+
+
+def test_an_ego_on_its_profile_is_forecast_by_it_shifted_to_where_it_is() -> None:
+    braking = replace(SIT, profile_s=SIT.profile_s, profile_v=np.linspace(10.0, 5.0, 51))
+    s, v = stations(braking, 2.0, one(20.4), one(8.3), one(0.0), one(0.0, 1.0))
+    assert s[0] == pytest.approx([20.4, 30.4])  # 0.4 m ahead of its profile, and so it stays
+    assert v[0] == pytest.approx([8.0, 7.0])
+
+
+def test_a_disturbed_ego_keeps_its_acceleration_for_half_a_second_and_then_its_speed() -> None:
+    s, v = stations(SIT, 2.0, one(20.0, 17.0), one(5.0, 10.0), one(-4.0, 0.0), one(0.0, 0.5, 1.0))
+    assert s[0] == pytest.approx([20.0, 22.0, 23.5])  # 5 -> 3 m/s on 2 m, then 1.5 m
+    assert v[0] == pytest.approx([5.0, 3.0, 3.0])
+    assert s[1] == pytest.approx([17.0, 22.0, 27.0])  # 3 m behind its profile: not on it
+
+
+def test_a_braking_ego_never_rolls_back() -> None:
+    s, v = stations(SIT, 2.0, one(5.0), one(1.0), one(-8.0), one(0.5, 3.0))
+    assert (v == 0.0).all()
+    assert (np.diff(s[0]) == 0.0).all()
+
+
+def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a_standing_ego() -> None:
+    s = one(20.0, 20.0, 20.0, 20.0, 20.0)
+    v = one(10.0, 10.0, 0.0, 5.0, 10.0)
+    found = arrivals(SIT, 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), one(50.0, 17.0, 50.0, 30.0, math.inf))
+    assert found == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
+
+
+# ---- rollouts
+
+
+PLANNER = Planner("any", "plain", "", (), "seed")
+Answer = Mapping[str, float]
+
+
+def proposals(n: int) -> list[Proposal]:
+    return [Proposal("bv", "any", PLANNER, {}, 0.0, 0.0) for _ in range(n)]
+
+
+def roll(sit: Situation, answers: Sequence[Answer | None], steps: int = 50) -> tuple[Rollouts, list[Told]]:
+    """Rollouts of planners that always answer the same, in the ego's frame; and what row 0 was told."""
+    heard: list[Told] = []
+
+    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Endpoint | None]:
+        heard.append(told[0])
+        given = [answers[k] for k in rows]
+        return [None if a is None else world_endpoint(sit, a) for a in given]
+
+    fixed: Ask = ask
+    return predict(sit, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), heard
+
+
+def end(x: float, y: float, speed: float, time: float = 5.0) -> dict[str, float]:
+    return {"x": x, "y": y, "heading": 0.0, "speed": speed, "time": time}
+
+
+def test_an_endpoint_comes_back_from_the_world_as_it_was_given() -> None:
+    turned = replace(SIT, frame=Frame(7.0, -3.0, 2.0))
+    given = {"x": 20.0, "y": 3.0, "heading": -0.5, "speed": 9.0, "time": 2.5}
+    assert local_endpoint(turned, world_endpoint(turned, given)) == pytest.approx(given)
+
+
+def test_an_adversary_that_is_left_alone_keeps_lane_and_speed_and_so_does_the_ego() -> None:
+    rollouts, _ = roll(SIT, [None])
+    x, y, h, v = rollouts.adversary
+    assert rollouts.time == pytest.approx(np.arange(50) * 0.1)
+    assert y[0] == pytest.approx(3.2)
+    assert h[0] == pytest.approx(0.0)
+    assert v[0] == pytest.approx(12.0)
+    assert x[0] == pytest.approx(20.0 + 1.2 * np.arange(50))
+    assert rollouts.ego[0][0] == pytest.approx(np.arange(50) * 1.0)
+    assert not rollouts.disturbed[0]
+
+
+def test_a_krauss_ego_brakes_for_a_leader_that_stops_and_does_not_hit_it() -> None:
+    rollouts, _ = roll(situation([leader(gap=15.0)]), [end(35.0, 0.0, 0.0, 2.0)], steps=80)
+    gap = rollouts.adversary[0][0] - rollouts.ego[0][0] - 5.0
+    assert gap.min() > 1.0
+    assert rollouts.ego[3][0, -1] < 1.0
+    assert rollouts.disturbed[0]
+    fall = np.diff(rollouts.ego[3][0]) / 0.1
+    assert fall.min() >= -9.0 - 1e-6
+
+
+def test_a_replayed_ego_yields_to_nobody() -> None:
+    stubborn = situation([leader(gap=15.0)], model={**KRAUSS, "kind": "replay"})
+    rollouts, _ = roll(stubborn, [end(35.0, 0.0, 0.0, 2.0)])
+    assert rollouts.ego[0][0] == pytest.approx(np.arange(50) * 1.0)
+    assert not rollouts.disturbed[0]
+    assert (rollouts.adversary[0][0] - rollouts.ego[0][0] - 5.0).min() < 0.0
+
+
+@pytest.mark.parametrize("kind", ["krauss", "idm", "careful"])
+def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind: str) -> None:
+    slow = situation([neighbour(x=20.0, speed=10.0)], model={**KRAUSS, "kind": kind})
+    beside, cutting_in = end(45.0, 3.2, 4.0), end(45.0, 0.0, 4.0)
+    rollouts, _ = roll(slow, [beside, cutting_in], steps=70)
+    assert rollouts.disturbed.tolist() == [False, True]
+    assert rollouts.ego[3][1, -1] < rollouts.ego[3][0, -1] - 2.0
+    assert rollouts.ego[0][0] == pytest.approx(np.arange(70) * 1.0)
+
+
+def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:
+    sit = situation([crossing()])
+    answers = [
+        {"x": 30.0, "y": 20.0, "heading": math.pi / 2, "speed": 12.0, "time": 4.0},
+        {"x": 5.0, "y": -2.0, "heading": math.pi, "speed": 6.0, "time": 6.0},
+        None,
+    ]
+    together, _ = roll(sit, answers)
+    for k, answer in enumerate(answers):
+        alone, _ = roll(sit, [answer])
+        for a, b in zip((*together.ego, *together.adversary), (*alone.ego, *alone.adversary), strict=True):
+            assert a[k] == pytest.approx(b[0], abs=1e-9)
+    assert together.adversary[1][0, -1] > 2.0  # across the ego's path
+    assert together.adversary[0][1, -1] < 25.0  # round the corner
+
+
+def test_planners_are_told_time_and_their_last_endpoint_every_half_second() -> None:
+    answer = end(60.0, 3.2, 12.0)
+    _, heard = roll(SIT, [answer], steps=12)
+    assert [bv["time"] for bv, _ in heard] == pytest.approx([0.0, 0.5, 1.0])
+    lasts: list[Any] = [bv["last"] for bv, _ in heard]
+    assert lasts[0] is None
+    assert lasts[1] == pytest.approx(answer)
+    assert [bv["x"] for bv, _ in heard][:1] == pytest.approx([20.0])

@@ -1,0 +1,230 @@
+"""Adversaries on their ways: which way, which goal, and what a planner is told."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, situation, target
+
+from sumo_adv.datatypes import Endpoint, Floats
+from sumo_adv.geometry import Frame, Path
+from sumo_adv.planning.ground import Ground, road_of
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, pose
+from sumo_adv.situation import NO_ARRIVAL, Situation, Target, relate
+
+EXAMPLES = settings(max_examples=20, deadline=None, derandomize=True)
+AT_START = tuple(np.array([q]) for q in (0.0, 0.0, 10.0, 0.0))  # the ego: station, offset, speed, acceleration
+
+
+def one(*values: float) -> Floats:
+    return np.array(values)
+
+
+def straight_on(motion: Motion) -> Goal:
+    return Goal(motion.s + 30.0, motion.d, motion.v, motion.v * 0.0 + 3.0)
+
+
+def tell(sit: Situation, name: str = "bv", motion: Motion | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    ground = Ground(sit, [name])
+    return ground.tell(motion or ground.begin(), 0.0, AT_START, [None])[0]  # type: ignore[arg-type]
+
+
+# ---- where ways and the ego's path meet
+
+
+def test_a_path_across_meets_the_egos_at_a_right_angle() -> None:
+    straight, left = crossing().ways
+    assert straight.conflict is not None
+    c = straight.conflict
+    assert (c.kind, c.movement) == ("crossing", "straight")
+    assert (c.bv_s, c.ego_s) == pytest.approx((25.0, 30.0), abs=0.5)
+    assert (c.x, c.y, c.angle) == pytest.approx((30.0, 0.0, math.pi / 2), abs=0.5)
+    assert left.conflict is None  # it turns 2 m before the ego's path and drives beside it
+
+
+def test_a_ramp_merges_where_it_comes_within_the_lane() -> None:
+    ramp = line((0.0, -20.0), (90.0, -2.0), (100.0, 0.0), (300.0, 0.0))
+    found = relate(ramp, "none", math.inf, False, EGO_PATH).conflict
+    assert found is not None
+    assert found.kind == "merging"
+    assert 93.0 < found.ego_s < 100.0  # 0.8 m aside at x = 96
+    assert relate(line((20.0, 3.2), (200.0, 3.2)), "none", math.inf, False, EGO_PATH).conflict is None
+    assert relate(line((20.0, 0.0), (200.0, 0.0)), "none", math.inf, False, EGO_PATH).conflict is None
+
+
+def test_words_for_what_may_be_tried() -> None:
+    assert crossing().applies() == ("crossing_straight",)
+    assert neighbour().applies() == ("neighbour",)
+    assert neighbour(speed=20.0).fastest == pytest.approx(28.0)  # 1.4 times
+    assert neighbour(speed=5.0).fastest == pytest.approx(10.0)  # 5 m/s more
+    behind, ahead = replace(leader(), risk=0.2), replace(neighbour(), state=car("other", 0.0, 3.2), risk=0.7)
+    assert [t.state.id for t in situation([behind, ahead]).target_list()] == ["other", "bv"]
+
+
+# ---- places and goals
+
+
+def test_at_the_trigger_everybody_is_where_the_situation_says() -> None:
+    ground = Ground(situation([neighbour()]), ["bv", "bv"])
+    motion = ground.begin()
+    s, d, h = ground.relative(motion)
+    assert (s.tolist(), d.tolist(), h.tolist()) == ([20.0] * 2, pytest.approx([3.2] * 2), [0.0] * 2)
+    assert ground.cap.tolist() == pytest.approx([17.0] * 2)  # 12 m/s + 5
+    aside = motion._replace(d=one(0.0, -1.2), slope=one(0.0, -0.1), s=one(0.0, 10.25))
+    s, d, h = ground.relative(aside)
+    assert s == pytest.approx([20.0, 30.25])
+    assert d == pytest.approx([3.2, 2.0])
+    assert h[1] == pytest.approx(-math.asin(0.1))
+
+
+def test_an_oncoming_car_comes_towards_the_ego() -> None:
+    back = line((100.0, 3.2), (-100.0, 3.2))
+    oncoming = target(car("bv", 100.0, 3.2, math.pi, 12.0), "oncoming", [(back, "none", math.inf)], EGO_PATH)
+    ground = Ground(situation([oncoming]), ["bv"])
+    s, d, h = ground.relative(ground.begin()._replace(s=one(30.0), d=one(1.0)))
+    assert (s[0], abs(h[0])) == pytest.approx((70.0, math.pi))
+    assert d[0] == pytest.approx(2.2)  # a metre to its left, which is towards the ego
+
+
+def test_an_endpoint_becomes_a_goal_on_the_way() -> None:
+    ground = Ground(situation([neighbour()]), ["bv", "bv"])
+    motion = ground.begin()
+    goal = ground.aim(motion, [Endpoint(60.25, 0.5, 0.0, 9.0, 2.5), None], straight_on(motion))
+    assert [q[0] for q in goal] == pytest.approx([40.25, -2.7, 9.0, 2.5])
+    assert [q[1] for q in goal] == pytest.approx([30.0, 0.0, 12.0, 3.0])  # no answer: as before
+
+
+def test_an_endpoint_round_the_corner_chooses_the_turn_while_both_ways_are_one() -> None:
+    ground = Ground(situation([crossing()]), ["bv"])
+    motion = ground.begin()
+    west = Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)
+    ground.aim(motion, [west], straight_on(motion))
+    assert ground.rows.row.tolist() == [1]
+    ground.aim(motion, [Endpoint(30.0, 20.0, math.pi / 2, 9.0, 5.0)], straight_on(motion))
+    assert ground.rows.row.tolist() == [0]
+    across = motion._replace(s=one(35.0))  # 10 m north of the ego's path the turn is behind it
+    ground.aim(across, [west], straight_on(across))
+    assert ground.rows.row.tolist() == [0]
+
+
+def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
+    ground = Ground(situation([crossing()]), ["bv", "bv"])
+    motion = ground.begin()
+    ends = [Endpoint(30.0, 20.0, math.pi / 2, 9.0, 5.0), Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)]
+    goal = ground.aim(motion, ends, straight_on(motion))
+    assert ground.rows.row.tolist() == [0, 1]
+    assert goal.s[0] == pytest.approx(45.0)
+    x, y, h = pose(Batch, motion._replace(s=goal.s, d=goal.d), ground.rows)
+    assert (x[1], y[1]) == pytest.approx((10.0, -2.0), abs=1e-6)
+    assert h[1] == pytest.approx(math.pi, abs=1e-3)
+
+
+def test_vehicles_of_different_ways_share_one_ground() -> None:
+    other = replace(neighbour(x=50.0), state=car("other", 50.0, 3.2, speed=12.0))
+    ground = Ground(situation([crossing(), other]), ["other", "bv", "other"])
+    x, y, _ = pose(Batch, ground.begin(), ground.rows)
+    assert x == pytest.approx([50.0, 30.0, 50.0])
+    assert y == pytest.approx([3.2, -25.0, 3.2])
+
+
+# ---- what a planner is told
+
+
+def test_a_planner_is_told_places_in_the_egos_frame() -> None:
+    sit = situation([neighbour()])
+    bv, ego = tell(sit)
+    expected = {
+        "x": 20.0, "y": 3.2, "heading": 0.0, "speed": 12.0, "acceleration": 0.0, "travelled": 0.0, "offset": 0.0,
+        "ahead": 20.0, "left": 3.2, "relative_heading": 0.0, "road_heading": 0.0, "target_left": 3.2,
+        "lateral_time": 0.0, "speed_along": 12.0, "length": 5.0, "width": 2.0, "time": 0.0,
+    }  # fmt: skip
+    assert bv.pop("last") is None
+    assert bv == pytest.approx(expected)
+    assert [ego[n] for n in ("x", "y", "speed", "length", "width")] == pytest.approx([0.0, 0.0, 10.0, 5.0, 2.0])
+    assert ego["path"][3] == pytest.approx([3.0, 30.0, 0.0, 0.0, 10.0])  # time, x, y, heading, speed
+    assert ego["arrivals"] == [NO_ARRIVAL]
+
+
+def test_a_lane_change_under_way_is_told_with_its_end_and_the_seconds_left() -> None:
+    sit = situation([neighbour()])
+    motion = Ground(sit, ["bv"]).begin()
+    moving = motion._replace(
+        d=one(-1.0), dd=one(-1.2), slope=one(-0.1), clock=one(1.0), span=one(3.0), target=one(-3.2)
+    )
+    bv, _ = tell(sit, motion=moving)
+    assert (bv["left"], bv["target_left"], bv["lateral_time"]) == pytest.approx((2.2, 0.0, 2.0), abs=0.02)
+    assert bv["speed_along"] == pytest.approx(12.0 * math.cos(0.1), abs=0.01)
+
+
+def test_arrivals_stand_in_the_order_of_the_ways() -> None:
+    _, ego = tell(situation([crossing()]))
+    assert ego["arrivals"] == [pytest.approx(3.0, abs=0.05), NO_ARRIVAL]
+
+
+def test_all_that_is_told_is_plain_data() -> None:
+    sit = situation([crossing()])
+    told = [*tell(sit), road_of(sit, "bv")]
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+
+
+def test_the_road_is_told_with_ways_conflict_and_lanes_beside() -> None:
+    road = road_of(situation([crossing()]), "bv")
+    assert (road["relation"], road["lane_width"], road["fastest"]) == ("crossing", 3.2, pytest.approx(13.0))
+    assert [w["movement"] for w in road["ways"]] == ["straight", "left"]
+    assert [w["junction"] for w in road["ways"]] == [15.0, 15.0]
+    conflict = road["ways"][0]["conflict"]
+    assert (conflict["kind"], conflict["angle"]) == ("crossing", pytest.approx(math.pi / 2))
+    assert (conflict["bv_distance"], conflict["ego_distance"]) == pytest.approx((25.0, 30.0), abs=0.5)
+    assert road["ways"][1]["conflict"] is None
+    assert road["ways"][0]["centreline"][1] == pytest.approx([30.0, -23.0])  # 2 m on
+    assert road["sides"] == [{"offset": 3.2, "kind": "same"}]
+    assert road["start"] == pytest.approx({"x": 30.0, "y": -25.0, "heading": math.pi / 2, "speed": 8.0})
+    assert road_of(situation([neighbour()]), "bv")["left"] == pytest.approx(3.2)
+
+
+def moved(path: Path, frame: Frame) -> Path:
+    """The path seen from the world, if it was drawn in ``frame``."""
+    c, s = math.cos(frame.heading), math.sin(frame.heading)
+    x, y = frame.x + c * path.x - s * path.y, frame.y + s * path.x + c * path.y
+    return replace(path, x=x, y=y, heading=path.heading + frame.heading)
+
+
+def elsewhere(sit: Situation, frame: Frame) -> Situation:
+    """The same situation at another place of the world, turned."""
+    ego_path = moved(sit.ego_path, frame)
+
+    def turned(t: Target) -> Target:
+        x, y, h = frame.to_world(t.state.x, t.state.y, t.state.heading)
+        ways = tuple(relate(moved(w.path, frame), w.movement, w.junction, w.gives_way, ego_path) for w in t.ways)
+        return replace(t, state=replace(t.state, x=x, y=y, heading=h), ways=ways)
+
+    return replace(sit, frame=frame, ego_path=ego_path, targets={n: turned(t) for n, t in sit.targets.items()})
+
+
+@EXAMPLES
+@given(
+    st.floats(-500.0, 500.0), st.floats(-500.0, 500.0), st.floats(-3.1, 3.1), st.sampled_from(["crossing", "neighbour"])
+)
+def test_what_is_told_does_not_depend_on_where_in_the_world_it_happens(x: float, y: float, h: float, kind: str) -> None:
+    here = situation([crossing() if kind == "crossing" else neighbour()])
+    there = elsewhere(here, Frame(x, y, h))
+    for a, b in zip(tell(here), tell(there), strict=True):
+        assert flat(a) == pytest.approx(flat(b), abs=1e-6)
+    # centrelines are rounded to centimetres, conflicts lie on a sample, half a metre from the next
+    assert flat(road_of(here, "bv")) == pytest.approx(flat(road_of(there, "bv")), abs=0.511)
+
+
+def flat(value: Any) -> list[float]:
+    """All numbers inside, in order."""
+    if isinstance(value, dict):
+        return [n for q in value.values() for n in flat(q)]
+    if isinstance(value, list):
+        return [n for q in value for n in flat(q)]
+    return [float(value)] if isinstance(value, int | float) else []
