@@ -26,11 +26,11 @@ class LimitSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    braking: float = Field(8.0, gt=0, le=12)
-    acceleration: float = Field(4.0, gt=0, le=8)
-    lateral: float = Field(4.0, gt=0, le=10)
-    curvature: float = Field(0.2, gt=0, le=1)
-    jerk: float = Field(12.0, gt=1, le=50)
+    braking: float = Field(default=8.0, gt=0, le=12)
+    acceleration: float = Field(default=4.0, gt=0, le=8)
+    lateral: float = Field(default=4.0, gt=0, le=10)
+    curvature: float = Field(default=0.2, gt=0, le=1)
+    jerk: float = Field(default=12.0, gt=1, le=50)
 
     def limits(self) -> Limits:
         """The noun."""
@@ -72,7 +72,7 @@ class Settings(BaseSettings):
     proposals: int = Field(120, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
-    limits: LimitSettings = LimitSettings()
+    limits: LimitSettings = Field(default_factory=LimitSettings)
 
     @classmethod
     def settings_customise_sources(

@@ -87,7 +87,7 @@ class Boxes:
 class Track:
     """One vehicle's motion on a regular time grid. Arrays are ``(n,)``.
 
-    time [s]; x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off the road).
+    time [s]; x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off).
     """
 
     id: str

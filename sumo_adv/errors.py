@@ -1,14 +1,14 @@
 """Every error this program raises on purpose.
 
-    SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
-    ├── UsageError               wrong use or bad input; exit status 2
-    ├── SimulationError          SUMO failed, or the engine process died
-    ├── SandboxError             planner code failed inside its limits
-    │   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
-    │   ├── PlannerRuntimeError  raised while running
-    │   ├── PlannerLimitError    time, memory, recursion or output limit
-    │   └── PlannerResultError   returned something that is not an endpoint
-    └── BankError                the memory bank cannot be opened, read or written
+SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
+├── UsageError               wrong use or bad input; exit status 2
+├── SimulationError          SUMO failed, or the engine process died
+├── SandboxError             planner code failed inside its limits
+│   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
+│   ├── PlannerRuntimeError  raised while running
+│   ├── PlannerLimitError    time, memory, recursion or output limit
+│   └── PlannerResultError   returned something that is not an endpoint
+└── BankError                the memory bank cannot be opened, read or written
 """
 
 from __future__ import annotations

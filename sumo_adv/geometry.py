@@ -93,7 +93,7 @@ class Path:
         if 0 < low + i < last:
             along = min(max(along, -PATH_STEP), PATH_STEP)
         station = (low + i) * PATH_STEP + along
-        px, py, ph = self.at(np.float64(station))
+        px, py, ph = (float(q) for q in self.at(np.asarray(station)))
         return float(station), float(-math.sin(ph) * (x - px) + math.cos(ph) * (y - py))
 
     def extended(self, metres: float) -> Path:

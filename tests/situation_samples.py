@@ -39,7 +39,7 @@ def target(
 
 def situation(targets: Sequence[Target], *, model: Mapping[str, Any] = KRAUSS, speed: float = 10.0) -> Situation:
     """The ego at the origin with an unattacked profile of 5 s at constant ``speed`` in steps of 0.1 s."""
-    k = np.arange(51)
+    k = np.arange(51.0)
     ego_path = line((0.0, 0.0), (400.0, 0.0))
     return Situation(
         100.0, 0.1, 3.0, Frame(0.0, 0.0, 0.0), car("ego", 0.0, 0.0, speed=speed), ego_path, 0.1 * speed * k,

@@ -32,7 +32,7 @@ def make_spec(folder: Path, network: str, vehicles: Iterable[str], seed: int = 1
 
 
 def over_the_line(k: int, start: float = 120.0) -> Pose:
-    """From the right lane of ``straight_3lane`` (y = -3.2) into the middle one in 3 s at 12 m/s, step ``k`` of 0.1 s."""
+    """From the right lane of ``straight_3lane`` (y = -3.2) to the middle one in 3 s at 12 m/s, step ``k`` of 0.1 s."""
     share = min(k / 30.0, 1.0)
     y = -3.2 + 1.6 * (1.0 - math.cos(math.pi * share))
     slope = 1.6 * math.pi / 36.0 * math.sin(math.pi * share)

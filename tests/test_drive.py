@@ -24,7 +24,7 @@ class Scripted:
     name = "scripted"
     forkable = True
     needs_observation = True
-    sumo_type: Mapping[str, str] = {}  # noqa: RUF012
+    sumo_type: Mapping[str, str] = {}
 
     def __init__(self, *actions: Action) -> None:
         self.actions = actions

@@ -49,8 +49,8 @@ def test_the_adversary_follows_the_ego(runs: Runs) -> None:
     (first, _), (second, _) = tables(calm), tables(braking)
     adversary = parties(calm)[1]
     assert BRAKES_AT < differs_from(first, second, "ego") <= BRAKES_AT + 0.15
-    # Up to 6 s both egos are the same; the planner is asked again at 6.0 s and at 6.5 s.
-    assert BRAKES_AT < differs_from(first, second, adversary) <= BRAKES_AT + 1.0
+    # Up to 6 s both egos are the same; the planner is asked again at 6.0 s, 6.5 s, ...
+    assert BRAKES_AT < differs_from(first, second, adversary) <= BRAKES_AT + 2.0
     common = [t for t in first[adversary].keys() & second[adversary].keys() if t <= TRIGGER + CLOSE]
     gaps = [math.dist(position(first[adversary][t]), position(second[adversary][t])) for t in common]
     assert max(gaps) > 0.5  # m; the ego itself brakes by 5 m/s2

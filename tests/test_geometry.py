@@ -98,7 +98,7 @@ def test_projecting_a_point_of_a_gentle_bend_gives_its_station_and_offset(
     radius: float, turn: float, s: float, d: float
 ) -> None:
     path = arc(radius, turn)
-    x, y, _ = path.at(np.float64(s), d)
+    x, y, _ = path.at(np.array(s), d)
     for near in (None, s):
         station, offset = path.project(float(x), float(y), near=near)
         assert station == pytest.approx(s, abs=0.07)

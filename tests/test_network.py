@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,9 +48,9 @@ def test_from_the_right_lane_of_the_main_road_one_goes_straight_or_right() -> No
     assert [w.junction for w in ways] == pytest.approx([100.0, 100.0])
     assert [w.gives_way for w in ways] == [False, False]
     assert ways[0].lanes == ("west_in_0", ":centre_13_0", "east_out_0")
-    assert ways[0].path.at(np.float64(0.0))[:2] == pytest.approx((-112.4, -4.8))
-    assert ways[0].path.at(np.float64(120.0))[:2] == pytest.approx((7.6, -4.8), abs=1e-6)
-    assert ways[1].path.at(np.float64(140.0))[2] == pytest.approx(-math.pi / 2, abs=0.01)  # southwards
+    assert ways[0].path.at(np.array(0.0))[:2] == pytest.approx((-112.4, -4.8))
+    assert ways[0].path.at(np.array(120.0))[:2] == pytest.approx((7.6, -4.8), abs=1e-6)
+    assert ways[1].path.at(np.array(140.0))[2] == pytest.approx(-math.pi / 2, abs=0.01)  # southwards
     assert all(w.path.length >= 150.0 for w in ways)
 
 
@@ -58,7 +59,7 @@ def test_a_left_turn_follows_both_pieces_of_the_junction_and_gives_way() -> None
     assert (straight.movement, straight.gives_way) == ("straight", False)
     assert (left.movement, left.gives_way) == ("left", True)
     assert left.lanes == ("west_in_1", ":centre_15_0", ":centre_17_0", "north_out_1")
-    x, y, h = left.path.at(np.float64(150.0))  # 100 m + 22.7 m of turn + 27.3 m north
+    x, y, h = left.path.at(np.array(150.0))  # 100 m + 22.7 m of turn + 27.3 m north
     assert (float(x), float(y)) == pytest.approx((1.6, 12.4 + 27.295), abs=0.4)
     assert float(h) == pytest.approx(math.pi / 2, abs=0.01)
 
@@ -73,7 +74,7 @@ def test_inside_the_junction_the_way_on_is_the_turn_begun() -> None:
     (way,) = road("priority_crossing").ways(":centre_15_0", 2.0, 60.0)
     assert way.lanes == (":centre_15_0", ":centre_17_0", "north_out_1")
     assert way.junction == 0.0
-    assert float(way.path.at(np.float64(50.0))[2]) == pytest.approx(math.pi / 2, abs=0.01)
+    assert float(way.path.at(np.array(50.0))[2]) == pytest.approx(math.pi / 2, abs=0.01)
 
 
 def test_a_route_leaves_one_way_even_from_the_lane_beside_it() -> None:
@@ -87,7 +88,7 @@ def test_far_from_a_junction_there_is_one_way_as_long_as_asked() -> None:
     (way,) = road("two_way").ways("eastbound_0", 950.0, 120.0)  # 50 m before the road ends
     assert (way.movement, way.junction, way.gives_way) == ("none", math.inf, False)
     assert way.path.length == pytest.approx(120.0, abs=0.5)
-    assert way.path.at(np.float64(110.0))[:2] == pytest.approx((1060.0, -1.6))
+    assert way.path.at(np.array(110.0))[:2] == pytest.approx((1060.0, -1.6))
 
 
 @pytest.mark.parametrize("name", ["t_junction", "roundabout", "signalised_crossing", "allway_stop", "onramp_merge"])
@@ -97,7 +98,7 @@ def test_every_way_of_every_network_is_connected(name: str) -> None:
             continue
         for way in road(name).ways(lane.id, lane.length * 0.6, 120.0):
             shapes = [road(name).lanes[n].shape for n in way.lanes]
-            gaps = [float(np.hypot(*(b[0] - a[-1]))) for a, b in zip(shapes[:-1], shapes[1:], strict=True)]
+            gaps = [float(np.hypot(*(b[0] - a[-1]))) for a, b in pairwise(shapes)]
             assert max(gaps, default=0.0) < 1.0, way.lanes
             assert np.hypot(np.diff(way.path.x), np.diff(way.path.y)) == pytest.approx(0.5, abs=0.06)
 

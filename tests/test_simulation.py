@@ -48,8 +48,9 @@ def pair(folder: Path) -> SimulationSpec:
 
 
 @pytest.mark.parametrize(
-    ("angle_deg", "heading"), [(90.0, 0.0), (0.0, math.pi / 2), (270.0, math.pi), (180.0, -math.pi / 2), (45.0, math.pi / 4)]
-)  # fmt: skip
+    ("angle_deg", "heading"),
+    [(90.0, 0.0), (0.0, math.pi / 2), (270.0, math.pi), (180.0, -math.pi / 2), (45.0, math.pi / 4)],
+)
 def test_sumo_counts_degrees_clockwise_from_north(angle_deg: float, heading: float) -> None:
     assert heading_of(angle_deg) == pytest.approx(heading)
     assert angle_deg_of(heading) == pytest.approx(angle_deg)

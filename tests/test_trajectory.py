@@ -17,7 +17,7 @@ from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows,
 DT = 0.1
 LIMITS = Limits()
 STRAIGHT = make_path([(0.0, 0.0), (600.0, 0.0)])
-BEND = make_path([(30.0 * math.sin(a), 30.0 - 30.0 * math.cos(a)) for a in np.arange(0.0, 3.0, 0.02)])
+BEND = make_path([(30.0 * math.sin(a), 30.0 - 30.0 * math.cos(a)) for a in np.arange(0.0, 6.2, 0.02)])
 PATHS = {"straight": STRAIGHT, "bend": BEND}
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 SPEED = st.floats(0.0, 30.0)
@@ -175,10 +175,15 @@ def test_sideways_a_car_pulls_no_more_than_about_4_metres_a_second_squared(case:
 
 @EXAMPLES
 @given(starts_and_goals(), st.sampled_from(list(PATHS)))
-def test_poses_move_as_fast_as_the_speed_says(case: tuple[Motion, Goal], path: str) -> None:
+def test_poses_move_as_fast_as_the_speed_says_and_where_the_heading_points(case: tuple[Motion, Goal], path: str) -> None:
     states, poses = drive(PATHS[path], case[0], case[1], steps=30)
     way = np.hypot(*np.diff([(x, y) for x, y, _ in poses], axis=0).T)
-    assert way == pytest.approx(column(states, "v")[1:] * DT, abs=0.03)
+    assert way == pytest.approx(column(states, "v")[1:] * DT, abs=0.04)
+    step = np.diff([(x, y) for x, y, _ in poses], axis=0)
+    heading = np.unwrap([h for _, _, h in poses])
+    middle = (heading[1:] + heading[:-1]) / 2
+    across = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
+    assert across[1:] == pytest.approx(0.0, abs=0.03)  # m
 
 
 @EXAMPLES

@@ -179,7 +179,7 @@ class ExpertModifier:
         self._make = make
 
     def modify(self, planner: Planner, attempts: Sequence[Attempt]) -> Planner | None:
-        """Defaults become those of the nearest attempt, changed by its diagnosis; bounds follow. None if nothing did."""
+        """Defaults become the nearest attempt's, changed by its diagnosis; bounds follow. None if nothing changed."""
         mine = [a for a in attempts if a.proposal.planner.hash == planner.hash]
         if not mine:
             return None

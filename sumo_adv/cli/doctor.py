@@ -14,7 +14,7 @@ SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 
 
 def doctor() -> None:
-    """Check libraries, programs, sandbox, bank and write rights; each line says how to mend it. Exit 1 if a run cannot work."""
+    """Check libraries, sandbox, bank and write rights; each line says how to mend it. Exit 1 if a run cannot work."""
     checks: list[tuple[str, Callable[[], str], bool]] = [
         ("libsumo", _libsumo, True), ("sandbox", _sandbox, True), ("memory bank", _bank, True),
         ("output folder", _write, True), ("netconvert", _netconvert, False),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -42,7 +42,7 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
         typer.echo(json.dumps({"intents": rows}))
         return
     for r in rows:
-        modes = ", ".join(str(m) for m in r["modes"])
+        modes = ", ".join(str(m) for m in cast(list[str], r["modes"]))
         typer.echo(f"{r['label']}: modes {modes}; evidence {r['evidence']}; {r['status']}")
 
 

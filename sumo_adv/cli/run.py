@@ -39,13 +39,17 @@ def run(
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
     learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
-    memory: Annotated[Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")] = None,
+    memory: Annotated[
+        Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
+    ] = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
     seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/<input>-<seed>].")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
-    replay: Annotated[Path | None, typer.Option(help="Run the attempt of that folder again, from its manifest.")] = None,
+    replay: Annotated[
+        Path | None, typer.Option(help="Run the attempt of that folder again, from its manifest.")
+    ] = None,
     no_fork: Annotated[bool, typer.Option("--no-fork", help="Load and repeat instead of forking (slower).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
@@ -61,8 +65,8 @@ def run(
 
     given = load_input(source)
     settings = load_settings(
-        settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin,
-        end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, memory=memory, seed=seed,
+        settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
+        begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, memory=memory, seed=seed,
         density=density, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
     target = out or Path("runs") / f"{given.name}-{settings.seed}"

@@ -19,8 +19,8 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.predict import Told, local_endpoint
-from sumo_adv.situation import Situation
 from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance, pose, steer
+from sumo_adv.situation import Situation
 from sumo_adv.world.simulation import Pose
 
 PARTED = 90.0  # m between centres: nothing will come of it any more
@@ -88,11 +88,13 @@ class Adversary:
 
 
 def _one(motion: Motion) -> Motion:
-    return Motion(*(tuple(float(q[0]) for q in f) if isinstance(f, tuple) else float(f[0]) for f in motion))
+    fields: list[Any] = [tuple(float(q[0]) for q in f) if isinstance(f, tuple) else float(f[0]) for f in motion]
+    return Motion(*fields)
 
 
 def _many(motion: Motion) -> Motion:
-    return Motion(*(tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion))
+    fields: list[Any] = [tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion]
+    return Motion(*fields)
 
 
 def attack(
@@ -130,10 +132,11 @@ def _apart(drive: Drive, ego: str, bv: str) -> float:
     a, b = drive.state(ego), drive.state(bv)
     if _surely_apart(a, b):
         return apart
-    boxes = [
-        Boxes(*(np.array(q) for q in (v.x, v.y, v.heading, v.speed)), v.length, v.width) for v in (a, b)
-    ]
-    return 0.0 if bool(overlaps(boxes[0], boxes[1])) else max(apart, 1e-9)
+    return 0.0 if bool(overlaps(_box(a), _box(b))) else max(apart, 1e-9)
+
+
+def _box(v: VehicleState) -> Boxes:
+    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
 
 
 def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
@@ -154,6 +157,6 @@ def _beyond(drive: Drive, adversary: Adversary, bv: str) -> Track:
     for k in range(round(CONTINUED / dt)):
         p = adversary.advance()
         rows.append((now + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.motion.a))
-    columns: list[Any] = list(np.array(rows).T)
+    time, x, y, heading, speed, acceleration = np.array(rows).T
     length, width = drive.simulation.fleet.sizes[bv]
-    return Track(bv, Role.ADVERSARY, *columns, length, width)
+    return Track(bv, Role.ADVERSARY, time, x, y, heading, speed, acceleration, length, width)

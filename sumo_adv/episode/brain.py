@@ -7,7 +7,7 @@ from typing import Any
 
 from sumo_adv.datatypes import Endpoint, Proposal
 from sumo_adv.episode.foresight import Sessions
-from sumo_adv.episode.worker import AttemptResult, Found
+from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.errors import SandboxError
 from sumo_adv.planning.predict import world_endpoint
 from sumo_adv.planning.sandbox import Sandbox

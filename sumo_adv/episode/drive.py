@@ -34,7 +34,7 @@ class Drive:
         self.seed = seed
         self.ego: str | None = None
         self.recording = Recording(spec.step_length)
-        self._takeovers: list[tuple[int, str]] = []
+        self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
         self.line_ahead: LineAhead | None = None
 
@@ -56,6 +56,11 @@ class Drive:
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
+    def release(self) -> None:
+        """The vehicle is no longer the ego; it keeps its driver's model, but nobody acts for it."""
+        self.ego = None
+        self._takeovers.append((len(self.recording.snapshots), None))
+
     def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
         """One step: the ego acts, ``poses`` are injected, SUMO steps, the states are kept."""
         driven = dict(poses or {})
@@ -75,11 +80,14 @@ class Drive:
         self.ego, self._takeovers, self._playing = None, [], False
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
-            if k in takeovers:
-                self.take_over(takeovers[k])
+            self._change_ego(takeovers, k)
             self.tick()
-        if steps in takeovers:
-            self.take_over(takeovers[steps])
+        self._change_ego(takeovers, steps)
+
+    def _change_ego(self, takeovers: Mapping[int, str | None], step: int) -> None:
+        if step in takeovers:
+            name = takeovers[step]
+            self.release() if name is None else self.take_over(name)
 
     def state(self, vehicle: str) -> VehicleState:
         """A vehicle's newest state."""

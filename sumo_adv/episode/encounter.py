@@ -29,7 +29,9 @@ LATEST = 0.2  # s: how much later than the ego it may be there (ALGORITHM, lever
 CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
 SAME_LANE = 1.2  # m
 BESIDE = 8.5  # m
-CLASSES = frozenset({"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"})
+CLASSES = frozenset(
+    {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +100,10 @@ class Encounter:
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
-        turned = abs(wrap(bv.heading - float(path.at(np.float64(s))[2])))
-        own_edge = self.road.lanes[bv.lane].edge == self.road.lanes[ego.lane].edge if ego.lane in self.road.lanes else False
+        turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
+        own_edge = (
+            self.road.lanes[bv.lane].edge == self.road.lanes[ego.lane].edge if ego.lane in self.road.lanes else False
+        )
         relation, risk = "", 0.0
         if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
@@ -165,6 +169,4 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
 def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[WayLine, ...]:
     """All ways on of a vehicle, each related to the ego's path."""
     position = drive.simulation.lane_position(bv.id) - bv.length / 2
-    return tuple(
-        relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH)
-    )
+    return tuple(relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH))

@@ -217,12 +217,12 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
 
 def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
     """Whether the adversary touches a vehicle in its unattacked motion before the ego."""
-    tracks = [t for t in situation.others]
+    tracks = situation.others
     found = np.zeros(len(proposals), bool)
     if not tracks:
         return found
     steps = adversary.x.shape[1]
-    grid = on_grid(tracks, situation.time + np.arange(steps) * situation.dt)
+    grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
     names = np.array([t.id for t in tracks])
     for k, proposal in enumerate(proposals):
         until = slice(0, int(last[k]) + 1)

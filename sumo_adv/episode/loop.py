@@ -1,6 +1,6 @@
 """One episode from its input to its outcome: what the paper calls the full online loop.
 
-    encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> outcome -> memory
+encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> outcome -> memory
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.foresight import Foresight
 from sumo_adv.episode.refine import NOTHING, Refinement, Refiner, succeeded
-from sumo_adv.episode.worker import Found, NotFound, Prefix, Task
+from sumo_adv.episode.task import Found, NotFound, Prefix, Task
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.situation import Situation
 from sumo_adv.planning.source import make_planner
+from sumo_adv.situation import Situation
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import RunInput, first_departure
@@ -76,7 +76,9 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     if not routes:
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
-        routes = (generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),)
+        routes = (
+            generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
+        )
     spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
     trigger = settings.trigger if settings.trigger is not None else source.trigger
     return Task(
@@ -190,7 +192,9 @@ def replay_episode(
             return episode
     assert found is not None
     if proposal.delay not in found.situations:
-        raise UsageError(f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed.")
+        raise UsageError(
+            f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
+        )
     result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, (), result.driven.message)

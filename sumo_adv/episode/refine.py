@@ -15,7 +15,7 @@ from sumo_adv.agents.tuner import Tuner
 from sumo_adv.config import Settings, Until
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
 from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.worker import AttemptResult, Found
+from sumo_adv.episode.task import AttemptResult, Found
 
 AT_ONCE = 2  # attempts that run at the same time after the first; the same whether or not they can be forked
 NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
@@ -94,9 +94,8 @@ class Refiner:
                 break
             if self._try(plans, found, began):
                 break
-        if found.ending is not Ending.CRITICAL and found.attempts:
-            if all(a.ending == "planner_failed" for a in found.attempts):
-                found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
+        if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
+            found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         found.seconds = time.perf_counter() - began
 
     def _next(self, source: Tuner | list[Proposal], ways: Sequence[Family], found: Refinement) -> list[Proposal]:

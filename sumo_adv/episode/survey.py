@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -50,7 +51,7 @@ def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
 def _position(shape: Any, x: float, y: float) -> float:
     """Metres along a polyline to the point nearest to (x, y)."""
     best, at, walked = math.inf, 0.0, 0.0
-    for a, b in zip(shape[:-1], shape[1:], strict=True):
+    for a, b in itertools.pairwise(shape):
         length = math.hypot(*(b - a))
         t = min(max(((x - a[0]) * (b[0] - a[0]) + (y - a[1]) * (b[1] - a[1])) / max(length**2, 1e-9), 0.0), 1.0)
         miss = math.hypot(a[0] + t * (b[0] - a[0]) - x, a[1] + t * (b[1] - a[1]) - y)
@@ -103,7 +104,7 @@ def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: floa
     found = state_at(track, time) if track is not None else None
     if found is None or track is None or found[0].lane not in road.lanes:
         return None
-    bv, i = found
+    bv, _ = found
     position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
     ways = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH)]
     if not ways:

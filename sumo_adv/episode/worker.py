@@ -10,29 +10,28 @@ import math
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.config import Settings
-from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, VehicleState, Verdict
+from sumo_adv.datatypes import Ending, Floats, Limits, Proposal, Role, Track, Verdict
 from sumo_adv.episode.attack import Driven, attack
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter, ego_path
+from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.scout import Scout
 from sumo_adv.episode.survey import survey
-from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.geometry import PATH_STEP
+from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
+from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
 from sumo_adv.world.egos import make_ego
 from sumo_adv.world.engine import can_fork, in_forks
-from sumo_adv.world.inputs import EgoRoute
-from sumo_adv.world.network import Drivable, RoadMap, read_network
-from sumo_adv.world.simulation import SimulationSpec, Snapshot, tracks_of
+from sumo_adv.world.network import RoadMap, read_network
+from sumo_adv.world.simulation import Snapshot, tracks_of
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
 PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
@@ -43,87 +42,6 @@ MOST_SHIFT = 8.0  # s
 LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: how far a driver is told its lane, and how long that serves
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What the worker is opened with. ``ego``: an id, a route to insert it on, or None = choose. Times in s."""
-
-    spec: SimulationSpec
-    settings: Settings
-    ego: str | EgoRoute | None
-    ego_base_type: str | None
-    ego_driver: str
-    ego_parameters: Mapping[str, Any]
-    only: tuple[str, ...]
-    trigger: float | None
-    warm_up: float
-    end: float
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """An encounter: who, when, the ranking, a situation for each delay, and the unattacked run."""
-
-    ego: str
-    time: float
-    ranking: tuple[tuple[str, str, float], ...]  # id, relation, risk
-    situations: Mapping[float, Situation]
-    raw: Sequence[Snapshot]  # from the trigger on
-    passed_over: tuple[str, ...]
-    drivable: Drivable
-    sizes: Mapping[str, tuple[float, float]]
-
-    @property
-    def first(self) -> Situation:
-        """The situation of the least delay."""
-        return self.situations[min(self.situations)]
-
-
-@dataclass(frozen=True, slots=True)
-class NotFound:
-    """Why there is no encounter."""
-
-    ending: Ending
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class AttemptResult:
-    """What one attempt came to; ``snapshots`` from the trigger on."""
-
-    driven: Driven
-    verdict: Verdict | None
-    start: float
-    snapshots: Sequence[Snapshot] = field(repr=False, default=())
-    sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Prefix:
-    """The simulation from its start to the trigger, and the sizes of all vehicles."""
-
-    snapshots: Sequence[Snapshot]
-    sizes: Mapping[str, tuple[float, float]]
-
-
-class LaneLine:
-    """The centreline of the ego's lane and route ahead; the same object while it still reaches far enough."""
-
-    def __init__(self, road: RoadMap, drive: Drive) -> None:
-        self._road, self._drive = road, drive
-        self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
-
-    def __call__(self, ego: VehicleState) -> Sequence[tuple[float, float]] | None:
-        """(x, y) every metre from the ego on, None off the road."""
-        if ego.lane != self._lane or math.hypot(ego.x - self._from[0], ego.y - self._from[1]) > LINE_FRESH:
-            path = ego_path(self._road, self._drive)
-            if path is None:
-                return None
-            count = round(LINE_AHEAD / PATH_STEP)
-            self._line = list(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
-            self._lane, self._from = ego.lane, (ego.x, ego.y)
-        return self._line
-
-
 class Worker:
     """Holds one episode's simulation. All public methods are commands of the engine."""
 
@@ -132,6 +50,7 @@ class Worker:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
         self._road: RoadMap | None = None
         self._passed: list[str] = []
+        self._found: Found
         self._moved = False  # an attempt ran in place: load and repeat before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -145,9 +64,9 @@ class Worker:
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
-        self._drive.line_ahead = LaneLine(self._road, self._drive)
         self._forks = task.settings.fork and can_fork() and controller.forkable
-        self._insert_ego()
+        self._scout = Scout(self._drive, self._road, task)
+        self._scout.insert_ego()
 
     def forks(self) -> bool:
         """Whether attempts are forked."""
@@ -164,7 +83,7 @@ class Worker:
             self._at_trigger()
             self._cool_down()
         while True:
-            ranking = self._until_encounter()
+            ranking = self._scout.until_encounter()
             if isinstance(ranking, NotFound):
                 if passed:
                     return NotFound(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
@@ -201,92 +120,10 @@ class Worker:
         works = [self._work(k, p, slot) for k, (p, slot) in enumerate(zip(plans, self._slots, strict=False))]
         return self._branch(works)
 
-    # -- finding ------------------------------------------------------------------------------------------------
-
-    def _insert_ego(self) -> None:
-        route = self._task.ego
-        if isinstance(route, EgoRoute):
-            depart = {
-                "depart": repr(max(route.depart, self._task.spec.begin)), "departLane": str(route.lane),
-                "departPos": str(route.position), "departSpeed": str(route.speed),
-            }  # fmt: skip
-            self._drive.simulation.add(INSERTED_EGO, route.edges, self._task.ego_base_type or "DEFAULT_VEHTYPE", depart)
-
-    def _until_encounter(self) -> list[Candidate] | NotFound:
-        task, drive, every = self._task, self._drive, self._settings.steps(LOOK_EVERY)
-        wanted = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
-        encounter = Encounter(self._map, self._settings.shortlist, task.only)
-        since, tried = -math.inf, set[str]()
-        if drive.ego is not None:
-            since = drive.now - task.warm_up
-        while drive.now < task.end:
-            snapshot = drive.tick()
-            step = len(drive.recording.snapshots)
-            if drive.ego is None:
-                name = wanted if wanted in snapshot.raw else None
-                if wanted is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
-                    name = self._choose_ego(tried)
-                if name is not None:
-                    drive.take_over(name)
-                    since, encounter = drive.now, Encounter(self._map, self._settings.shortlist, task.only)
-            elif drive.ego not in snapshot.raw:
-                if wanted is not None:
-                    return NotFound(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
-                drive.ego = None
-            elif task.trigger is not None:
-                if drive.now >= task.trigger - 1e-6:
-                    return encounter.rank(drive)
-            elif step % every == 0 and drive.now - since >= self._wait(wanted):
-                ranking = encounter.look(drive)
-                if ranking:
-                    return ranking
-                if wanted is None and drive.now - since > PATIENCE:
-                    tried.add(drive.ego)
-                    drive.ego = None
-            if drive.simulation.expected() == 0:
-                break
-        return self._nothing(wanted, encounter.best)
-
-    def _wait(self, wanted: str | None) -> float:
-        """Seconds an ego is driven before the first look: the history, and a scenario's warm-up."""
-        return max(self._settings.history, self._task.warm_up if wanted is not None else 0.0)
-
-    def _nothing(self, wanted: str | None, best: float) -> NotFound:
-        if wanted is not None and self._drive.ego is None and wanted not in self._drive.simulation.fleet.sizes:
-            raise UsageError(f"No vehicle '{wanted}' was inserted before {self._drive.now:.0f} s; check --ego-id.")
-        unknown = [n for n in self._task.only if n not in self._drive.simulation.fleet.sizes]
-        if unknown:
-            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self._drive.now:.0f} s; check --adversary.")
-        return NotFound(
-            Ending.NO_ENCOUNTER,
-            f"No vehicle came into a position to endanger the ego before {self._drive.now:.0f} s "
-            f"(highest risk seen {best:.2f}, {0.40:.2f} is needed); try a longer --end, another --seed or --ego-id.",
-        )
-
     @property
     def _map(self) -> RoadMap:
         assert self._road is not None
         return self._road
-
-    def _choose_ego(self, tried: set[str]) -> str | None:
-        """The moving car with most moving traffic within 60 m; a tie goes to the first id."""
-        raw = self._drive.snapshot.raw
-        simulation = self._drive.simulation
-        moving = [(n, r[0], r[1]) for n, r in raw.items() if r[3] > 5.0]
-        best, best_count = None, 0
-        points = np.array([(x, y) for _, x, y in moving]).reshape(-1, 2)
-        for k, (name, x, y) in enumerate(moving):
-            if name in tried or simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
-                continue
-            edges, at = simulation.route(name)
-            left = sum(self._map.lanes[self._map.edges[e][0]].length for e in edges[max(at, 0) :] if e in self._map.edges)
-            if left < 150.0 or raw[name][4] not in self._map.lanes:
-                continue
-            near = np.hypot(points[:, 0] - x, points[:, 1] - y)
-            count = int((near < 60.0).sum()) - 1
-            if count > best_count:
-                best, best_count = moving[k][0], count
-        return best
 
     # -- branching ----------------------------------------------------------------------------------------------
 
@@ -374,7 +211,9 @@ class Worker:
     def _ego_model(self) -> dict[str, Any]:
         drive = self._drive
         assert drive.ego is not None
-        kind = drive.controller.name if drive.controller.name in ("krauss", "idm", "eidm", "careful", "replay") else "idm"
+        kind = (
+            drive.controller.name if drive.controller.name in ("krauss", "idm", "eidm", "careful", "replay") else "idm"
+        )
         return {"kind": kind, **drive.simulation.model(drive.ego)}
 
     # -- attempts -----------------------------------------------------------------------------------------------
@@ -420,12 +259,14 @@ class Worker:
         ego, adversary = tracks.get(drive.ego), tracks.get(bv)
         if ego is None or adversary is None or ego.time[-1] <= start or adversary.time[-1] <= start:
             return None
-        others = [t for n, t in tracks.items() if n not in (ego.id, bv) and len(t.time) > 3 and _closest(ego, t, start) < 60.0]
+        others = [
+            t for n, t in tracks.items() if n not in (ego.id, bv) and len(t.time) > 3 and _closest(ego, t, start) < 60.0
+        ]
         if driven.beyond is not None:
             adversary = _joined(adversary, driven.beyond)
         return judge(
-            ego, adversary, others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits, on_road=self._found.drivable,
-            lane_half_width=self._found.first.lane_width / 2,
+            ego, adversary, others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits,
+            on_road=self._found.drivable,             lane_half_width=self._found.first.lane_width / 2,
         )  # fmt: skip
 
 
@@ -447,8 +288,13 @@ def _copied(files: Sequence[Path], folder: Path) -> list[Path]:
 
 
 def _joined(track: Track, more: Track) -> Track:
-    both = [np.concatenate([getattr(track, n), getattr(more, n)]) for n in ("time", "x", "y", "heading", "speed", "acceleration")]
-    return Track(track.id, track.role, *both, track.length, track.width)
+    def both(name: str) -> Floats:
+        return np.concatenate([getattr(track, name), getattr(more, name)])
+
+    return Track(
+        track.id, track.role, both("time"), both("x"), both("y"), both("heading"), both("speed"),
+        both("acceleration"), track.length, track.width,
+    )  # fmt: skip
 
 
 def _closest(ego: Track, other: Track, time: float) -> float:

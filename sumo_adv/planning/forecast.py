@@ -18,7 +18,7 @@ ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
 
 
 def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
-    """Station [m] and speed [m/s] of the unattacked ego ``time`` seconds after the trigger; constant speed at the end."""
+    """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
     s, v = situation.profile_s, situation.profile_v
     last = len(s) - 1
     u = np.clip(time / situation.dt, 0.0, last)
@@ -29,7 +29,7 @@ def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
 
 
 def stations(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
-    """Predicted stations and speeds ``look`` (k,) seconds from ``now`` for egos at ``s`` with ``v``, ``a`` (n,): (n, k)."""
+    """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
     ps, pv = profile_at(situation, np.asarray([now]))
     fs, fv = profile_at(situation, now + look)
     held = np.minimum(look, HELD_ACCELERATION)
@@ -40,7 +40,7 @@ def stations(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, 
 
 
 def arrivals(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
-    """Seconds until egos (n,) are at stations ``conflict_s`` (n,); negative once past, ``NO_ARRIVAL`` if not foreseen."""
+    """Seconds until egos (n,) are at ``conflict_s`` (n,); negative once past, ``NO_ARRIVAL`` if not foreseen."""
     way, _ = stations(situation, now, s, v, a, ARRIVAL_LOOK)
     reached = way >= conflict_s[:, None]
     i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)

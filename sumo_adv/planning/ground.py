@@ -14,8 +14,8 @@ import numpy as np
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
-from sumo_adv.situation import NO_ARRIVAL, Situation, Target
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRows, pose, start
+from sumo_adv.situation import NO_ARRIVAL, Situation, Target
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
@@ -105,7 +105,11 @@ class Ground:
     # -- what planners are told ---------------------------------------------------------------------------------
 
     def tell(
-        self, motion: Motion, now: float, ego: tuple[Floats, Floats, Floats, Floats], last: Sequence[Mapping[str, float] | None]
+        self,
+        motion: Motion,
+        now: float,
+        ego: tuple[Floats, Floats, Floats, Floats],
+        last: Sequence[Mapping[str, float] | None],
     ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         """``(bv, ego)`` for each vehicle. ``ego``: station, offset [m], speed, acceleration of the egos, each (n,)."""
         sit = self.situation
@@ -177,7 +181,8 @@ def road_of(situation: Situation, name: str) -> dict[str, Any]:
             }  # fmt: skip
         ways.append(entry)
     return {
-        "relation": target.relation, "left": float(target.ways[0].ego_d[0] + target.offset), "lane_width": situation.lane_width, "ways": ways,
+        "relation": target.relation, "left": float(target.ways[0].ego_d[0] + target.offset),
+        "lane_width": situation.lane_width, "ways": ways,
         "sides": [{"offset": o, "kind": k} for o, k in target.sides],
         "start": {"x": x, "y": y, "heading": h, "speed": target.state.speed},
         "ego_centreline": _points(situation, situation.ego_path), "fastest": target.fastest,

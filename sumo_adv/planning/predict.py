@@ -16,8 +16,8 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Endpoint, Floats, Limits, Proposal
 from sumo_adv.planning.forecast import profile_at
 from sumo_adv.planning.ground import Ground
-from sumo_adv.situation import Situation
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
+from sumo_adv.situation import Situation
 
 Told = tuple[dict[str, Any], dict[str, Any]]
 Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Endpoint | None]]

@@ -68,7 +68,8 @@ class Motion(NamedTuple):
     """A driven vehicle along its path. Floats or arrays ``(n,)``.
 
     s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
-    slope: sine of the angle between its heading and the path's; clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
+    slope: sine of the angle between its heading and the path's; clock, span: progress and duration of the running
+    quintic [s]; c: its coefficients in clock/span; target: its end.
     """
 
     s: Any

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
-import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -37,7 +36,7 @@ class RunFolder:
         """Put the staged folder in its place."""
         if self.target.exists() and force:
             shutil.rmtree(self.target)
-        os.replace(self.stage, self.target)
+        self.stage.replace(self.target)
 
 
 @contextmanager
@@ -173,7 +172,9 @@ def _figure(target: Path, episode: Episode) -> None:
     names = {found.ego: Role.EGO, best.proposal.bv: Role.ADVERSARY}
     sizes, step = all_sizes(episode), episode.settings.step_length
     history = episode.settings.steps(episode.settings.history)
-    attacked = {t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, names, step)}
+    attacked = {
+        t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, names, step)
+    }
     raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.raw], sizes, names, step, tuple(names))}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal

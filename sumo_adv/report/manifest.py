@@ -10,7 +10,7 @@ from typing import Any
 
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal
-from sumo_adv.episode.worker import Task
+from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
 from sumo_adv.planning.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
@@ -41,7 +41,9 @@ def read_manifest(folder: Path) -> Recorded:
     try:
         m: dict[str, Any] = json.loads(file.read_text())
         if m["schema"] != SCHEMA:
-            raise UsageError(f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it.")
+            raise UsageError(
+                f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it."
+            )
         if m["attempt"] is None:
             raise UsageError(f"The run in {folder} made no attempt, so there is nothing to replay.")
         return _recorded(folder, m)

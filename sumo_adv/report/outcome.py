@@ -115,7 +115,8 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
-        "ego_parameters": dict(task.ego_parameters), "skips": episode.skips, "intents_allowed": list(episode.source.intents),
+        "ego_parameters": dict(task.ego_parameters), "skips": episode.skips,
+        "intents_allowed": list(episode.source.intents),
         "bank_hash": episode.bank_hash, "model_answers": [],
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
@@ -125,7 +126,13 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
 def _ego(ego: Any) -> Any:
     if ego is None or isinstance(ego, str):
         return ego
-    return {"edges": list(ego.edges), "depart": ego.depart, "lane": ego.lane, "position": ego.position, "speed": ego.speed}
+    return {
+        "edges": list(ego.edges),
+        "depart": ego.depart,
+        "lane": ego.lane,
+        "position": ego.position,
+        "speed": ego.speed,
+    }
 
 
 def _planner(p: Planner) -> dict[str, Any]:

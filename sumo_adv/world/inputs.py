@@ -102,7 +102,7 @@ def input_name(path: Path) -> str:
 
 
 def data_folder(name: str) -> Path:
-    """The shipped folder or file ``name`` (networks, scenarios, memory_bank.sqlite): in the installed package, else in the checkout."""
+    """The shipped folder or file ``name`` (networks, memory_bank.sqlite, ...): of the package, else of the checkout."""
     package = Path(__file__).resolve().parent.parent
     for folder in (package / "data" / name, package.parent / name):
         if folder.exists():

@@ -93,7 +93,7 @@ class RoadMap:
                 t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
                 if -2 < t < math.hypot(*(b - a)) + 2:
                     d = -d
-                    if 0 < d and (best is None or d < best):
+                    if d > 0 and (best is None or d < best):
                         best = d
         return best
 
@@ -228,7 +228,9 @@ def read_network(path: FilePath) -> RoadMap:
     try:
         net = readNet(str(path), withInternal=True)
     except Exception as error:  # sumolib raises what its XML and gzip readers raise
-        raise UsageError(f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert.") from error
+        raise UsageError(
+            f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
+        ) from error
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):

@@ -1,0 +1,150 @@
+"""What an attempt costs by fork and by load-and-repeat, a prediction search, and the sandbox's calls.
+
+``python benchmarks/attempt_cost.py [SCENARIO ...]``; about ten seconds a scenario.  Two engines hold the same encounter,
+one that forks and one that may not.  The same attempt runs on them in turn (A B A B ...), the whole way a run takes it:
+fresh sandbox session, engine, planner asked every 0.5 s over the connection, verdict.  Both must give the same states.
+Exit status 1 if they differ or a fork is not the faster way.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.agents.expert import Expert
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import LibraryEntry, Proposal
+from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.foresight import Foresight, Sessions
+from sumo_adv.episode.loop import make_task, read_library
+from sumo_adv.episode.worker import AttemptResult, Found, body
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planning.ground import Ground
+from sumo_adv.planning.predict import Told
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.engine import Engine
+from sumo_adv.world.inputs import RunInput, data_folder, load_input
+
+SCENARIOS = ("motorway_cut_in_left", "priority_straight_from_left")
+BATCH = 100  # planner calls sent at once
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """How long one call takes [s]."""
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def spread(name: str, values: Sequence[float], unit: str) -> str:
+    """A line: least, median, largest."""
+    return f"  {name:42s} {min(values):9.2f} {statistics.median(values):9.2f} {max(values):9.2f}  {unit}"
+
+
+def library() -> list[LibraryEntry]:
+    """The shipped bank's intents and planners; the bank itself is not touched."""
+    with (
+        tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
+        MemoryBank.open(Path(folder) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
+    ):
+        return read_library(bank)
+
+
+def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> Found:
+    """Bring an engine to the scenario's trigger."""
+    engine.request("open", make_task(source, settings, folder))
+    found = engine.request("seek")
+    if not isinstance(found, Found):
+        raise SystemExit(f"{source.name}: {found.reason}")
+    return found
+
+
+def search(sandbox: Sandbox, settings: Settings, found: Found, entries: Sequence[LibraryEntry]) -> tuple[Proposal, int, float]:
+    """The best proposal of a prediction search, how many were predicted, seconds."""
+    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+    expert = Expert(foresight, proposals=settings.proposals, seed=settings.seed)
+    took = seconds(lambda: expert.analyze(found.situations, entries))
+    return min(expert.pool, key=lambda p: p.score), foresight.count, took
+
+
+def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
+    """Everything SUMO said from the trigger on, to compare."""
+    return [(s.time, dict(s.raw)) for s in result.snapshots]
+
+
+def calls(sandbox: Sandbox, found: Found, proposal: Proposal, runs: int) -> list[str]:
+    """Lines on a session, a call, and a call in a batch."""
+    situation = found.situations[proposal.delay]
+    ground = Ground(situation, [proposal.bv])
+    start = ground.begin()
+    nothing = start.s * 0.0
+    ego = (nothing, nothing, nothing + situation.ego.speed, nothing + situation.ego.acceleration)
+    told: Told = ground.tell(start, 0.0, ego, [None])[0]
+    opened, single, batched = [], [], []
+    for _ in range(runs):
+        began = time.perf_counter()
+        with Sessions(sandbox, situation, [proposal.planner], 0) as sessions:
+            opened.append(time.perf_counter() - began)
+            single.append(seconds(lambda: sessions.one(proposal, told)))  # noqa: B023 - called at once
+            many = [proposal] * BATCH
+            batched.append(seconds(lambda: sessions.ask(many, range(BATCH), [told] * BATCH)) / BATCH)  # noqa: B023
+    return [
+        spread("sandbox: a fresh session with its planner", [1e3 * t for t in opened], "ms"),
+        spread("sandbox: a call", [1e3 * t for t in single], "ms"),
+        spread(f"sandbox: a call in a batch of {BATCH}", [1e6 * t for t in batched], "us"),
+    ]
+
+
+def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntry]) -> bool:
+    """Print one scenario's lines; whether both ways gave the same states and the fork was faster."""
+    source = load_input(Path(name))
+    base: dict[str, Any] = {"ego": source.ego_controller, "horizon": source.horizon, "proposals": proposals}
+    ways = [load_settings(None, **base, fork=fork) for fork in (True, False)]
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        sandbox = stack.enter_context(Sandbox())
+        engines = [stack.enter_context(Engine(body)) for _ in ways]
+        found = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
+        best, count, searched = search(sandbox, ways[0], found[0], entries)
+        brains = [Brain(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
+        results = [brain.attempt([best])[0] for brain in brains]
+        took: list[list[float]] = [[], []]
+        for _ in range(pairs):
+            for mine, brain in zip(took, brains, strict=True):
+                mine.append(seconds(lambda: brain.attempt([best])))  # noqa: B023 - called at once
+        lines = calls(sandbox, found[0], best, max(3, pairs))
+    same = states(results[0]) == states(results[1]) and results[0].verdict == results[1].verdict
+    shares = [b / a for a, b in zip(*took, strict=True)]
+    fork, load = ([1e3 * t for t in mine] for mine in took)
+    print(f"{source.name}: {best.label}/{best.planner.mode}, {len(results[0].snapshots)} steps from the trigger, "
+          f"{len(results[0].sizes)} vehicles; same states and verdict both ways: {'yes' if same else 'NO'}")  # fmt: skip
+    print(spread("attempt by fork", fork, "ms"))
+    print(spread("attempt by load and repeat", load, "ms"))
+    print(spread("load and repeat over fork, pair by pair", shares, ""))
+    print(f"  prediction search, {count} proposals: {searched:.2f} s")
+    print("\n".join(lines), flush=True)
+    return same and statistics.median(shares) > 1.0
+
+
+def main() -> int:
+    """Print the lines of each scenario; 1 if an expectation does not hold."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("scenarios", nargs="*", default=list(SCENARIOS), help="scenario files or shipped names")
+    parser.add_argument("--pairs", type=int, default=9, help="counted pairs of attempts")
+    parser.add_argument("--proposals", type=int, default=120, help="size of the prediction search")
+    given = parser.parse_args()
+    entries = library()
+    print(f"  {'':42s} {'min':>9s} {'median':>9s} {'max':>9s}")
+    good = [measure(name, given.pairs, given.proposals, entries) for name in given.scenarios]
+    return int(not all(good))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

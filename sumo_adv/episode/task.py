@@ -1,0 +1,77 @@
+"""What goes between the front and the engine: the task, what was found, what an attempt came to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Ending, Verdict
+from sumo_adv.episode.attack import Driven
+from sumo_adv.situation import Situation
+from sumo_adv.world.inputs import EgoRoute
+from sumo_adv.world.network import Drivable
+from sumo_adv.world.simulation import SimulationSpec, Snapshot
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What the worker is opened with. ``ego``: an id, a route to insert it on, or None = choose. Times in s."""
+
+    spec: SimulationSpec
+    settings: Settings
+    ego: str | EgoRoute | None
+    ego_base_type: str | None
+    ego_driver: str
+    ego_parameters: Mapping[str, Any]
+    only: tuple[str, ...]
+    trigger: float | None
+    warm_up: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An encounter: who, when, the ranking, a situation for each delay, and the unattacked run."""
+
+    ego: str
+    time: float
+    ranking: tuple[tuple[str, str, float], ...]  # id, relation, risk
+    situations: Mapping[float, Situation]
+    raw: Sequence[Snapshot]  # from the trigger on
+    passed_over: tuple[str, ...]
+    drivable: Drivable
+    sizes: Mapping[str, tuple[float, float]]
+
+    @property
+    def first(self) -> Situation:
+        """The situation of the least delay."""
+        return self.situations[min(self.situations)]
+
+
+@dataclass(frozen=True, slots=True)
+class NotFound:
+    """Why there is no encounter."""
+
+    ending: Ending
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptResult:
+    """What one attempt came to; ``snapshots`` from the trigger on."""
+
+    driven: Driven
+    verdict: Verdict | None
+    start: float
+    snapshots: Sequence[Snapshot] = field(repr=False, default=())
+    sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Prefix:
+    """The simulation from its start to the trigger, and the sizes of all vehicles."""
+
+    snapshots: Sequence[Snapshot]
+    sizes: Mapping[str, tuple[float, float]]

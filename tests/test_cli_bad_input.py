@@ -1,0 +1,295 @@
+"""Bad input through the real command line: one sentence, exit 2 or 1, no traceback, no folder left half-made."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from cli_samples import BAD_PLANNERS, ROOT, RUN_FILES, TRAIL, Done, Program, Runs, bank_with, let_interrupt
+
+from sumo_adv.datatypes import Ending
+
+NOBODY = 65534
+QUICK = ("motorway_cut_in_left", "--attempts", "2")
+
+
+def refused(done: Done, status: int, *says: str) -> None:
+    """One sentence on stderr, nothing on stdout, no traceback."""
+    assert (done.status, done.out) == (status, ""), done.err
+    assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1, done.err
+    assert done.err.rstrip().endswith("."), done.err
+    assert [word for word in says if word not in done.err] == []
+
+
+def misused(done: Done, says: str) -> None:
+    """The command line itself is wrong: the usual usage text."""
+    assert (done.status, done.out) == (2, "")
+    assert "Usage:" in done.err and says in done.err
+    assert "Traceback" not in done.err
+
+
+# -- inputs
+
+
+def truncated(folder: Path) -> Path:
+    whole = gzip.compress((ROOT / "networks" / "straight_3lane.net.xml").read_bytes())
+    (folder / "cut.net.xml.gz").write_bytes(whole[: len(whole) // 2])
+    return folder / "cut.net.xml.gz"
+
+
+def not_a_network(folder: Path) -> Path:
+    (folder / "songs.net.xml").write_text("<songs><song/></songs>\n")
+    return folder / "songs.net.xml"
+
+
+def not_xml(folder: Path) -> Path:
+    (folder / "noise.net.xml").write_bytes(bytes(range(256)))
+    return folder / "noise.net.xml"
+
+
+def only_for_rail(folder: Path) -> Path:
+    text = (ROOT / "networks" / "straight_3lane.net.xml").read_text(encoding="utf-8")
+    (folder / "rail.net.xml").write_text(text.replace("<lane id=", '<lane allow="rail" id='))
+    return folder / "rail.net.xml"
+
+
+def foreign_demand(folder: Path) -> Path:
+    shutil.copy(ROOT / "scenarios" / "demand" / "priority_straight_from_left.rou.xml", folder / "other.rou.xml")
+    network = ROOT / "networks" / "motorway.net.xml"
+    files = f'<net-file value="{network}"/><route-files value="other.rou.xml"/>'
+    (folder / "mixed.sumocfg").write_text(f"<configuration>{files}</configuration>\n")
+    return folder / "mixed.sumocfg"
+
+
+def odd_scenario(folder: Path) -> Path:
+    text = (ROOT / "scenarios" / "motorway_cut_in_left.toml").read_text(encoding="utf-8")
+    (folder / "odd.toml").write_text(f"colour = 'red'\n{text}")
+    return folder / "odd.toml"
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda folder: folder / "missing.net.xml", "missing.net.xml"), (lambda folder: folder, "is a folder"),
+        (not_a_network, "<songs>"), (not_xml, "not valid XML"), (truncated, "truncated gzip"),
+        (only_for_rail, "no lane"), (foreign_demand, "for another network"), (odd_scenario, "colour"),
+    ],
+    ids=["missing", "a folder", "not a network", "not XML", "cut gz", "no drivable lane", "demand", "unknown key"],
+)  # fmt: skip
+def test_what_cannot_be_run_is_refused(program: Program, make: Callable[[Path], Path], says: str) -> None:
+    given = program.folder / "given"
+    given.mkdir()
+    refused(program("run", make(given), "--out", "new/out"), 2, says)
+    assert program.leftovers() == ["given"]
+    assert not (program.home / "data").exists()
+
+
+# -- options and settings
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--attempts", "0"), "attempts"), (("--ttc", "-1"), "ttc"), (("--seed", "-1"), "seed"),
+        (("--density", "0"), "density"), (("--tuner", "best"), "tuner"), (("--ego", "nobody"), "nobody"),
+        (("--ego", "no_such_module:Ego"), "no_such_module"), (("--ego", "ego_samples:NoEgo"), "NoEgo"),
+        (("--ego-id", "nobody"), "nobody"), (("--adversary", "nobody"), "nobody"),
+        (("--settings", "missing.toml"), "missing.toml"), (("--trigger", "nan"), "trigger"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused(program: Program, options: tuple[str, ...], says: str) -> None:
+    refused(program("run", "motorway_cut_in_left", "--out", "new/out", *options), 2, says)
+    assert program.leftovers() == []
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("run", "motorway_cut_in_left", "--until", "nonsense"), "nonsense"), (("run", "--colour", "red"), "--colour"),
+        (("run", "motorway_cut_in_left", "--attempts", "many"), "many"), (("dance",), "dance"),
+    ],
+    ids=["until", "unknown option", "not a number", "unknown command"],
+)  # fmt: skip
+def test_misuse_gets_the_usage(program: Program, options: tuple[str, ...], says: str) -> None:
+    misused(program(*options), says)
+    assert program.leftovers() == []
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("colour = 'red'\n", "colour"), ("attempts = [\n", "settings"), ("attempts = 'all'\n", "attempts"),
+     ("[limits]\nbraking = 99\n", "limits.braking")],
+    ids=["unknown key", "broken TOML", "wrong type", "out of range"],
+)  # fmt: skip
+def test_a_bad_settings_file_is_refused(program: Program, text: str, says: str) -> None:
+    (program.folder / "settings.toml").write_text(text)
+    refused(program("run", "motorway_cut_in_left", "--out", "new/out", "--settings", "settings.toml"), 2, says)
+    assert program.leftovers() == ["settings.toml"]
+
+
+def test_input_and_replay_exclude_one_another(program: Program) -> None:
+    refused(program("run", "motorway_cut_in_left", "--replay", "somewhere"), 2, "--replay")
+    refused(program("run"), 2, "INPUT")
+    refused(program("run", "--replay", "somewhere"), 2, "manifest.json")
+    assert program.leftovers() == []
+
+
+# -- the memory bank
+
+
+def test_a_bank_that_is_not_sqlite_is_refused_and_left_alone(program: Program) -> None:
+    (program.folder / "bank.sqlite").write_text("Dear diary, ...\n" * 100)
+    refused(program("run", *QUICK, "--out", "new/out", "--memory", "bank.sqlite"), 2, "bank.sqlite")
+    assert (program.folder / "bank.sqlite").read_text() == "Dear diary, ...\n" * 100
+    assert program.leftovers() == ["bank.sqlite"]
+
+
+# -- the output folder
+
+
+def test_a_folder_that_is_taken_needs_force(program: Program, runs: Runs) -> None:
+    shutil.copytree(runs["nothing"].folder, program.folder / "out")
+    (program.folder / "out" / "old.txt").write_text("old")
+    arguments = ("run", "straight_3lane", "--density", "1", "--end", "15", "--out", "out")
+    refused(program(*arguments), 2, "--force")
+    assert (program.folder / "out" / "old.txt").exists()
+    done = program(*arguments, "--force")
+    assert (done.status, done.err) == (0, "")
+    assert not (program.folder / "out" / "old.txt").exists()
+    assert "15 s" in done.outcome["reason"]
+    assert program.leftovers() == ["out"]
+
+
+def test_force_does_not_replace_what_is_no_run(program: Program) -> None:
+    (program.folder / "out").mkdir()
+    (program.folder / "out" / "thesis.txt").write_text("five years of work")
+    refused(program("run", *QUICK, "--out", "out", "--force"), 2, "is not the folder of a run")
+    assert (program.folder / "out" / "thesis.txt").read_text() == "five years of work"
+    (program.folder / "file").write_text("a file")
+    refused(program("run", *QUICK, "--out", "file", "--force"), 2, "file")
+    refused(program("run", *QUICK, "--out", "file/out"), 2, "file/out")
+    assert program.leftovers() == ["file", "out"]
+
+
+def small_files() -> None:
+    """In the child: no file may grow beyond 20 kB."""
+    let_interrupt()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+
+def test_files_that_cannot_grow_leave_no_folder(program: Program) -> None:
+    bank = bank_with(program.folder / "bank.sqlite", TRAIL)
+    done = program(
+        "run", *QUICK, "--learn", "off", "--memory", bank, "--out", "new/out", "--json", preexec_fn=small_files
+    )
+    refused(done, 2, "new/out", "cannot be written")
+    assert program.leftovers() == ["bank.sqlite"]
+
+
+def test_a_full_disk_leaves_no_folder(program: Program) -> None:
+    disk = program.folder / "disk"
+    disk.mkdir()
+    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
+    script = f'mount -t tmpfs -o size=48k tmpfs "{disk}" || exit 77; "$@"; status=$?; ls -A "{disk}"; exit $status'
+    before = ("unshare", "-rm", "sh", "-c", script, "sh")
+    done = program("run", *QUICK, "--out", disk / "out", "--json", before=before)
+    if done.status == 77:
+        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
+    refused(done, 1, "no space left")
+    assert program.leftovers() == ["disk"]
+
+
+@pytest.fixture
+def powerless(caches: Path) -> Iterator[Program]:
+    """The program for a user who may not write everywhere: as root, another one."""
+    folder = Path(tempfile.mkdtemp(prefix="sumo_adv-nobody-"))
+    program = Program(folder, folder / "caches")
+    shutil.copytree(caches, folder / "caches")
+    if os.getuid() == 0:
+        for path in (folder, *folder.rglob("*")):
+            os.chown(path, NOBODY, NOBODY)
+        os.chown(folder, 0, 0)
+        folder.chmod(0o755)
+        tried = subprocess.run(
+            [sys.executable, "-c", "import sumo_adv.episode.loop"], cwd=folder, env=program.environment(), user=NOBODY,
+            group=NOBODY, extra_groups=[], capture_output=True,
+        )  # fmt: skip
+        if tried.returncode:
+            shutil.rmtree(folder)
+            pytest.skip("these tests run as root, and no other user can read this checkout or its Python")
+    yield program
+    shutil.rmtree(folder)
+
+
+def without_rights() -> dict[str, object]:
+    """Options for a process that is not root."""
+    return {"user": NOBODY, "group": NOBODY, "extra_groups": []} if os.getuid() == 0 else {}
+
+
+def test_a_bank_that_cannot_be_written_is_only_a_note(powerless: Program) -> None:
+    shelf = powerless.folder / "shelf"
+    shelf.mkdir()
+    shutil.copy(ROOT / "memory_bank.sqlite", shelf / "bank.sqlite")
+    (shelf / "bank.sqlite").chmod(0o444)
+    shelf.chmod(0o555)
+    out = powerless.home / "out"
+    arguments = (
+        "run",
+        "motorway_cut_in_left",
+        "--ttc",
+        "20",
+        "--memory",
+        shelf / "bank.sqlite",
+        "--out",
+        out,
+        "--json",
+    )
+    done = powerless(*arguments, **without_rights())
+    done = Done(done.status, done.out, done.err, out)
+    shelf.chmod(0o755)
+    assert (done.status, done.err) == (0, "")
+    assert done.outcome["ending"] == "critical" and done.outcome["learnt"] is False
+    assert "read-only" in " ".join(done.outcome["notes"])
+    assert (shelf / "bank.sqlite").read_bytes() == (ROOT / "memory_bank.sqlite").read_bytes()
+    assert [p.name for p in shelf.iterdir()] == ["bank.sqlite"]
+
+
+def test_no_right_to_write_is_a_sentence(powerless: Program) -> None:
+    shelf = powerless.folder / "shelf"
+    shelf.mkdir(mode=0o555)
+    done = powerless("run", *QUICK, "--out", shelf / "new" / "out", **without_rights())
+    refused(done, 2, "cannot be written")
+    assert list(shelf.iterdir()) == []
+
+
+# -- planners
+
+
+@pytest.mark.parametrize("wrong", BAD_PLANNERS)
+def test_a_bad_planner_cannot_break_a_run(program: Program, wrong: str) -> None:
+    bank = bank_with(program.folder / "bank.sqlite", BAD_PLANNERS[wrong])
+    done = program("run", *QUICK, "--memory", bank, "--out", "out", "--json")
+    outcome = done.outcome
+    assert outcome["ending"] in set(Ending) and outcome["reason"]
+    assert done.status == (1 if outcome["ending"] == "planner_failed" else 0), done.err
+    assert "Traceback" not in done.err and len(done.err.splitlines()) <= 1
+    assert {a["intent"] for a in outcome["attempts"]} <= {"Odd Driving"}
+    if wrong == "teleports":
+        assert outcome["attempts"]
+        assert [a for a in outcome["attempts"] if a["critical"] and a["feasible"]] == []
+        assert outcome["outcome"]["min_distance"] > 0
+    else:
+        assert outcome["ending"] == "planner_failed"
+        assert all(a["ending"] == "planner_failed" and a["message"] for a in outcome["attempts"])
+    assert {p.name for p in done.folder.iterdir()} <= RUN_FILES
+    assert program.leftovers() == ["bank.sqlite", "out"]
