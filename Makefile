@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := run
 
 run: $(STAMP)
-	$(BIN)/python -m sumo_adv run $(INPUT) $(ARGS)
+	$(BIN)/python -m sumo_adv run $(INPUT) --force $(ARGS)
 
 test: lint
 	$(BIN)/python -m pytest -m "not soak" $(ARGS)
@@ -22,7 +22,7 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 bench: $(STAMP)
-	$(BIN)/python -m sumo_adv bench $(ARGS)
+	for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script $(ARGS) || exit 1; done
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -m soak $(ARGS)

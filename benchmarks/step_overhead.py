@@ -1,9 +1,9 @@
 """What the whole loop costs a step, against bare libsumo stepping of the same traffic.
 
-``python benchmarks/step_overhead.py``; about a minute.  One engine process drives one simulation.  A window is an attempt
-from the trigger to a collision some ten seconds later, gate verdict included; before each window the simulation is
-loaded again and brought to the trigger, which is not timed.  The windows alternate: bare stepping (A), the whole loop
-(B), A, B, ...; a row gives the ratio B/A pair by pair.
+``python benchmarks/step_overhead.py``; about a minute.  One engine process drives one simulation.  A window is an
+attempt from the trigger to a collision some ten seconds later, gate verdict included; before each window the simulation
+is loaded again and brought to the trigger, which is not timed.  The windows alternate: bare stepping (A), the whole
+loop (B), A, B, ...; a row gives the ratio B/A pair by pair.
 
 Whole loop: states of all vehicles read each step, ego's driver, one adversary advanced and injected each step, planner
 asked every 0.5 s, verdict at the end.  The planner runs in the engine (``local``) or is asked for over the engine's
@@ -197,7 +197,10 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
             def window() -> tuple[float, int, int, str]:
                 remote = case.planner == "sandbox"
                 answer: tuple[float, int, int, str] = engine.request(
-                    "loop", proposal, remote, answer=lambda told: world_endpoint(situation, sessions.one(proposal, told))
+                    "loop",
+                    proposal,
+                    remote,
+                    answer=lambda told: world_endpoint(situation, sessions.one(proposal, told)),
                 )
                 return answer
 
@@ -233,7 +236,9 @@ def main() -> int:
     with Sandbox() as sandbox:
         for case in cases(given.vehicles):
             row = measure(case, given.pairs, given.steps, sandbox)
-            bound = BOUNDS.get(case.vehicles) if (case.flags, case.ego, case.planner) == ("base", "idm", "local") else None
+            bound = (
+                BOUNDS.get(case.vehicles) if (case.flags, case.ego, case.planner) == ("base", "idm", "local") else None
+            )
             over |= bound is not None and statistics.median(row.ratios) > bound
             print(f"{row}{f'  (bound {bound:g})' if bound else ''}", flush=True)
     return int(over)

@@ -209,8 +209,8 @@ def _remedy(attempt: Attempt) -> list[tuple[str, float]]:
 
 
 def _rewritten(source: str, p: Parameter, value: float) -> str:
-    """The table's line of one parameter with a new default, bounds moved along where it lies outside them."""
+    """The table's entry of one parameter with a new default, bounds moved along where it lies outside them."""
     value = round(value, 3)
     low, high = round(min(p.low, value), 3), round(max(p.high, value), 3)
-    line = re.compile(rf'^(\s*"{re.escape(p.name)}":\s*\()[^,]+,[^,]+,[^,]+,', re.MULTILINE)
-    return line.sub(rf"\g<1>{value!r}, {low!r}, {high!r},", source, count=1)
+    entry = re.compile(rf"""(["']{re.escape(p.name)}["']\s*:\s*\()[^,()]+,[^,()]+,[^,()]+,""")
+    return entry.sub(rf"\g<1>{value!r}, {low!r}, {high!r},", source, count=1)

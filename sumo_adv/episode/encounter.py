@@ -122,11 +122,11 @@ class Encounter:
 
     def _beside(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
         """Risk of a vehicle that drives our way; less where no lane is free to come from."""
-        if not -35.0 < s < 45.0 or bv.speed < 2.0:
+        if not -45.0 < s < 60.0 or bv.speed < 2.0:
             return 0.0
         wanted = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)
-        risk = math.exp(-abs(s + closing * 2.0 - wanted) / 25.0)
+        risk = math.exp(-abs(s + closing * 2.0 - wanted) / 35.0)
         if relation == "neighbour":
             return risk if abs(d) < 5.0 else 0.7 * risk
         same = [o for o, kind in self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading) if kind == "same"]

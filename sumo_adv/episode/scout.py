@@ -16,7 +16,7 @@ from sumo_adv.geometry import PATH_STEP
 from sumo_adv.world.inputs import EgoRoute
 from sumo_adv.world.network import RoadMap
 
-PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
+PATIENCE = 15.0  # s one automatically chosen ego is watched without an encounter
 INSERTED_EGO = "ego"
 LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: how far a driver is told its lane, and how long that serves
 MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # m/s, m, m: what makes a vehicle worth being the ego

@@ -138,8 +138,10 @@ def raw_figures(episode: Episode) -> dict[str, Any] | None:
     best, found = episode.best, episode.found
     if best is None or found is None or episode.prefix is None:
         return None
-    k = episode.refinement.best or 0
-    end = episode.refinement.results[k].snapshots[-1].time
+    after = episode.refinement.results[episode.refinement.best or 0].snapshots
+    if not after:  # its planner failed before the first step
+        return {"min_ttc": None, "collided": False}
+    end = after[-1].time
     pair = _pair(episode, [*episode.prefix.snapshots[-5:], *found.raw], best.trigger_time, end)
     if pair is None:
         return {"min_ttc": None, "collided": False}

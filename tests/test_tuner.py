@@ -1,0 +1,165 @@
+"""The order in which proposals are tried, and the expert's ranking of intents."""
+
+import random
+
+import pytest
+
+from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
+from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.planning.source import make_planner
+from sumo_adv.situation import Situation
+from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
+
+SHIFT = """
+PARAMETERS = {"gap": (2.0, -3.0, 4.0, "m", "where"), "drift": (3.0, 2.0, 6.0, "s", "how long")}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    return {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 1.0, "time": 1.0}
+"""
+RUSH = (
+    '# Title\nPARAMETERS = {"offset": (0.0, -1.0, 1.0, "s", "when")}\nMOVEMENT = "straight"\n'
+    + SHIFT.split("\n\n\n")[1]
+)
+
+
+def straight_situation() -> Situation:
+    """A car in the lane beside the ego."""
+    return situation([neighbour()])
+
+
+def merging_situation() -> Situation:
+    """A car on a ramp that joins the ego's lane 60 m ahead."""
+    ramp = line((0.0, -30.0), (60.0, 0.0), (250.0, 0.0))
+    return situation([target(car("bv", 0.0, -30.0, 0.46), "merging", [(ramp, "straight", 55.0)], EGO_PATH)])
+
+
+def entry(label: str, applies: tuple[str, ...], source: str = SHIFT, mode: str = "side") -> LibraryEntry:
+    return LibraryEntry(label, f"What {label} does.", applies, (make_planner(label, mode, source, "seed"),))
+
+
+class ByGap:
+    """A scorer with a rule of its own: the nearer the gap to 1 m, the better; other planners never hit."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def score(self, proposals):
+        self.asked += len(proposals)
+        return [
+            Proposal(
+                p.bv, p.label, p.planner, p.parameters, p.acceleration, p.delay,
+                score=abs(p.parameters.get("gap", 9.0) - 1.0) / 4.0, predicted={"min_ttc": 0.5},
+            )
+            for p in proposals
+        ]  # fmt: skip
+
+
+class NeverHits(ByGap):
+    """Predicts that nothing reaches the ego."""
+
+    def score(self, proposals):
+        self.asked += len(proposals)
+        return [Proposal(p.bv, p.label, p.planner, p.parameters, p.acceleration, p.delay, score=4.0) for p in proposals]
+
+
+def tried(tuner: Tuner, count: int) -> list[Proposal]:
+    return [p for _ in range(count) if (p := tuner.next()) is not None]
+
+
+def test_families_are_what_applies_to_each_vehicle():
+    situation = straight_situation()
+    library = [entry("Shift", ("neighbour",)), entry("Oncoming", ("oncoming",))]
+    found = families({0.0: situation}, library)
+    assert {(f.target.relation, f.entry.label) for f in found} == {("neighbour", "Shift")}
+    assert families({0.0: situation}, library, ["Oncoming"]) == []
+
+
+def test_the_first_proposal_of_a_family_has_its_authors_numbers_and_drawn_ones_stay_in_bounds():
+    situation = straight_situation()
+    family = families({0.0: situation}, [entry("Shift", ("neighbour",))])[0]
+    assert family.proposal(None).parameters == {"gap": 2.0, "drift": 3.0}
+    for seed in range(50):
+        drawn = family.proposal(random.Random(seed)).parameters
+        assert -3.0 <= drawn["gap"] <= 4.0 and 2.0 <= drawn["drift"] <= 6.0
+
+
+def test_the_best_score_ranks_an_intent_first():
+    situation = straight_situation()
+    library = [entry("Far", ("neighbour",), SHIFT.replace("-3.0, 4.0", "1.9, 2.1")), entry("Shift", ("neighbour",))]
+    expert = Expert(ByGap(), proposals=40, seed=1)
+    ranked = expert.analyze({0.0: situation}, library)
+    assert [i.label for i in ranked] == ["Shift", "Far"]  # 2.0 +- 0.1 m is never within 0.9 m of the best place
+    assert ranked[0].risk == "high" and "predicted" in ranked[0].reason
+
+
+def test_same_seed_same_order():
+    situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
+    orders = []
+    for _ in range(2):
+        expert = Expert(ByGap(), proposals=30, seed=7)
+        expert.analyze({0.0: situation}, library)
+        tuner = Tuner(expert, families({0.0: situation}, library), share=8)
+        orders.append([p.parameters["gap"] for p in tried(tuner, 8)])
+    assert orders[0] == orders[1] and len(orders[0]) == 8
+
+
+def test_a_planner_gets_at_most_its_share():
+    situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
+    expert = Expert(ByGap(), proposals=30, seed=7)
+    expert.analyze({0.0: situation}, library)
+    tuner = Tuner(expert, families({0.0: situation}, library), share=3)
+    assert len(tried(tuner, 10)) == 3
+    assert tuner.exhausted() == [library[0].planners[0].hash]
+
+
+def test_tries_cost_so_another_family_has_its_turn():
+    situation = straight_situation()
+    near, far = entry("Near", ("neighbour",)), entry("Other", ("neighbour",), SHIFT + "\n# another text\n")
+    expert = Expert(NeverHits(), proposals=1, seed=1)
+    planner_a, planner_b = near.planners[0], far.planners[0]
+    bv = next(iter(situation.targets))
+    expert.pool = [Proposal(bv, "Near", planner_a, {}, 0.0, 0.0, score=0.01 * k) for k in range(4)]
+    expert.pool.append(Proposal(bv, "Other", planner_b, {}, 0.0, 0.0, score=TRIED_PRICE + 0.015))
+    tuner = Tuner(expert, [], share=8)
+    # 0.00 first; then 0.01 + 0.12 against 0.135: Near again (0.13); third turn goes to the least tried family
+    assert [p.label for p in tried(tuner, 3)] == ["Near", "Near", "Other"]
+
+
+def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
+    situation = merging_situation()
+    library = [entry("Shift", ("neighbour",))]
+    expert = Expert(NeverHits(), proposals=10, seed=0)
+    ranked = expert.analyze({0.0: situation}, library)
+    assert ranked[0].label == "Ramp Merge Rush" and ranked[0].source == "generated"
+    assert compose({0.0: situation}, [entry("Ramp Merge Rush", ("merging",))]) == []
+
+
+def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
+    generator = ExpertGenerator(make_planner)
+    examples = [entry("Shift", ("neighbour",)), entry("Go-straight", ("crossing_straight",), RUSH, "direct")]
+    intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
+    planner = generator.generate(intent, straight_situation(), examples)
+    assert planner is not None and 'MOVEMENT = "right"' in planner.source
+    assert planner.parent == examples[1].planners[0].hash and planner.origin == "expert"
+    assert generator.generate(Intent("bv", "Something else", "", "low", 0.0), straight_situation(), examples) is None
+
+
+@pytest.mark.parametrize(("collided", "avoidable", "drift"), [(True, "unavoidable", 4.0), (False, None, 3.0)])
+def test_the_modifier_moves_the_numbers_by_diagnosis(collided, avoidable, drift):
+    planner = make_planner("Shift", "side", SHIFT, "seed")
+    verdict = Verdict(0.0 if collided else 2.0, 0.4, collided, collided, True, False, False, False, avoidable)
+    proposal = Proposal("bv", "Shift", planner, {"gap": 3.0, "drift": 3.0}, 0.0, 0.0)
+    changed = ExpertModifier(make_planner).modify(planner, [Attempt(0, "tuner", proposal, 0.0, verdict, "contact")])
+    assert changed is not None and changed.parent == planner.hash
+    assert changed.defaults() == {"gap": 3.0 if collided else 2.5, "drift": drift}
+    assert ExpertModifier(make_planner).modify(planner, []) is None
+
+
+def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():
+    situation = straight_situation()
+    braking = entry("Emergency Braking", ("neighbour",))
+    family = Family(0.0, next(iter(situation.targets.values())), braking, braking.planners[0])
+    assert family.proposal(None).acceleration == -7.5
+    assert -8.0 <= family.proposal(random.Random(3)).acceleration <= -5.0
