@@ -126,8 +126,8 @@ def test_a_replayed_ego_yields_to_nobody() -> None:
 
 @pytest.mark.parametrize("kind", ["krauss", "idm", "careful"])
 def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind: str) -> None:
-    slow = situation([neighbour(x=20.0, speed=10.0)], model={**KRAUSS, "kind": kind})
-    beside, cutting_in = end(45.0, 3.2, 4.0), end(45.0, 0.0, 4.0)
+    slow = situation([neighbour(x=20.0, speed=7.0)], model={**KRAUSS, "kind": kind})
+    beside, cutting_in = end(48.0, 3.2, 7.0, 4.0), end(48.0, 0.0, 7.0, 4.0)
     rollouts, _ = roll(slow, [beside, cutting_in], steps=70)
     assert rollouts.disturbed.tolist() == [False, True]
     assert rollouts.ego[3][1, -1] < rollouts.ego[3][0, -1] - 2.0

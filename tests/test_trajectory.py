@@ -91,7 +91,7 @@ def test_a_lane_change_ends_in_the_lane_and_along_it() -> None:
     assert (end.d, end.dd, end.ddd) == pytest.approx((3.2, 0.0, 0.0), abs=1e-9)
     assert poses[-1][2] == pytest.approx(0.0, abs=1e-3)
     d = column(states, "d")
-    assert d[20] == pytest.approx(1.6)  # half of it after half of 4 s
+    assert d[20] == pytest.approx(1.6, abs=0.01)  # half of it after half of 4 s
     assert column(states, "dd").max() == pytest.approx(15 / 8 * 3.2 / 4.0, rel=0.01)  # a quintic's middle
 
 
@@ -175,7 +175,9 @@ def test_sideways_a_car_pulls_no_more_than_about_4_metres_a_second_squared(case:
 
 @EXAMPLES
 @given(starts_and_goals(), st.sampled_from(list(PATHS)))
-def test_poses_move_as_fast_as_the_speed_says_and_where_the_heading_points(case: tuple[Motion, Goal], path: str) -> None:
+def test_poses_move_as_fast_as_the_speed_says_and_where_the_heading_points(
+    case: tuple[Motion, Goal], path: str
+) -> None:
     states, poses = drive(PATHS[path], case[0], case[1], steps=30)
     way = np.hypot(*np.diff([(x, y) for x, y, _ in poses], axis=0).T)
     assert way == pytest.approx(column(states, "v")[1:] * DT, abs=0.04)

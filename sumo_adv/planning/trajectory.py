@@ -5,8 +5,9 @@ array overhead: about 15 us a step) and many predicted rollouts at once (numpy a
 the two sets of operations; every function takes one of them as ``m``.
 
 Longitudinal: the acceleration moves by at most J dt towards what the cubic to (s_T, v_T) at T asks for, bounded by the
-limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path on a clock that runs
-slower below 6 m/s, stretched until lateral acceleration, slope and jerk are within bounds.
+limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path, stretched until lateral
+acceleration, slope and jerk are within bounds, on a clock that runs with the vehicle's speed: braking in the middle of a
+lane change slows the move down and does not turn the vehicle any further.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import numpy as np
 from sumo_adv.datatypes import Limits
 from sumo_adv.geometry import PATH_STEP, Path
 
-FULL_CLOCK_SPEED = 6.0  # m/s: below it lateral motion slows down with the vehicle
+FULL_CLOCK_SPEED = 6.0  # m/s: a move begun slower is planned as if at this speed, and takes longer
+FASTEST_CLOCK = 1.15  # a vehicle that speeds up hastens its lateral move by so much at most
 LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
 SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
 STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
@@ -68,7 +70,7 @@ class Motion(NamedTuple):
     """A driven vehicle along its path. Floats or arrays ``(n,)``.
 
     s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
-    slope: sine of the angle between its heading and the path's; clock, span: progress and duration of the running
+    slope: sine of the angle between its heading and the path's; pace: the speed at which the quintic runs in time; clock, span: progress and duration of the running
     quintic [s]; c: its coefficients in clock/span; target: its end.
     """
 
@@ -79,6 +81,7 @@ class Motion(NamedTuple):
     v: Any
     a: Any
     slope: Any
+    pace: Any
     clock: Any
     span: Any
     c: tuple[Any, ...]
@@ -163,7 +166,7 @@ def start(m: Any, s: Any, d: Any, dd: Any, v: Any, a: Any) -> Motion:
     """A motion that keeps its offset after the lateral speed ``dd`` [m/s] it comes with has died away."""
     zero = v * 0.0
     slope = dd / m.maximum(v, 1.0)
-    still = Motion(s, d, dd, zero, v, a, slope, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
+    still = Motion(s, d, dd, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
     return bend(m, still, d, zero + 1.5, zero)
 
 
@@ -173,10 +176,11 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     Bounds at ten samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10.
     """
     v = motion.v
-    rate = m.maximum(m.minimum(v / FULL_CLOCK_SPEED, 1.0), 0.05)
+    pace = m.maximum(v, FULL_CLOCK_SPEED)
+    rate = m.maximum(v / pace, 0.05)
     d0, v0, a0 = motion.d, motion.dd / rate, motion.ddd / (rate * rate)
-    most = m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0)
-    slope = 0.28 * m.maximum(v, FULL_CLOCK_SPEED)
+    most = m.maximum(m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0), 1.02 * abs(a0))
+    slope = m.maximum(0.28 * pace, 1.02 * abs(v0))  # what is there already cannot be undone by a longer move
     span = m.maximum(duration * rate, 0.5)
     for _ in range(STRETCHES):
         c = _quintic(d0, v0, a0, target, span)
@@ -184,7 +188,8 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
         if not m.any_(bad):
             break
         span = m.where(bad, span * STRETCH, span)
-    return motion._replace(clock=v * 0.0, span=span, c=_quintic(d0, v0, a0, target, span), target=target)
+    c = _quintic(d0, v0, a0, target, span)
+    return motion._replace(pace=pace, clock=v * 0.0, span=span, c=c, target=target)
 
 
 def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:
@@ -260,13 +265,14 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
     """Clock, offset, its two time derivatives and the slope after ``dt``; the slope stays where the vehicle stops."""
-    rate = m.minimum(v / FULL_CLOCK_SPEED, 1.0)
+    rate = m.minimum(v / motion.pace, FASTEST_CLOCK)
     clock = m.minimum(motion.clock + rate * dt, motion.span)
     u, c, span = clock / motion.span, motion.c, motion.span
     d = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
     d1 = (c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))) / span
     d2 = (2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))) / (span * span)
-    slope = m.minimum(m.maximum(d1 / m.maximum(v, FULL_CLOCK_SPEED), -0.8), 0.8)
+    per_metre = m.minimum(1.0 / motion.pace, FASTEST_CLOCK / m.maximum(v, 1.0))
+    slope = m.minimum(m.maximum(d1 * per_metre, -0.8), 0.8)
     return clock, d, d1 * rate, d2 * rate * rate, slope
 
 
