@@ -144,9 +144,8 @@ def _smooth(values: Floats) -> Floats:
 
 
 def _bend_speed(curvature: Floats, lateral: float, braking: float) -> Floats:
-    speed = np.minimum(np.sqrt(lateral / np.maximum(np.abs(curvature), 1e-4)), 60.0)
-    for i in range(len(speed) - 2, -1, -1):
-        limit = math.sqrt(speed[i + 1] ** 2 + 2 * braking * PATH_STEP)
-        if speed[i] > limit:
-            speed[i] = limit
-    return speed
+    """min over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
+    square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
+    gained = 2 * braking * PATH_STEP * np.arange(len(square))
+    least = np.minimum.accumulate((square + gained)[::-1])[::-1]
+    return np.asarray(np.sqrt(least - gained))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.geometry import Frame, Path, wrap_all
@@ -103,15 +104,25 @@ class Situation:
 
 def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> WayLine:
     """Describe a way relative to the ego's path and find where they meet."""
-    dx = path.x[:, None] - ego_path.x[None, :]
-    dy = path.y[:, None] - ego_path.y[None, :]
-    nearest = np.argmin(dx * dx + dy * dy, axis=1)
+    nearest = _nearest(path, ego_path)
     ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
     along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
     s = nearest * 0.5 + along
     h = wrap_all(path.heading - eh)
     return WayLine(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length))
+
+
+COARSE = 8  # samples of the ego's path between those that are looked at first
+
+
+def _nearest(path: Path, ego_path: Path) -> NDArray[np.intp]:
+    """For each sample of a way the nearest sample of the ego's path: first every eighth, then those around the best."""
+    dx, dy = path.x[:, None] - ego_path.x[None, ::COARSE], path.y[:, None] - ego_path.y[None, ::COARSE]
+    first = np.argmin(dx * dx + dy * dy, axis=1) * COARSE
+    around = np.clip(first[:, None] + np.arange(-COARSE, COARSE + 1), 0, len(ego_path.x) - 1)
+    dx, dy = path.x[:, None] - ego_path.x[around], path.y[:, None] - ego_path.y[around]
+    return np.asarray(around[np.arange(len(first)), np.argmin(dx * dx + dy * dy, axis=1)])
 
 
 def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach: float) -> Conflict | None:

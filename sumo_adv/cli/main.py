@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated
 
@@ -43,6 +44,9 @@ def main() -> None:
     except SumoAdvError as error:
         typer.echo(f"sumo-adv: {error}", err=True)
         sys.exit(error.exit_status)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
+        sys.exit(1)
     except KeyboardInterrupt:
         typer.echo("sumo-adv: interrupted.", err=True)
         sys.exit(1)

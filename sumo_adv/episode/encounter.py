@@ -109,7 +109,9 @@ class Encounter:
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
             risk = self._beside(relation, s, d, bv, ego)
         elif turned > 2.64 and 1.2 < d < BESIDE and s > 0:
-            relation, risk = "oncoming", _oncoming(s, bv.speed + ego.speed)
+            sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
+            if any(kind == "opposite" for _, kind in sides):  # nothing but a line between the two
+                relation, risk = "oncoming", _oncoming(s, bv.speed + ego.speed)
         if relation in ("leader", "follower", "neighbour") and risk == 0.0:
             return None
         ways = bv_ways(self.road, drive, bv, path)

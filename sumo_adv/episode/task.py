@@ -60,7 +60,7 @@ class NotFound:
 
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
-    """What one attempt came to; ``snapshots`` from the trigger on."""
+    """What one attempt came to; ``start`` [s]: when the adversary was taken over, ``snapshots`` from the trigger on."""
 
     driven: Driven
     verdict: Verdict | None

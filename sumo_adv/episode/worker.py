@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Ending, Floats, Limits, Proposal, Role, Track, Verdict
+from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, Verdict
 from sumo_adv.episode.attack import Driven, attack
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
@@ -25,6 +25,7 @@ from sumo_adv.episode.scout import Scout
 from sumo_adv.episode.survey import survey
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
 from sumo_adv.errors import SimulationError
+from sumo_adv.metrics.case import closest, make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
@@ -197,7 +198,7 @@ class Worker:
         if ego.time[-1] < time + 2.0:
             return "the ego leaves the network at once"
         others = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 3 and t.time[-1] > time + 0.3]
-        others = [t for t in others if _closest(ego, t, time) < 30.0]
+        others = [t for t in others if closest(ego, t, time) < 30.0]
         if not others:
             return ""
         least = min(
@@ -241,7 +242,7 @@ class Worker:
             replan=settings.steps(settings.replan),
         )  # fmt: skip
         return AttemptResult(
-            replace(driven, beyond=None), self._verdict(proposal.bv, start, driven, limits), start,
+            driven, self._verdict(proposal.bv, start, driven, limits), start,
             drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes),
         )  # fmt: skip
 
@@ -255,18 +256,12 @@ class Worker:
         drive, settings = self._drive, self._settings
         assert drive.ego is not None
         first = self._trigger_step + settings.steps(start - self._found.time) - settings.steps(settings.history)
-        tracks = {t.id: t for t in drive.tracks(bv, max(0, first))}
-        ego, adversary = tracks.get(drive.ego), tracks.get(bv)
-        if ego is None or adversary is None or ego.time[-1] <= start or adversary.time[-1] <= start:
+        case = make_case(drive.tracks(bv, max(0, first)), drive.ego, bv, start, driven.beyond)
+        if case is None:
             return None
-        others = [
-            t for n, t in tracks.items() if n not in (ego.id, bv) and len(t.time) > 3 and _closest(ego, t, start) < 60.0
-        ]
-        if driven.beyond is not None:
-            adversary = _joined(adversary, driven.beyond)
         return judge(
-            ego, adversary, others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits,
-            on_road=self._found.drivable,             lane_half_width=self._found.first.lane_width / 2,
+            case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits,
+            on_road=self._found.drivable, lane_half_width=self._found.first.lane_width / 2,
         )  # fmt: skip
 
 
@@ -285,23 +280,6 @@ def _copied(files: Sequence[Path], folder: Path) -> list[Path]:
         copies.append(folder / f"{k}-{file.name}")
         shutil.copyfile(file, copies[-1])
     return copies
-
-
-def _joined(track: Track, more: Track) -> Track:
-    def both(name: str) -> Floats:
-        return np.concatenate([getattr(track, name), getattr(more, name)])
-
-    return Track(
-        track.id, track.role, both("time"), both("x"), both("y"), both("heading"), both("speed"),
-        both("acceleration"), track.length, track.width,
-    )  # fmt: skip
-
-
-def _closest(ego: Track, other: Track, time: float) -> float:
-    """Least distance of the centres [m] at common times from ``time`` on."""
-    common, i, j = np.intersect1d(np.round(ego.time, 3), np.round(other.time, 3), return_indices=True)
-    i, j = i[common >= time - 1e-6], j[common >= time - 1e-6]
-    return float(np.min(np.hypot(ego.x[i] - other.x[j], ego.y[i] - other.y[j]))) if len(i) else math.inf
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:

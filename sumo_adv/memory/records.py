@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sumo_adv.datatypes import Verdict
+from sumo_adv.datatypes import Planner, Verdict
 from sumo_adv.errors import BankError
 
 RELATIONS = (
@@ -137,12 +137,29 @@ def evidence_of(
 class Retrieval:
     """The answer to "is this intent known?". ``hit`` is the label within ``epsilon``, or None; ``distance`` that of
     the nearest (0 for the same label, 1 = nothing in common, also for an empty bank); ``nearest`` is sorted, at most
-    five (label, distance)."""
+    five (label, distance). ``band``: the distance is so near to epsilon, within a tenth of it, that whoever asks may
+    have the first three of ``nearest`` confirmed."""
 
     hit: str | None
     distance: float
     epsilon: float
     nearest: Sequence[tuple[str, float]]
+    band: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """All that a bank holds about one intent, as it is exported, imported and built.
+
+    ``planners``: retired ones too, by mode; ``retired``: hashes of those; ``merged_into``: the label of the intent that
+    took over this one's planners and evidence.
+    """
+
+    intent: IntentRecord
+    planners: tuple[Planner, ...]
+    retired: frozenset[str] = frozenset()
+    evidence: tuple[Evidence, ...] = ()
+    merged_into: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +172,11 @@ class LabelStatistics:
     collisions: int
     valid: int
     attempts: int
+
+    @property
+    def failures(self) -> int:
+        """Evidence that is no success."""
+        return self.evidence - self.successes
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ _EVIDENCE_COLUMNS = (
     " collided, critical, feasible, rear_end, valid, strict, version, network, seed, created"
 )
 
+MERGED = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
+
 
 @dataclass(slots=True)
 class Content:
@@ -32,32 +34,37 @@ class Content:
 
 def load(connection: sqlite3.Connection) -> Content:
     """Everything, from one consistent view of the file."""
-    content = Content()
     connection.execute("BEGIN")
     try:
-        keys: dict[int, str] = {}
-        for id_, key, *rest in connection.execute(
-            "SELECT id, key, label, description, applies, status FROM intents ORDER BY id"
-        ):
-            keys[id_] = key
-            content.intents[key] = _intent(*rest)
-            content.planners[key] = []
-        for id_, mode, source, parameters, parent, origin, status in connection.execute(
-            "SELECT intent, mode, source, parameters, parent, origin, status FROM planners ORDER BY id"
-        ):
-            key = keys[id_]
-            planner = _planner(content.intents[key].label, mode, source, parameters, parent, origin)
-            content.planners[key].append(planner)
-            if status == "retired":
-                content.retired.add((key, planner.hash))
-        for id_, planner_hash, *values in connection.execute(
-            f"SELECT intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
-        ):
-            content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
-        for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
-            content.settings[key] = json.loads(value)
+        return read(connection)
     finally:
         connection.execute("COMMIT")
+
+
+def read(connection: sqlite3.Connection) -> Content:
+    """Everything; to be called within a transaction."""
+    content = Content()
+    keys: dict[int, str] = {}
+    for id_, key, *rest in connection.execute(
+        "SELECT id, key, label, description, applies, status FROM intents ORDER BY id"
+    ):
+        keys[id_] = key
+        content.intents[key] = _intent(*rest)
+        content.planners[key] = []
+    for id_, mode, source, parameters, parent, origin, status in connection.execute(
+        "SELECT intent, mode, source, parameters, parent, origin, status FROM planners ORDER BY id"
+    ):
+        key = keys[id_]
+        planner = _planner(content.intents[key].label, mode, source, parameters, parent, origin)
+        content.planners[key].append(planner)
+        if status == "retired":
+            content.retired.add((key, planner.hash))
+    for id_, planner_hash, *values in connection.execute(
+        f"SELECT intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
+    ):
+        content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
+    for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
+        content.settings[key] = json.loads(value)
     return content
 
 
@@ -78,32 +85,34 @@ def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | No
     return None if row is None else _intent(*row)
 
 
-def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str) -> None:
+def insert_planner(
+    connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str = "active"
+) -> None:
     """Add a planner to an intent that exists, unless it has that source already."""
     parameters = [list(asdict(parameter).values()) for parameter in planner.parameters]
     connection.execute(
         "INSERT INTO planners (intent, mode, source, parameters, hash, parent, origin, status, created)"
-        " SELECT id, ?, ?, ?, ?, ?, ?, 'active', ? FROM intents WHERE key = ?"
+        " SELECT id, ?, ?, ?, ?, ?, ?, ?, ? FROM intents WHERE key = ?"
         " ON CONFLICT (intent, hash) DO NOTHING",
         (
-            planner.mode, planner.source, _json(parameters), planner.hash, planner.parent, planner.origin, now,
-            canonical(label),
+            planner.mode, planner.source, _json(parameters), planner.hash, planner.parent, planner.origin,
+            status, now, canonical(label),
         ),
     )  # fmt: skip
 
 
-def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) -> Planner | None:
-    """One planner of an intent, as stored."""
+def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) -> tuple[Planner, str] | None:
+    """One planner of an intent, as stored, and its status."""
     row = connection.execute(
-        "SELECT intents.label, mode, source, parameters, parent, origin FROM planners"
+        "SELECT intents.label, mode, source, parameters, parent, origin, planners.status FROM planners"
         " JOIN intents ON intents.id = planners.intent WHERE key = ? AND hash = ?",
         (canonical(label), planner_hash),
     ).fetchone()
-    return None if row is None else _planner(*row)
+    return None if row is None else (_planner(*row[:-1]), row[-1])
 
 
-def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str) -> None:
-    """Add evidence about an intent and a planner that exist; of a success it makes both active again."""
+def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str, *, wake: bool = True) -> None:
+    """Add evidence about an intent and a planner that exist; with ``wake`` a success makes both active again."""
     scene = evidence.scene
     if math.isnan(evidence.min_ttc):
         raise BankError(f"The evidence for {evidence.label!r} has a min TTC that is not a number.")
@@ -120,13 +129,22 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         f" SELECT id, ?, {', '.join('?' * len(values))} FROM intents WHERE key = ?",
         (evidence.planner_hash, *values, key),
     )
-    if evidence.success:
+    if wake and evidence.success:
         connection.execute("UPDATE intents SET status = 'active' WHERE key = ? AND status != 'active'", (key,))
         connection.execute(
             "UPDATE planners SET status = 'active' WHERE hash = ? AND status != 'active'"
             " AND intent = (SELECT id FROM intents WHERE key = ?)",
             (evidence.planner_hash, key),
         )
+
+
+def resolve(settings: Mapping[str, Any], label: str) -> str:
+    """The label of the intent that took this one over, of that one if it was merged too, and so on; else ``label``."""
+    seen: set[str] = set()
+    while (key := canonical(label)) not in seen and isinstance(into := settings.get(f"{MERGED}{key}"), str):
+        seen.add(key)
+        label = into
+    return label
 
 
 def write_setting(connection: sqlite3.Connection, key: str, value: object) -> None:

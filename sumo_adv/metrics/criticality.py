@@ -15,6 +15,7 @@ from sumo_adv.metrics.boxes import first_contact, half, overlaps, wrap
 
 TURNING_HORIZON = 10.0  # s, how far a TTC with turn rates looks
 TURNING_STEP = 0.05  # s
+AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
 FINE = 51  # parts of a step in which PET is refined
 
 
@@ -116,7 +117,7 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
     return np.where(in_path & (np.asarray(ego.speed) > 0), time, np.inf)
 
 
-def btn(ego: Boxes, other: Boxes, available: float = 8.0, times: Floats | None = None) -> Floats:
+def btn(ego: Boxes, other: Boxes, available: float = AVAILABLE, times: Floats | None = None) -> Floats:
     """Brake threat number: :func:`drac` over the deceleration available [m/s2]; >= 1: braking alone is too late."""
     return drac(ego, other, times) / available
 

@@ -12,7 +12,7 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
 from sumo_adv.metrics.avoidance import PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
 from sumo_adv.metrics.boxes import at_time, on_grid
 from sumo_adv.metrics.contact import CollisionClass, Impact, collision_class, contact_point, impact
-from sumo_adv.metrics.criticality import exposure, pet
+from sumo_adv.metrics.criticality import AVAILABLE, exposure, pet
 from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
 from sumo_adv.metrics.hazard import Kind
 from sumo_adv.metrics.series import series
@@ -85,7 +85,7 @@ def full_judge(
         tet=float(tet),
         tit=float(tit),
         min_headway=float(measures["headway"].min()),
-        max_btn=_largest(measures["drac"]) / limits.braking,
+        max_btn=_largest(measures["drac"]) / AVAILABLE,
         max_required_lateral=_largest(measures["required_lateral"]),
         min_centre_distance=float(measures["centre_distance"].min()),
         conflict_point=_conflict(ego, adversary, trigger_time, stop, contact),

@@ -154,11 +154,30 @@ def realism(
     ours, theirs = features(adversarial, end), features(reference)
     if not theirs["speed"].size or not ours["speed"].size:
         raise UsageError("Realism needs moving vehicles on both sides; give reference tracks of at least two steps.")
-    out = distances(ours, theirs, PAPER_BINS)
-    for name, values in (("", ours), ("reference_", theirs)):
-        out[f"{name}abnormal_lateral_share"] = float((values["lateral_acceleration"] > ABNORMAL_LATERAL).mean())
+    out = distances(ours, theirs, PAPER_BINS) | own_figures(adversarial, end=end, on_road=on_road)
+    out["reference_abnormal_lateral_share"] = _abnormal(theirs)
+    return out
+
+
+def own_figures(
+    tracks: Sequence[Track], *, end: float | None = None, on_road: Callable[[Floats, Floats], Bools] | None = None
+) -> dict[str, float]:
+    """What needs no reference: share of |a_lat| > 4 m/s2, largest magnitudes, off-road share of the box centres.
+
+    Raises UsageError where no track has two steps before ``end``.
+    """
+    values = features(tracks, end)
+    if not values["speed"].size:
+        raise UsageError("Realism needs a vehicle that moves; give tracks of at least two steps before the contact.")
+    out = {"abnormal_lateral_share": _abnormal(values)}
+    for name in ("lateral_acceleration", "jerk", "yaw_rate", "curvature"):
+        out[f"{name}_max"] = float(np.abs(values[name]).max())
     if on_road is not None:
-        parts = [t if end is None else t.between(-np.inf, end) for t in adversarial]
+        parts = [t if end is None else t.between(-np.inf, end) for t in tracks]
         off = [~np.asarray(on_road(t.x, t.y)) for t in parts]
         out["off_road_share"] = float(np.concatenate(off).mean())
     return out
+
+
+def _abnormal(values: Mapping[str, Floats]) -> float:
+    return float((values["lateral_acceleration"] > ABNORMAL_LATERAL).mean())

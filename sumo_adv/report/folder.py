@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -20,10 +21,11 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
-from sumo_adv.report.tables import write_states
+from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_states
+from sumo_adv.report.verdicts import figures, judge_best
 from sumo_adv.world.simulation import Snapshot, tracks_of
 
-RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "encounter.png")
+RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 
 
 class RunFolder:
@@ -57,6 +59,8 @@ def staged(target: Path, *, force: bool) -> Iterator[RunFolder]:
         stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
         stage.chmod(0o755)
         yield RunFolder(target, stage)
+    except BrokenPipeError:  # whoever read our output has gone: not the folder's fault
+        raise
     except OSError as error:
         raise _sentence(error, target) from error
     finally:
@@ -78,10 +82,16 @@ def write_run(folder: RunFolder, episode: Episode) -> dict[str, Any]:
     """All files of the contract; gives back what ``outcome.json`` holds."""
     stage = folder.stage
     inputs = _copy_inputs(episode, stage / "inputs")
-    result = outcome(episode, raw_figures(episode))
+    began = perf_counter()
+    judged = judge_best(episode)
+    episode.timing["verdict"] = perf_counter() - began
+    realism = judged.realism if judged is not None else None
+    result = outcome(episode, raw_figures(episode), figures(judged), realism)
     _json(stage / "manifest.json", manifest(episode, inputs))
     if episode.found is not None and episode.prefix is not None:
         _tables(stage, episode)
+        if judged is not None:
+            write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
         if episode.best is not None:
             _figure(stage / "encounter.png", episode)
     _json(stage / "outcome.json", result)

@@ -17,8 +17,16 @@ SCHEMA = 1
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
 
 
-def outcome(episode: Episode, raw: Mapping[str, Any] | None) -> dict[str, Any]:
-    """The contract's ``outcome.json``. Times s, distances m, never = null."""
+def outcome(
+    episode: Episode,
+    raw: Mapping[str, Any] | None,
+    further: Mapping[str, Any] | None = None,
+    realism: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """The contract's ``outcome.json``. Times s, distances m, never = null.
+
+    ``further``: what the full verdict adds to the attempt that counts; ``realism``: the block of that name.
+    """
     best, settings, found = episode.best, episode.settings, episode.found
     sentence = ENDING_SENTENCES[episode.ending]
     return {
@@ -39,8 +47,8 @@ def outcome(episode: Episode, raw: Mapping[str, Any] | None) -> dict[str, Any]:
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "best": episode.refinement.best, "until": str(settings.until),
-        "outcome": None if best is None else verdict(best.verdict),
-        "realism": {}, "timing": _timing(episode),
+        "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
+        "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": {"model": None, "calls": 0, "prompt_tokens": 0, "completion_tokens": 0, "seconds": 0.0},
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
     }  # fmt: skip

@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_adv.datatypes import Role
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.metrics.case import NEAR
+from sumo_adv.metrics.criticality import AVAILABLE
+from sumo_adv.metrics.series import series
+from sumo_adv.metrics.validity import MOST
 from sumo_adv.world.simulation import Snapshot, tracks_of
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
+SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
+SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
+BOUNDS = {"drac": MOST, "btn": MOST / AVAILABLE, "required_lateral": MOST}  # at contact they have none
 
 
 def write_states(
@@ -25,7 +32,7 @@ def write_states(
     """``states.csv.gz``: a row a vehicle and step, by time, then by first appearance. Units s, m, rad, m/s, m/s2."""
     rows: list[tuple[float, int, str]] = []
     for order, track in enumerate(tracks_of(snapshots, sizes, roles, step_length)):
-        name = _quoted(track.id)
+        name = quoted(track.id)
         numbers = np.column_stack([track.x, track.y, track.heading, track.speed, track.acceleration]).tolist()
         size = f"{track.length:.2f},{track.width:.2f}"
         for time, (x, y, heading, speed, acceleration), lane in zip(
@@ -33,14 +40,35 @@ def write_states(
         ):
             text = (
                 f"{time:.2f},{name},{track.role},{x + 0.0:.4f},{y + 0.0:.4f},{heading:.6f},{speed:.4f},"
-                f"{acceleration + 0.0:.4f},{size},{_quoted(lane)}\n"
+                f"{acceleration + 0.0:.4f},{size},{quoted(lane)}\n"
             )
             rows.append((time, order, text))
     rows.sort(key=lambda r: (r[0], r[1]))
     write_gzip(target, HEADER + "".join(r[2] for r in rows))
 
 
-def _quoted(text: str) -> str:
+def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str]:
+    """Rows of ``criticality.csv.gz``: the ego against others, by time, then by first appearance.
+
+    The adversary at every step of the ego's track at which it is there, others at those at which their centre is within
+    60 m.  Never is empty; what has no bound at a contact is cut as in the outcome.
+    """
+    others = [t for t in tracks if t.id != ego.id]
+    if not others or not len(ego.time):
+        return []
+    measures = series(ego, others)
+    values = np.stack([np.minimum(measures[n], BOUNDS.get(n, np.inf)) for n in SERIES], axis=-1)
+    wanted = np.where([[t.id == adversary] for t in others], np.inf, NEAR)
+    there = np.isfinite(measures["centre_distance"]) & (measures["centre_distance"] <= wanted)
+    times, names = measures["time"].tolist(), [quoted(t.id) for t in others]
+    rows = []
+    for step, vehicle in np.argwhere(there.T).tolist():
+        fields = ",".join(f"{v:.4f}" if np.isfinite(v) else "" for v in values[vehicle, step].tolist())
+        rows.append(f"{times[step]:.2f},{names[vehicle]},{fields}\n")
+    return rows
+
+
+def quoted(text: str) -> str:
     """A CSV field (RFC 4180)."""
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
 

@@ -1,0 +1,59 @@
+"""What of a recording is judged: the ego, the adversary with what it planned to do next, and who was near."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Track
+
+NEAR = 60.0  # m between centres: others that never come so near are no third party
+LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """The arguments of both verdicts. ``adversary`` goes on past a contact as it was planned."""
+
+    ego: Track
+    adversary: Track
+    others: tuple[Track, ...]
+
+
+def make_case(tracks: Sequence[Track], ego: str, adversary: str, start: float, beyond: Track | None) -> Case | None:
+    """The case of one attempt that began at ``start`` [s]; None where one of the two is gone before it moved.
+
+    ``tracks`` lie on one grid and begin some steps before ``start``; ``beyond`` is the adversary's planned motion from
+    the last recorded step on.
+    """
+    named = {t.id: t for t in tracks}
+    one, two = named.get(ego), named.get(adversary)
+    if one is None or two is None or one.time[-1] <= start or two.time[-1] <= start:
+        return None
+    others = tuple(
+        t for n, t in named.items()
+        if n not in (ego, adversary) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
+    )  # fmt: skip
+    return Case(one, two if beyond is None else joined(two, beyond), others)
+
+
+def closest(ego: Track, other: Track, time: float) -> float:
+    """Least distance of the centres [m] at common times from ``time`` on; inf if there are none."""
+    common, i, j = np.intersect1d(np.round(ego.time, 3), np.round(other.time, 3), return_indices=True)
+    i, j = i[common >= time - 1e-6], j[common >= time - 1e-6]
+    return float(np.min(np.hypot(ego.x[i] - other.x[j], ego.y[i] - other.y[j]))) if len(i) else math.inf
+
+
+def joined(track: Track, more: Track) -> Track:
+    """One track after the other; lane ids are dropped."""
+
+    def both(name: str) -> Floats:
+        return np.concatenate([getattr(track, name), getattr(more, name)])
+
+    return Track(
+        track.id, track.role, both("time"), both("x"), both("y"), both("heading"), both("speed"),
+        both("acceleration"), track.length, track.width,
+    )  # fmt: skip

@@ -1,0 +1,232 @@
+"""The full verdict on the attempt that counts, made by the front from what was recorded, and its files.
+
+The engine judges every attempt by the gate verdict alone; here the same recording is judged in full, and must come to
+the same.  Nothing is simulated again.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Attempt, Floats, Role, Track
+from sumo_adv.episode.loop import Episode
+from sumo_adv.episode.task import AttemptResult, Found, Prefix
+from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.contact import Impact
+from sumo_adv.metrics.fault import SecondOpinion
+from sumo_adv.metrics.full import FullVerdict, full_judge
+from sumo_adv.metrics.markings import Crossing, Strip, markings_crossed
+from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
+from sumo_adv.report.outcome import number
+from sumo_adv.report.tables import series_rows
+from sumo_adv.world.network import Drivable
+from sumo_adv.world.simulation import tracks_of
+
+LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
+MOST_MAPPED = 40  # reference vehicles whose distance to the road's edge is taken
+WOSAC_FEATURES = (
+    "linear_speed", "linear_acceleration", "angular_speed", "angular_acceleration", "distance_to_road_edge",
+)  # fmt: skip
+PAPER_EPSILON = 5.0  # m, the paper's collision threshold on centres, which it does not give: a car's length
+FULL_KEYS = (
+    "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
+    "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",
+)  # fmt: skip
+DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
+TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """What came of judging the attempt that counts. ``full`` is None where one of the two was gone at once."""
+
+    full: FullVerdict | None
+    markings: Sequence[Crossing]
+    realism: Mapping[str, Any]
+    rows: Sequence[str]  # of criticality.csv.gz, without the header
+
+
+def judge_best(episode: Episode) -> Judged | None:
+    """The full verdict, markings, realism and time series of the attempt that counts; None without an attempt."""
+    best, found, prefix = episode.best, episode.found, episode.prefix
+    if best is None or found is None or prefix is None:
+        return None
+    result = episode.refinement.results[episode.refinement.best or 0]
+    tracks = _tracks(episode, best, found, prefix, result)
+    case = make_case(tracks, found.ego, best.proposal.bv, result.start, result.driven.beyond)
+    if case is None:
+        return Judged(None, (), {}, ())
+    recorded = {t.id: t for t in tracks}
+    rows = series_rows(case.ego.between(result.start, np.inf), tracks, best.proposal.bv)
+    full = _full(episode, case, found, result)
+    contact = full.verdict.contact_time
+    end = float(min(case.ego.time[-1], recorded[best.proposal.bv].time[-1])) if contact is None else contact
+    moved = recorded[best.proposal.bv].between(result.start + episode.settings.step_length / 2, end)
+    strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
+    return Judged(
+        full, markings_crossed(moved, strips, found.drivable), _realism(episode, moved, found, prefix), rows
+    )  # fmt: skip
+
+
+def _tracks(episode: Episode, best: Attempt, found: Found, prefix: Prefix, result: AttemptResult) -> list[Track]:
+    """The recording that the engine judged: from a little before the attempt's start on."""
+    settings = episode.settings
+    first = len(prefix.snapshots) + settings.steps(result.start - found.time) - settings.steps(settings.history)
+    snapshots = [*prefix.snapshots, *result.snapshots][max(0, first) :]
+    roles = {best.proposal.bv: Role.ADVERSARY, found.ego: Role.EGO}
+    return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
+
+
+def _full(episode: Episode, case: Case, found: Found, result: AttemptResult) -> FullVerdict:
+    return full_judge(
+        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.ttc,
+        limits=episode.settings.limits.limits(), on_road=found.drivable, lane_half_width=found.first.lane_width / 2,
+    )  # fmt: skip
+
+
+# -- the outcome's further keys -------------------------------------------------------------------------------------
+
+
+def figures(judged: Judged | None) -> dict[str, Any]:
+    """What the full verdict adds to ``outcome``; null where the question does not arise."""
+    full = judged.full if judged is not None else None
+    markings = [] if judged is None else [{"time": number(c.time), "kind": str(c.kind)} for c in judged.markings]
+    if full is None:
+        return {**dict.fromkeys(FULL_KEYS), "markings_crossed": markings}
+    met = full.impact is not None
+    return {
+        "kind": str(full.kind), "collision_class": None if full.collision_class is None else str(full.collision_class),
+        "impact": _impact(full.impact), "rss": _rss(full.rss), "sensitivity": dict(full.sensitivity) if met else None,
+        "latest_careful": number(full.latest_careful), "latest_manoeuvre": number(full.latest_manoeuvre),
+        "reacting": full.reacting, "tet": number(full.tet), "tit": number(full.tit),
+        "min_headway": number(full.min_headway), "max_btn": number(full.max_btn),
+        "max_required_lateral": number(full.max_required_lateral), "conflict_point": numbers(full.conflict_point),
+        "paper_centre_distance": {
+            "minimum": number(full.min_centre_distance), "epsilon": PAPER_EPSILON,
+            "within": full.min_centre_distance <= PAPER_EPSILON,
+        },
+        "min_ttc_time": number(full.verdict.min_ttc_time), "markings_crossed": markings,
+    }  # fmt: skip
+
+
+def _impact(i: Impact | None) -> dict[str, Any] | None:
+    if i is None:
+        return None
+    return {
+        "speed": number(i.speed), "ego_speed": number(i.ego_speed), "adversary_speed": number(i.adversary_speed),
+        "delta_v": number(i.delta_v), "angle": number(i.angle), "ego_point": numbers(i.ego_point),
+        "adversary_point": numbers(i.adversary_point), "ego_side": str(i.ego_side),
+        "adversary_side": str(i.adversary_side),
+    }  # fmt: skip
+
+
+def numbers(values: tuple[float, ...] | None) -> list[float | None] | None:
+    """A point, rounded."""
+    return None if values is None else [number(v) for v in values]
+
+
+def _rss(opinion: SecondOpinion | None) -> dict[str, Any] | None:
+    if opinion is None:
+        return None
+    return {
+        "dangerous_since": number(opinion.dangerous_since), "trigger": opinion.trigger, "blame": opinion.blame
+    }  # fmt: skip
+
+
+# -- realism --------------------------------------------------------------------------------------------------------
+
+
+def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> dict[str, Any]:
+    """The adversary's motion up to the contact against the unattacked run's traffic in the same window."""
+    step = episode.settings.step_length
+    start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (found.time, found.time)
+    sizes = {**prefix.sizes, **found.sizes}
+    raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, {found.ego: Role.EGO}, step)
+    window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
+    traffic = [t for t in window if len(t.time) > 1]
+    steps = sum(len(t.time) for t in traffic)
+    sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
+    enough = len(moved.time) >= LEAST_OWN and steps >= LEAST_REFERENCE
+    return {
+        **{k: _rounded(v) for k, v in _distances(moved, traffic, found.drivable, enough=enough).items()},
+        "steps": len(moved.time),
+        "reference": {
+            "what": "background vehicles of the unattacked run, driven by SUMO, in the same window",
+            "vehicles": len(traffic), "steps": steps, "from": round(start, 4), "to": round(end, 4), "sigma": sigmas,
+        },
+    }  # fmt: skip
+
+
+def _rounded(value: Any) -> Any:
+    return {k: number(v) for k, v in value.items()} if isinstance(value, dict) else number(value)
+
+
+def _distances(moved: Track, traffic: Sequence[Track], drivable: Drivable, *, enough: bool) -> dict[str, Any]:
+    """Every figure of the block, null where there is too little to say it."""
+    names = [f"{n}_{d}" for n in PAPER_BINS for d in ("kl", "js", "wasserstein")]
+    found: dict[str, Any] = dict.fromkeys([*names, "reference_abnormal_lateral_share"])
+    found["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
+    if enough:
+        found |= realism([moved], traffic, on_road=drivable)
+        found["wosac_js"] |= _wosac(moved, traffic, drivable)
+    else:
+        alone = ("abnormal_lateral_share", "lateral_acceleration_max", "jerk_max", "yaw_rate_max", "curvature_max")
+        found |= dict.fromkeys([*alone, "off_road_share"])
+        if len(moved.time) >= LEAST_OWN:
+            found |= own_figures([moved], on_road=drivable)
+    return found
+
+
+def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, float]:
+    """Jensen-Shannon divergences over WOSAC's bins; the map feature against traffic on the known part of the road."""
+    distance = edge_distance(drivable)
+    on_map = [t for t in traffic if bool(np.asarray(drivable(t.x, t.y)).all())][:MOST_MAPPED]
+    reference: dict[str, list[Floats]] = {}
+    for track in traffic:
+        known = distance if any(track is t for t in on_map) else None
+        for name, values in wosac_features(track, road_distance=known).items():
+            reference.setdefault(name, []).append(values)
+    pooled = {name: np.concatenate(values) for name, values in reference.items()}
+    every = distances(wosac_features(moved, road_distance=distance), pooled, WOSAC_BINS)
+    return {name.removesuffix("_js"): value for name, value in every.items() if name.endswith("_js")}
+
+
+def edge_distance(drivable: Drivable) -> Callable[[Floats, Floats], Floats]:
+    """Signed distance [m] of points to the edge of the drivable area, positive on it."""
+    from shapely import STRtree, get_coordinates, linestrings
+
+    area = drivable.area.boundary
+    lines = [get_coordinates(line) for line in getattr(area, "geoms", [area])]
+    pieces = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    return partial(_signed_distance, drivable, STRtree(linestrings(pieces)))
+
+
+def _signed_distance(drivable: Drivable, tree: Any, x: Floats, y: Floats) -> Floats:
+    from shapely import points
+
+    where, away = tree.query_nearest(points(np.ravel(x), np.ravel(y)), return_distance=True, all_matches=False)
+    distance = np.empty(np.size(x))
+    distance[where[0]] = away
+    return np.where(drivable(x, y), 1.0, -1.0) * distance.reshape(np.shape(x))
+
+
+def demand_sigmas(files: Sequence[Path]) -> list[float]:
+    """The sigmas of the vehicle types that demand files declare, sorted; SUMO's 0.5 where none is declared or said."""
+    found: set[float] = set()
+    for file in files:
+        data = file.read_bytes()
+        for kind in TYPE.findall(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data):
+            said = SIGMA.search(kind)
+            try:
+                found.add(float(said.group(1)) if said else DEFAULT_SIGMA)
+            except ValueError:
+                found.add(DEFAULT_SIGMA)
+    return sorted(found) or [DEFAULT_SIGMA]
