@@ -25,7 +25,8 @@ from sumo_adv.datatypes import LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.foresight import Foresight, Sessions
 from sumo_adv.episode.loop import make_task, read_library
-from sumo_adv.episode.worker import AttemptResult, Found, body
+from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.predict import Told

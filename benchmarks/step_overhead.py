@@ -26,7 +26,8 @@ from typing import Any
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.episode.foresight import Sessions
-from sumo_adv.episode.worker import Found, Task, Worker
+from sumo_adv.episode.task import Found, Task
+from sumo_adv.episode.worker import Worker
 from sumo_adv.planning.ground import road_of
 from sumo_adv.planning.predict import Told, world_endpoint
 from sumo_adv.planning.sandbox import Sandbox
@@ -172,8 +173,8 @@ class Row:
         bare, loop = (1e6 * statistics.median(s) / self.steps for s in (self.bare, self.loop))
         case = self.case
         return (
-            f"{self.vehicles:8d}  {case.flags:8s}  {case.ego:7s}  {case.planner:7s}  {self.steps:5d}  {bare:8.0f}  {loop:8.0f}"
-            f"  {low:5.2f} {middle:5.2f} {high:5.2f}  {self.ending}"
+            f"{self.vehicles:8d}  {case.flags:8s}  {case.ego:7s}  {case.planner:7s}  {self.steps:5d}  {bare:8.0f}"
+            f"  {loop:8.0f}  {low:5.2f} {middle:5.2f} {high:5.2f}  {self.ending}"
         )
 
 

@@ -254,7 +254,9 @@ def test_no_right_to_write_is_a_sentence(program: Program, shelf: Path) -> None:
 def test_a_bad_planner_cannot_break_a_run(program: Program, wrong: str) -> None:
     bank = bank_with(program.folder / "bank.sqlite", BAD_PLANNERS[wrong])
     (program.folder / "few.toml").write_text("proposals = 4\n")
-    done = program("run", *QUICK, "--memory", bank, "--settings", "few.toml", "--out", "out", "--json")
+    done = program(
+        "run", *QUICK, "--memory", bank, "--settings", "few.toml", "--tuner", "off", "--out", "out", "--json"
+    )
     outcome = done.outcome
     assert outcome["ending"] in set(Ending) and outcome["reason"]
     assert done.status == (1 if outcome["ending"] == "planner_failed" else 0), done.err

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
-    ("datatypes", "errors", "geometry"),
+    ("datatypes", "errors", "geometry", "situation"),
     ("config",),
     ("world", "metrics", "planning", "memory", "agents"),
     ("episode",),

@@ -1,0 +1,56 @@
+"""The benchmarks in miniature: they run, and what they print is of the right size; bounds are not checked here."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+
+from cli_samples import ROOT, Program
+
+FOLDER = ROOT / "benchmarks"
+NUMBER = r"\s+([\d.]+)"
+
+
+def printed(program: Program, name: str, *arguments: str, statuses: tuple[int, ...] = (0,)) -> str:
+    """What a benchmark says."""
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / name), *arguments], cwd=program.folder, env=program.environment(),
+        capture_output=True, text=True, timeout=120.0, check=False,
+    )  # fmt: skip
+    assert done.returncode in statuses and done.stderr == "", done.stderr[-2000:]
+    assert program.leftovers() == []
+    return done.stdout
+
+
+def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
+    """Over its bound (status 1) is allowed: a window this short is mostly its verdict."""
+    said = printed(
+        program, "step_overhead.py", "--vehicles", "12", "--pairs", "2", "--steps", "45", statuses=(0, 1)
+    )  # fmt: skip
+    header, *rows = said.splitlines()
+    assert header.startswith("vehicles") and len(rows) == 4
+    assert [tuple(r.split()[1:4]) for r in rows] == [
+        ("base", "idm", "local"), ("base", "idm", "sandbox"), ("base", "careful", "local"),
+        ("duration", "idm", "local"),
+    ]  # fmt: skip
+    for row in rows:
+        vehicles, _, _, _, steps, bare, loop, low, middle, high, ending = row.split()
+        assert (vehicles, ending) == ("12", "contact") and 10 <= int(steps) <= 45
+        assert 5 < float(bare) < 20_000 and float(bare) < float(loop) < 500_000
+        assert 1.0 < float(low) <= float(middle) <= float(high)
+
+
+def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
+    said = printed(program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8")
+    assert "same states and verdict both ways: yes" in said
+    for name in ("attempt by fork", "attempt by load and repeat", "two by fork at once, each"):
+        found = re.search(rf"{name}{NUMBER * 3}  ms", said)
+        assert found is not None, said
+        low, middle, high = map(float, found.groups())
+        assert 1.0 < low <= middle <= high < 60_000.0
+    search = re.search(r"prediction search, (\d+) proposals: ([\d.]+) s", said)
+    assert search is not None and int(search[1]) >= 8 and 0.0 < float(search[2]) < 60.0
+    call, batch = (re.search(rf"{re.escape(n)}{NUMBER * 3}", said) for n in ("sandbox: a call", "in a batch of 100"))
+    assert call is not None and batch is not None
+    assert 1e-3 * float(batch[2]) < float(call[2])  # us a call in a batch, ms a call by itself

@@ -1,0 +1,154 @@
+"""Ctrl-C in a terminal goes to the whole process group: whole files or none are left, and no process lives on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from cli_samples import PATIENCE, RUN_FILES, TRAIL, Done, Program, bank_with
+
+GONE_WITHIN = 5.0  # s
+
+
+def processes_of(session: int) -> set[int]:
+    """Living processes of a session (``setsid``), zombies not counted."""
+    found = set()
+    for entry in Path("/proc").iterdir():
+        if not entry.name.isdigit():
+            continue
+        try:
+            fields = (entry / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it ended meanwhile
+        if fields[0] != "Z" and int(fields[3]) == session:
+            found.add(int(entry.name))
+    return found
+
+
+def children_of(root: int) -> set[int]:
+    """The process and all below it, also those that made a session of their own."""
+    found, new = set[int](), {root}
+    while new:
+        found |= new
+        new = {child for parent in new for child in _children(parent)} - found
+    return found
+
+
+def _children(parent: int) -> set[int]:
+    try:
+        files = list(Path(f"/proc/{parent}/task").glob("*/children"))
+        return {int(word) for file in files for word in file.read_text().split()}
+    except OSError:
+        return set()
+
+
+def alive(pids: set[int]) -> set[int]:
+    """Those that still run."""
+    return {pid for pid in pids if _state(pid) not in ("", "Z")}
+
+
+def _state(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return ""
+
+
+def interrupted(program: Program, process: subprocess.Popen[str]) -> Done:
+    """Press Ctrl-C, wait for the end, and see that nothing of the run lives on."""
+    family = children_of(process.pid) | processes_of(process.pid)
+    os.killpg(process.pid, signal.SIGINT)
+    try:
+        out, err = process.communicate(timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        raise
+    deadline = time.monotonic() + GONE_WITHIN
+    while (left := alive(family) | processes_of(process.pid)) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert left == set(), "something of the run lives on"
+    return Done(process.returncode, out, err, program.folder / "out")
+
+
+def read_until(process: subprocess.Popen[str], mark: str) -> None:
+    """Read the program's lines up to one with ``mark``."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if mark in line:
+            return
+    raise AssertionError(f"the program ended without saying {mark!r}")
+
+
+def wait_for_folder(program: Program) -> None:
+    """Until the run has a folder in work."""
+    deadline = time.monotonic() + PATIENCE
+    while not any(p.name.startswith(".out.") for p in program.folder.iterdir()):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def whole_or_nothing(program: Program, done: Done, others: list[str]) -> None:
+    """Exit 1, a sentence, and either all files of an interrupted run or no folder."""
+    assert done.status == 1, done.err
+    assert "Traceback" not in done.err
+    if done.folder.exists():
+        outcome = done.outcome
+        assert outcome["ending"] == "interrupted"
+        assert "interrupted" in done.err
+        expected = RUN_FILES if outcome["attempts"] else RUN_FILES - {"encounter.png"}
+        expected = expected if outcome["encounter"] else {"outcome.json", "manifest.json", "inputs"}
+        assert {p.name for p in done.folder.iterdir()} == expected
+        assert done.manifest["schema"] == 1
+    assert program.leftovers() == sorted([*others, "out"] if done.folder.exists() else others)
+
+
+def test_ctrl_c_while_an_encounter_is_looked_for(program: Program) -> None:
+    """Two lonely vehicles a minute, looked at for ten hours."""
+    options = ("--density", "2", "--end", "36000", "--out", "out")
+    with program.start("run", "straight_3lane", *options) as process:
+        wait_for_folder(program)
+        time.sleep(1.5)
+        done = interrupted(program, process)
+    whole_or_nothing(program, done, [])
+
+
+@pytest.mark.parametrize("mark", ["Encounter at", "Most dangerous", "attempt  1", "attempt  4"])
+def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
+    """The only planner drives along beside the ego, so there is always another attempt to make."""
+    bank = bank_with(program.folder / "bank.sqlite", TRAIL)
+    options = ("--attempts", "1000", "--until", "valid", "--memory", bank, "--out", "out")
+    with program.start("run", "motorway_cut_in_left", *options) as process:
+        read_until(process, mark)
+        done = interrupted(program, process)
+    whole_or_nothing(program, done, ["bank.sqlite"])
+    assert done.folder.exists()  # the run had begun
+    if mark.startswith("attempt"):
+        assert len(done.outcome["attempts"]) >= int(mark.split()[1])
+        assert done.outcome["intent"]["label"] == "Odd Driving"
+
+
+def test_ctrl_c_while_it_starts(program: Program) -> None:
+    with program.start("run", "motorway_cut_in_left", "--out", "new/out") as process:
+        deadline = time.monotonic() + PATIENCE
+        while not (program.folder / "new").exists() and time.monotonic() < deadline:
+            time.sleep(0.005)
+        done = interrupted(program, process)
+    assert done.status == 1 and "Traceback" not in done.err
+    assert program.leftovers() in ([], ["new"])
+    assert not (program.folder / "new").exists() or [p.name for p in (program.folder / "new").iterdir()] == ["out"]
+
+
+def test_ctrl_c_while_files_are_written_leaves_whole_files(program: Program) -> None:
+    with program.start("run", "motorway_cut_in_left", "--out", "out") as process:
+        deadline = time.monotonic() + PATIENCE
+        while not any(program.folder.glob(".out.*/inputs")) and time.monotonic() < deadline:
+            time.sleep(0.005)
+        done = interrupted(program, process)
+    assert "Traceback" not in done.err
+    assert done.folder.exists()
+    assert {p.name for p in done.folder.iterdir()} == RUN_FILES
+    assert program.leftovers() == ["out"]

@@ -1,0 +1,102 @@
+"""``memory``: looking into banks and building one, through the real command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_samples import ROOT, TRAIL, Done, Program, Runs, bank_with
+
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import verify_same
+from sumo_adv.planning.source import parse_parameters
+
+SEVEN = {
+    "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
+    "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
+}  # fmt: skip
+
+
+def succeeded(done: Done) -> str:
+    assert (done.status, done.err) == (0, "")
+    return done.out
+
+
+def test_a_new_home_gets_the_seven_intents_of_the_paper(program: Program) -> None:
+    said = json.loads(succeeded(program("memory", "list", "--json")))
+    assert {row["label"] for row in said["intents"]} == SEVEN
+    assert all(row["modes"] and row["evidence"] == 0 and row["status"] == "active" for row in said["intents"])
+    assert (program.home / "data" / "sumo_adv" / "memory_bank.sqlite").is_file()
+    lines = succeeded(program("memory", "list")).splitlines()
+    assert len(lines) == 7 and any(line.startswith("Straight Lane Shift: modes ") for line in lines)
+
+
+def test_show_prints_the_sources(program: Program) -> None:
+    text = succeeded(program("memory", "show", "straight lane-shift"))
+    folder = ROOT / "memory_bank" / "straight_lane_shift"
+    assert text.splitlines()[0] == "Straight Lane Shift"
+    for planner in folder.glob("*.py"):
+        assert planner.read_text(encoding="utf-8") in text
+    done = program("memory", "show", "Dancing")
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("sumo-adv: ") and "Dancing" in done.err and "Aggressive Cut-in" in done.err
+
+
+def test_find_says_how_near(program: Program) -> None:
+    same = json.loads(succeeded(program("memory", "find", "aggressive cut in", "--json")))
+    assert same["hit"] == "Aggressive Cut-in" and same["nearest"][0] == {"label": "Aggressive Cut-in", "distance": 0.0}
+    far = json.loads(succeeded(program("memory", "find", "zebra xylophone quartz", "--json")))
+    assert far["hit"] is None
+    assert all(n["distance"] > far["epsilon"] for n in far["nearest"])
+    assert succeeded(program("memory", "find", "zebra xylophone quartz")).startswith("No hit")
+
+
+def test_a_bank_of_ones_own(program: Program) -> None:
+    bank = bank_with(program.folder / "bank.sqlite", TRAIL)
+    said = json.loads(succeeded(program("memory", "list", "--json", "--memory", bank)))
+    assert said["intents"] == [
+        {
+            "label": "Odd Driving",
+            "applies": ["neighbour", "leader"],
+            "status": "active",
+            "modes": ["odd"],
+            "evidence": 0,
+        }
+    ]
+    assert not (program.home / "data").exists()
+    (program.folder / "diary").write_text("Dear diary, ...\n" * 100)
+    done = program("memory", "list", "--memory", "diary")
+    assert done.status == 2 and done.err.startswith("sumo-adv: ") and "diary" in done.err
+
+
+def test_build_gives_the_shipped_bank(program: Program) -> None:
+    target = program.folder / "built.sqlite"
+    succeeded(program("memory", "build", ROOT / "memory_bank", target))
+    assert verify_same(ROOT / "memory_bank", target, parse_parameters) == []
+    shipped = ROOT / "memory_bank.sqlite"
+    with MemoryBank.open(target, read_only=True) as one, MemoryBank.open(shipped, read_only=True) as other:
+        assert one.content_hash() == other.content_hash()
+    assert program.leftovers() == ["built.sqlite"]
+
+
+@pytest.mark.parametrize("folder", ["nowhere", "."])
+def test_build_from_nothing_is_refused(program: Program, folder: str) -> None:
+    done = program("memory", "build", folder, "built.sqlite")
+    assert (done.status, done.out) == (2, "")
+    assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
+    assert program.leftovers() == []
+
+
+def test_a_run_teaches_its_own_bank_and_never_the_shipped_one(runs: Runs) -> None:
+    first = runs["first"]
+    shipped = (ROOT / "memory_bank.sqlite").read_bytes()
+    taught = Path(first.folder).parent / "home" / "data" / "sumo_adv" / "memory_bank.sqlite"
+    with MemoryBank.open(taught, read_only=True) as bank:
+        evidence = bank.evidence()
+        assert len(evidence) == (1 if first.outcome["learnt"] else 0)
+        assert all(e.label == first.outcome["intent"]["label"] and e.critical and e.feasible for e in evidence)
+    with MemoryBank.open(ROOT / "memory_bank.sqlite", read_only=True) as bank:
+        assert bank.content_hash() == first.manifest["bank_hash"]
+        assert bank.evidence() == []
+    assert (ROOT / "memory_bank.sqlite").read_bytes() == shipped
