@@ -24,10 +24,12 @@ from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.foresight import Foresight, Sessions
-from sumo_adv.episode.loop import make_task, read_library
+from sumo_adv.episode.knowledge import read_library
+from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.predict import Told
 from sumo_adv.planning.sandbox import Sandbox
@@ -56,7 +58,7 @@ def library() -> list[LibraryEntry]:
         tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
         MemoryBank.open(Path(folder) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
     ):
-        return read_library(bank)
+        return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0)[0]
 
 
 def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> Found:

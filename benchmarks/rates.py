@@ -81,15 +81,17 @@ def _table(ego: str, rows: list[dict[str, Any]]) -> None:
     print(f"\n{ego}: {len(rows)} runs, {sum(r['status'] != 0 for r in rows)} failed")
     honest = [v for v in verdicts if v.get("feasible") and not v.get("rear_end")]
     counts = {
-        "critical": sum(bool(v.get("critical")) for v in honest), "collision": sum(bool(v.get("collided")) for v in honest),
-        "valid": sum(bool(v.get("valid")) for v in verdicts), "strict": sum(bool(v.get("valid") and v.get("strict")) for v in verdicts),
-    }  # fmt: skip
+        "critical": sum(bool(v.get("critical")) for v in honest),
+        "collision": sum(bool(v.get("collided")) for v in honest),
+        "valid": sum(bool(v.get("valid")) for v in verdicts),
+        "strict": sum(bool(v.get("valid") and v.get("strict")) for v in verdicts),
+    }
     for limit in (1, 5):
         firsts = [next((a["index"] for a in r["result"].get("attempts", []) if a["valid"]), 10**9) for r in rows]
         counts[f"valid after {limit}"] = sum(f < limit for f in firsts)
     for name, count in counts.items():
-        low, high = wilson(count, len(rows))
-        print(f"  {name:14s} {count:3d}/{len(rows)}  {count / len(rows):.2f}  [{low:.2f}, {high:.2f}]")
+        rate = wilson(count, len(rows))
+        print(f"  {name:14s} {count:3d}/{len(rows)}  {rate.value:.2f}  [{rate.low:.2f}, {rate.high:.2f}]")
     seconds = np.array([r["seconds"] for r in rows])
     print(f"  seconds a run: median {np.median(seconds):.1f}, {seconds.min():.1f} to {seconds.max():.1f}")
 

@@ -40,7 +40,9 @@ class LimitSettings(BaseModel):
 class Settings(BaseSettings):
     """Everything that shapes a run, times in s."""
 
-    model_config = SettingsConfigDict(env_prefix="SUMO_ADV_", env_nested_delimiter="__", frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(
+        env_prefix="SUMO_ADV_", env_nested_delimiter="__", frozen=True, extra="forbid", allow_inf_nan=False
+    )
 
     ego: str = "idm"
     ego_id: str | None = None

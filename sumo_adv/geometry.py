@@ -70,7 +70,7 @@ class Path:
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
-        u = np.clip(np.asarray(s, float) / PATH_STEP, 0.0, len(self.x) - 1.0)
+        u = np.minimum(np.maximum(np.asarray(s, float) / PATH_STEP, 0.0), len(self.x) - 1.0)
         i = np.minimum(u.astype(np.intp), len(self.x) - 2)
         w = u - i
         heading = self.heading[i] * (1 - w) + self.heading[i + 1] * w

@@ -37,7 +37,6 @@ SAMPLES: Mapping[str, Sequence[str]] = {
     "eidm": ("run", "follower_with_free_lane", "--ego", "eidm", "--attempts", "3", "--json"),
     "replay": ("run", "motorway_cut_in_right", "--ego", "replay", "--attempts", "3", "--json"),
     "careful": ("run", "oncoming_country_road", "--ego", "careful", "--attempts", "3", "--json"),
-    "idm": ("run", "neighbour_behind_left", "--ego", "idm", "--attempts", "3", "--json"),
 }
 """Arguments by name; each gets its own home and ``--out out``."""
 
@@ -136,7 +135,14 @@ class Runs:
 # -- what runs leave behind --------------------------------------------------------------------------------------------
 
 RUN_FILES = {"outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "encounter.png", "inputs"}
+"""Of the contract; others may be added."""
 States = dict[str, dict[float, dict[str, str]]]
+
+
+def lacking(folder: Path, files: set[str] = RUN_FILES) -> set[str]:
+    """What is not in a run's folder and should be, and what is and should not: hidden and half-written files."""
+    found = {p.name for p in folder.iterdir()}
+    return (files - found) | {name for name in found if name.startswith(".") or name.endswith((".part", ".tmp"))}
 
 
 def read_states(file: Path) -> States:

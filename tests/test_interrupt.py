@@ -6,10 +6,11 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_samples import PATIENCE, RUN_FILES, TRAIL, Done, Program, bank_with
+from cli_samples import PATIENCE, RUN_FILES, TRAIL, Done, Program, bank_with, lacking
 
 GONE_WITHIN = 5.0  # s
 
@@ -83,12 +84,11 @@ def read_until(process: subprocess.Popen[str], mark: str) -> None:
     raise AssertionError(f"the program ended without saying {mark!r}")
 
 
-def wait_for_folder(program: Program) -> None:
-    """Until the run has a folder in work."""
+def wait_until(process: subprocess.Popen[str], holds: Callable[[], bool]) -> None:
+    """Until something holds, or the program has ended."""
     deadline = time.monotonic() + PATIENCE
-    while not any(p.name.startswith(".out.") for p in program.folder.iterdir()):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    while not holds() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
 
 
 def whole_or_nothing(program: Program, done: Done, others: list[str]) -> None:
@@ -101,7 +101,7 @@ def whole_or_nothing(program: Program, done: Done, others: list[str]) -> None:
         assert "interrupted" in done.err
         expected = RUN_FILES if outcome["attempts"] else RUN_FILES - {"encounter.png"}
         expected = expected if outcome["encounter"] else {"outcome.json", "manifest.json", "inputs"}
-        assert {p.name for p in done.folder.iterdir()} == expected
+        assert lacking(done.folder, expected) == set()
         assert done.manifest["schema"] == 1
     assert program.leftovers() == sorted([*others, "out"] if done.folder.exists() else others)
 
@@ -110,7 +110,7 @@ def test_ctrl_c_while_an_encounter_is_looked_for(program: Program) -> None:
     """Two lonely vehicles a minute, looked at for ten hours."""
     options = ("--density", "2", "--end", "36000", "--out", "out")
     with program.start("run", "straight_3lane", *options) as process:
-        wait_for_folder(program)
+        wait_until(process, lambda: any(program.folder.glob(".out.*")))
         time.sleep(1.5)
         done = interrupted(program, process)
     whole_or_nothing(program, done, [])
@@ -133,9 +133,7 @@ def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
 
 def test_ctrl_c_while_it_starts(program: Program) -> None:
     with program.start("run", "motorway_cut_in_left", "--out", "new/out") as process:
-        deadline = time.monotonic() + PATIENCE
-        while not (program.folder / "new").exists() and time.monotonic() < deadline:
-            time.sleep(0.005)
+        wait_until(process, (program.folder / "new").exists)
         done = interrupted(program, process)
     assert done.status == 1 and "Traceback" not in done.err
     assert program.leftovers() in ([], ["new"])
@@ -144,11 +142,9 @@ def test_ctrl_c_while_it_starts(program: Program) -> None:
 
 def test_ctrl_c_while_files_are_written_leaves_whole_files(program: Program) -> None:
     with program.start("run", "motorway_cut_in_left", "--out", "out") as process:
-        deadline = time.monotonic() + PATIENCE
-        while not any(program.folder.glob(".out.*/inputs")) and time.monotonic() < deadline:
-            time.sleep(0.005)
+        wait_until(process, lambda: any(program.folder.glob(".out.*/inputs")))
         done = interrupted(program, process)
     assert "Traceback" not in done.err
     assert done.folder.exists()
-    assert {p.name for p in done.folder.iterdir()} == RUN_FILES
+    assert lacking(done.folder) == set()
     assert program.leftovers() == ["out"]

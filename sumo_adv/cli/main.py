@@ -12,6 +12,8 @@ from sumo_adv import __version__
 from sumo_adv.cli import doctor, memory, run
 from sumo_adv.errors import SumoAdvError
 
+INTERRUPTED = 130  # what typer makes of Ctrl-C
+
 app = typer.Typer(
     name="sumo-adv", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
     help="Finds the dangerous case inside SUMO, online, against your driver.",
@@ -47,6 +49,8 @@ def main() -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
         sys.exit(1)
-    except KeyboardInterrupt:
+    except SystemExit as end:
+        if end.code != INTERRUPTED:
+            raise
         typer.echo("sumo-adv: interrupted.", err=True)
         sys.exit(1)

@@ -1,85 +1,114 @@
-"""``memory``: look into a memory bank, and build the shipped one from its sources."""
+"""``memory``: look into a memory bank, change it, share it, check it."""
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import Annotated, Any
 
 import typer
 
-if TYPE_CHECKING:
-    from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.cli import memory_check, memory_edit, memory_exchange
+from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent, open_bank
 
 app = typer.Typer(
-    no_args_is_help=True, help="Look into a memory bank of intents and planners.",
+    no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",
     epilog="Example: sumo-adv memory find 'squeezes in just ahead of us'",
 )  # fmt: skip
-Bank = Annotated[Path | None, typer.Option("--memory", help="The bank [default: the one in the user's data folder].")]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-
-
-def _open(path: Path | None) -> MemoryBank:
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
-    from sumo_adv.world.inputs import data_folder
-
-    return MemoryBank.open(path or default_bank_path(), seed_from=data_folder("memory_bank.sqlite"))
 
 
 @app.command("list", epilog="Example: sumo-adv memory list --json")
 def list_(memory: Bank = None, as_json: Json = False) -> None:
-    """The intents of the bank, with their planners' modes and how often they were critical."""
-    with _open(memory) as bank:
-        rows = [
+    """The intents of the bank, with their planners' modes and how much evidence there is."""
+    with open_bank(memory) as bank:
+        rows: list[dict[str, Any]] = [
             {
                 "label": r.label, "applies": list(r.applies), "status": r.status,
                 "modes": [p.mode for p in bank.planners(r.label)], "evidence": len(bank.evidence(r.label)),
             }
             for r in bank.intents()
         ]  # fmt: skip
-    if as_json:
-        typer.echo(json.dumps({"intents": rows}))
-        return
-    for r in rows:
-        modes = ", ".join(str(m) for m in cast(list[str], r["modes"]))
-        typer.echo(f"{r['label']}: modes {modes}; evidence {r['evidence']}; {r['status']}")
+    answer({"intents": rows}, as_json, lambda: [
+        f"{r['label']}: modes {', '.join(r['modes']) or 'none'}; evidence {r['evidence']}; {r['status']}" for r in rows
+    ])  # fmt: skip
 
 
 @app.command("show", epilog="Example: sumo-adv memory show 'Straight Lane Shift'")
-def show(label: str, memory: Bank = None) -> None:
-    """An intent with its planners' source."""
-    from sumo_adv.errors import UsageError
-
-    with _open(memory) as bank:
-        record = bank.intent(label)
-        if record is None:
-            known = ", ".join(r.label for r in bank.intents())
-            raise UsageError(f"The bank has no intent '{label}'; it has: {known}.")
-        typer.echo(f"{record.label}\n{record.description}\napplies to: {', '.join(record.applies)}")
-        for planner in bank.planners(record.label):
-            typer.echo(f"\n--- {planner.mode} ({planner.origin}, {planner.hash[:12]})\n{planner.source}")
+def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
+    """An intent with its planners' source, retired ones too."""
+    with open_bank(memory) as bank:
+        record = known_intent(bank, label)
+        source = next(s for s in bank.sources() if s.intent == record)
+    planners: list[dict[str, Any]] = [
+        {
+            "mode": p.mode, "origin": p.origin, "hash": p.hash, "parent": p.parent,
+            "status": "retired" if p.hash in source.retired else "active",
+            "parameters": {x.name: [x.default, x.low, x.high, x.unit, x.meaning] for x in p.parameters},
+            "source": p.source,
+            "evidence": sum(e.planner_hash == p.hash for e in source.evidence),
+            "successes": sum(e.planner_hash == p.hash and e.success for e in source.evidence),
+        }
+        for p in source.planners
+    ]  # fmt: skip
+    value = {
+        "label": record.label, "description": record.description, "applies": list(record.applies),
+        "status": record.status, "merged_into": source.merged_into, "planners": planners,
+    }  # fmt: skip
+    gone = f" (merged into {source.merged_into})" if source.merged_into else ""
+    answer(value, as_json, lambda: [
+        f"{record.label}{'' if record.status == 'active' else ', retired'}{gone}", record.description,
+        f"applies to: {', '.join(record.applies)}",
+        *(f"\n--- {p['mode']} ({p['origin']}, {p['hash'][:12]}, {p['status']}; {p['successes']} of {p['evidence']} "
+          f"succeeded)\n{p['source']}" for p in planners),
+    ])  # fmt: skip
 
 
 @app.command("find", epilog="Example: sumo-adv memory find 'cuts in and brakes' --json")
 def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
     """The nearest intents to a description, their distance, the epsilon in force, and whether it is a hit."""
-    with _open(memory) as bank:
+    with open_bank(memory) as bank:
         found = bank.retrieve(text, text)
     nearest = [{"label": label, "distance": round(d, 4)} for label, d in found.nearest]
-    if as_json:
-        typer.echo(json.dumps({"hit": found.hit, "epsilon": found.epsilon, "nearest": nearest}))
-        return
-    typer.echo(f"{'Hit: ' + found.hit if found.hit else 'No hit'} (epsilon {found.epsilon:.2f})")
-    for n in nearest[:5]:
-        typer.echo(f"  {n['distance']:.3f}  {n['label']}")
+    value = {"hit": found.hit, "epsilon": found.epsilon, "band": found.band, "nearest": nearest}
+    said = f"{'Hit: ' + found.hit if found.hit else 'No hit'} (epsilon {found.epsilon:.2f})"
+    answer(value, as_json, lambda: [
+        said + (", and near epsilon: look at the first three" if found.band else ""),
+        *(f"  {n['distance']:.3f}  {n['label']}" for n in nearest),
+    ])  # fmt: skip
 
 
-@app.command("build", epilog="Example: sumo-adv memory build memory_bank memory_bank.sqlite")
-def build(folder: Path, target: Path) -> None:
-    """Build a bank from text sources: a folder an intent, with intent.toml and a planner a mode."""
-    from sumo_adv.memory.build import build as build_bank
-    from sumo_adv.planning.source import parse_parameters
+@app.command("stats", epilog="Example: sumo-adv memory stats --json")
+def stats(
+    memory: Bank = None,
+    as_json: Json = False,
+    failures: Annotated[
+        int, typer.Option(min=1, help="Failures without a success to propose retiring a planner.")
+    ] = 20,
+) -> None:
+    """Counts, successes and failures by intent and planner; what could be merged or retired (never done here)."""
+    from dataclasses import asdict
 
-    build_bank(folder, target, parse_parameters)
-    typer.echo(f"Built {target}.")
+    from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts
+
+    with open_bank(memory) as bank:
+        counts, planners = bank.statistics(), planner_counts(bank)
+        epsilon, calibrated_on = bank.epsilon()
+        merging, retiring = near_duplicates(bank), hopeless(bank, failures)
+        value = {
+            "intents": counts.intents, "active": counts.active, "planners": counts.planners,
+            "evidence": counts.evidence, "hash": bank.content_hash(),
+            "epsilon": epsilon, "calibrated_on": calibrated_on,
+            "by_label": {k: {**asdict(v), "failures": v.failures} for k, v in counts.by_label.items()},
+            "by_planner": [asdict(p) for p in planners],
+            "merge": [asdict(p) for p in merging], "retire": [asdict(p) for p in retiring],
+        }  # fmt: skip
+    answer(value, as_json, lambda: [
+        f"{counts.active} active of {counts.intents} intents, {counts.planners} planners, {counts.evidence} pieces of"
+        f" evidence; epsilon {epsilon:.2f} ({calibrated_on})",
+        *(f"  {p.label} / {p.mode}: {p.successes} successes, {p.failures} failures{', retired' if p.retired else ''}"
+          for p in planners),
+        *(f"To merge? {m.label} into {m.into} (distance {m.distance:.2f}: {m.reason})" for m in merging),
+        *(f"To retire? {p.label} / {p.mode}: {p.failures} failures and no success" for p in retiring),
+    ])  # fmt: skip
+
+
+for _name, _command, _example in (*memory_edit.COMMANDS, *memory_exchange.COMMANDS, *memory_check.COMMANDS):
+    app.command(_name, epilog=f"Example: sumo-adv memory {_example}")(_command)

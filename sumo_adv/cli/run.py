@@ -14,7 +14,7 @@ from sumo_adv.datatypes import Ending
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
-    from sumo_adv.episode.loop import Episode
+    from sumo_adv.episode.episode import Episode
     from sumo_adv.report.folder import RunFolder
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
@@ -39,6 +39,9 @@ def run(
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
     learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
+    recall: Annotated[
+        str | None, typer.Option(help="intent, or scene: try first what worked in a like scene, asking nobody.")
+    ] = None,
     memory: Annotated[
         Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
     ] = None,
@@ -66,7 +69,8 @@ def run(
     given = load_input(source)
     settings = load_settings(
         settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
-        begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, memory=memory, seed=seed,
+        begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
+        memory=memory, seed=seed,
         density=density, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
     target = out or Path("runs") / f"{given.name}-{settings.seed}"
@@ -74,6 +78,7 @@ def run(
 
 
 def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.episode.loop import make_task, run_episode
     from sumo_adv.episode.worker import body
@@ -86,7 +91,11 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
 
     bank_path = settings.memory or default_bank_path()
     reporter = make_reporter(quiet=as_json)
-    with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with (
+        Interrupts() as interrupts,
+        staged(target, force=force) as folder,
+        tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+    ):
         task = make_task(given, settings, Path(scratch))
         with (
             MemoryBank.open(bank_path, seed_from=data_folder("memory_bank.sqlite")) as bank,
@@ -94,7 +103,9 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
             Engine(body) as engine,
             reporter,
         ):
-            episode = run_episode(given, settings, task, engine, sandbox, bank, reporter.tell)
+            tell = interrupts.checked(reporter.tell)
+            episode = run_episode(given, settings, task, engine, sandbox, bank, tell)
+            interrupts.hold()
         _finish(folder, episode, force=force, as_json=as_json)
 
 

@@ -7,24 +7,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv import __version__
-from sumo_adv.agents.expert import REACHES, Expert, ExpertGenerator, ExpertModifier, applies_of
+from sumo_adv.agents.expert import REACHES, Expert, ExpertModifier
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.refine import NOTHING, Refinement, Refiner, succeeded
-from sumo_adv.episode.task import Found, NotFound, Prefix, Task
-from sumo_adv.errors import BankError, SumoAdvError, UsageError
+from sumo_adv.episode.knowledge import learn, read_library, recall, retrieve, signature
+from sumo_adv.episode.refine import NOTHING, Refiner, succeeded
+from sumo_adv.episode.task import Found, NotFound, Task
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import make_planner
-from sumo_adv.situation import Situation
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import RunInput, first_departure
@@ -32,36 +31,6 @@ from sumo_adv.world.simulation import SimulationSpec
 
 MOST_SKIPS = 6  # encounters passed over for being out of reach
 Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", Found), ("attempt", Attempt), ...
-
-
-@dataclass(slots=True)
-class Episode:
-    """Everything that came of one run."""
-
-    source: RunInput
-    settings: Settings
-    task: Task
-    ending: Ending = Ending.SIMULATION_FAILED
-    reason: str = ""
-    found: Found | None = None
-    intents: Sequence[Intent] = ()
-    intent: Intent | None = None
-    refinement: Refinement = field(default_factory=Refinement)
-    prefix: Prefix | None = None
-    lanes: Sequence[Any] = ()
-    forked: bool = False
-    skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
-    isolation: str = ""
-    bank_hash: str = ""
-    learnt: bool = False
-    notes: list[str] = field(default_factory=list)
-    timing: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def best(self) -> Attempt | None:
-        """The attempt that counts."""
-        k = self.refinement.best
-        return None if k is None else self.refinement.attempts[k]
 
 
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
@@ -113,12 +82,13 @@ def run_episode(
 
 def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> None:
     settings, timing = episode.settings, episode.timing
-    library = read_library(bank)
     while True:
         found = seek(episode, engine, tell)
         if found is None:
             return
         foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+        now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
+        library, episode.bandit = read_library(bank, now, settings.seed)
         expert, entries = analyze(episode, found, foresight, library, bank)
         if any(p.score < REACHES for p in expert.pool) or episode.task.trigger is not None:
             break
@@ -135,13 +105,14 @@ def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, t
     )
     try:
         refiner.run(episode.intents, episode.refinement)
-    finally:
+    finally:  # also of what was interrupted or failed
+        _keep_intent(episode, library)
+        episode.calls["modifier"] = refiner.modifier_calls
         episode.isolation = sandbox.isolation
         timing["prediction"] = timing.get("prediction", 0.0) + foresight.seconds
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in foresight.failures.items())
     episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
-    _keep_intent(episode, library)
     learn(episode, bank, entries)
 
 
@@ -152,10 +123,16 @@ def analyze(
     began = time.perf_counter()
     settings = episode.settings
     expert = Expert(foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents)
-    episode.intents = expert.analyze(found.situations, library)
-    entries = retrieve(episode, found.first, library, bank)
-    if entries != library:
-        expert.analyze(found.situations, entries)
+    known = recall(episode, found, library, bank) if settings.recall == "scene" else None
+    if known is not None:  # a like scene has evidence: nobody is asked
+        episode.intents, expert.pool = [known[0]], [known[1]]
+        entries = library
+    else:
+        episode.calls["analyzer"] += 1
+        episode.intents = expert.analyze(found.situations, library)
+        entries = retrieve(episode, found.first, library, bank)
+        if entries != library:
+            expert.analyze(found.situations, entries)
     episode.timing["analyzer"] = episode.timing.get("analyzer", 0.0) + time.perf_counter() - began
     return expert, entries
 
@@ -205,39 +182,6 @@ def replay_episode(
     return episode
 
 
-def read_library(bank: MemoryBank) -> list[LibraryEntry]:
-    """The behaviour library as it stands in the bank."""
-    return [
-        LibraryEntry(r.label, r.description, r.applies, tuple(bank.planners(r.label)))
-        for r in bank.intents() if r.status == "active"
-    ]  # fmt: skip
-
-
-def retrieve(
-    episode: Episode, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> list[LibraryEntry]:
-    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner."""
-    entries, known = list(library), {e.label: e for e in library}
-    began = time.perf_counter()
-    for intent in episode.intents:
-        if intent.label in known:
-            continue
-        hit = bank.retrieve(intent.label, intent.description).hit
-        words = applies_of(intent.label)
-        if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
-            entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
-            entries = [entry if e.label == hit else e for e in entries]
-            known[hit] = known[intent.label] = entry
-            continue
-        planner = ExpertGenerator(make_planner).generate(intent, situation, library)
-        if planner is not None:
-            entry = LibraryEntry(intent.label, intent.description, words, (planner,), "generated")
-            known[intent.label] = entry
-            entries.append(entry)
-    episode.timing["retrieval"] = time.perf_counter() - began
-    return entries
-
-
 def _keep_intent(episode: Episode, library: Sequence[LibraryEntry]) -> None:
     """The intent of the attempt that counts, as the analyzer ranked it."""
     best = episode.best
@@ -251,39 +195,3 @@ def _keep_intent(episode: Episode, library: Sequence[LibraryEntry]) -> None:
     episode.intent = replace(
         intent, bv=p.bv, acceleration=p.acceleration, source="memory" if p.label in known else "generated"
     )
-
-
-def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
-    """Keep in the bank what was critical, feasible and not rear-end; a bank that cannot be written is a note."""
-    best = episode.best
-    if episode.settings.learn == "off" or best is None or episode.found is None:
-        return
-    evidence = _evidence(episode, best)
-    if not evidence.success:
-        return
-    entry = next(e for e in entries if e.label == best.proposal.label)
-    intent = IntentRecord(entry.label, entry.description, entry.applies)
-    try:
-        bank.record(evidence, intent=intent, planner=best.proposal.planner)
-        episode.learnt = True
-    except BankError as error:
-        episode.notes.append(f"Nothing was learnt: {error}")
-
-
-def _evidence(episode: Episode, best: Attempt) -> Evidence:
-    assert episode.found is not None
-    p, situation = best.proposal, episode.found.situations[best.proposal.delay]
-    target = situation.targets[p.bv]
-    x, y, h = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
-    kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
-    geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
-    relative = {
-        "ahead": round(x, 2), "left": round(y, 2), "heading": round(h, 3), "speed": round(target.state.speed, 2),
-        "ego_speed": round(situation.ego.speed, 2),
-    }  # fmt: skip
-    return evidence_of(
-        best.verdict, label=p.label, planner_hash=p.planner.hash,
-        scene=SceneSignature(geometry, target.relation, relative, episode.task.ego_driver),
-        attempts=best.index + 1, version=__version__, network=episode.source.name, seed=episode.settings.seed,
-        parameters=dict(p.parameters), acceleration=p.acceleration, delay=p.delay,
-    )  # fmt: skip

@@ -77,6 +77,7 @@ class Refiner:
         self._library, self._settings, self._tell = library, settings, tell
         self._versions: dict[str, int] = {}  # planner hash -> how often it was modified on the way to it
         self._asked: set[str] = set()
+        self.modifier_calls = 0
         self._new: dict[str, Planner] = {}
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
@@ -125,7 +126,9 @@ class Refiner:
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         modified = self._versions.get(proposal.planner.hash, 0) > 0
         phase = "analyzer" if index == 0 else ("modifier" if modified else "tuner")
-        by = "expert" if index == 0 or modified else self._settings.tuner
+        by: str = "expert" if index == 0 or modified else self._settings.tuner
+        if proposal.by == "memory":
+            phase = by = "memory"
         verdict = result.verdict or NOTHING
         if result.driven.ending == "planner_failed":
             verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
@@ -140,6 +143,7 @@ class Refiner:
                 continue
             self._asked.add(name)
             planner = next(w.planner for w in ways if w.planner.hash == name) if depth == 0 else self._new[name]
+            self.modifier_calls += 1
             changed = self._modifier.modify(planner, found.attempts)
             if changed is None:
                 continue

@@ -12,6 +12,7 @@ import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
@@ -19,20 +20,23 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
-from sumo_adv.memory import rows
+from sumo_adv.memory import edits, rows
 from sumo_adv.memory.migrations import Clock, utc_now
+from sumo_adv.memory.recall import SceneIndex
 from sumo_adv.memory.records import (
     BankStatistics,
     Evidence,
     IntentRecord,
     LabelStatistics,
     Retrieval,
+    Source,
     canonical,
 )
 from sumo_adv.memory.similarity import Similarity, TfIdf
 from sumo_adv.memory.store import open_file, sentences
 
 NEAREST = 5  # labels named in a retrieval
+BAND = 0.1  # of epsilon, to both sides: how near to it a retrieval is uncertain
 
 
 class MemoryBank:
@@ -49,6 +53,7 @@ class MemoryBank:
         self._clock = clock
         self._content = rows.load(connection)
         self._fitted: dict[str, int] | None = None  # label -> place, as the similarity has seen them
+        self._scenes: SceneIndex | None = None
 
     @classmethod
     def open(
@@ -92,7 +97,7 @@ class MemoryBank:
         """Take in what other processes wrote since the bank was opened."""
         with sentences(self.path):
             self._content = rows.load(self._connection)
-        self._fitted = None
+        self._fitted = self._scenes = None
 
     def intents(self) -> list[IntentRecord]:
         """All intents, oldest first, retired ones too."""
@@ -115,6 +120,38 @@ class MemoryBank:
         key = canonical(label)
         return [e for e in self._content.evidence if canonical(e.label) == key]
 
+    def sources(self) -> list[Source]:
+        """Everything about every intent, retired planners too, by mode, then text."""
+        held: dict[str, list[Evidence]] = {}
+        for evidence in self._content.evidence:
+            held.setdefault(canonical(evidence.label), []).append(evidence)
+        content = self._content
+        return [
+            Source(
+                record,
+                tuple(sorted(content.planners[key], key=lambda planner: (planner.mode, planner.source))),
+                frozenset(planner.hash for planner in content.planners[key] if (key, planner.hash) in content.retired),
+                tuple(held.get(key, ())),
+                content.settings.get(f"{rows.MERGED}{key}"),
+            )
+            for key, record in content.intents.items()
+        ]
+
+    def scenes(self) -> SceneIndex:
+        """The scenes in which active planners of active intents succeeded, for ``recall.recall_scene``."""
+        if self._scenes is None:
+            active = {
+                (record.label, planner.hash) for record in self._active() for planner in self.planners(record.label)
+            }
+            self._scenes = SceneIndex(
+                [e for e in self._content.evidence if e.success and (e.label, e.planner_hash) in active]
+            )
+        return self._scenes
+
+    def settings(self, prefix: str) -> dict[str, object]:
+        """The settings whose keys begin so."""
+        return {key: value for key, value in self._content.settings.items() if key.startswith(prefix)}
+
     def epsilon(self) -> tuple[float, str]:
         """The distance up to which an intent is known, for the metric in use, and what it was calibrated on."""
         value = self._content.settings.get(f"epsilon.{self._similarity.name}")
@@ -125,7 +162,8 @@ class MemoryBank:
     def retrieve(self, label: str, description: str = "") -> Retrieval:
         """The paper's j* = argmin d(phi', phi_j) among active intents, a hit if d <= epsilon.
 
-        The same label (in any case, spacing or hyphenation) is distance 0; else the metric on label + description.
+        The same label (in any case, spacing or hyphenation) is distance 0, as is that of an intent merged into another
+        for that one; else the metric on label + description.
         """
         epsilon = self.epsilon()[0]
         if self._fitted is None:
@@ -134,12 +172,13 @@ class MemoryBank:
         if not self._fitted:
             return Retrieval(None, 1.0, epsilon, ())
         distances = self._similarity.distances(label, description)
-        same = self.intent(label)
+        same = self.intent(rows.resolve(self._content.settings, label))
         if same is not None and same.status == "active":
             distances[self._fitted[same.label]] = 0.0
         nearest = _nearest(list(self._fitted), distances)
         first, distance = nearest[0]
-        return Retrieval(first if distance <= epsilon else None, distance, epsilon, nearest)
+        band = abs(distance - epsilon) <= BAND * epsilon
+        return Retrieval(first if distance <= epsilon else None, distance, epsilon, nearest, band)
 
     def _active(self) -> list[IntentRecord]:
         return [record for record in self._content.intents.values() if record.status == "active"]
@@ -171,36 +210,65 @@ class MemoryBank:
         """Add evidence, and the intent and the planner it is about where the bank lacks them, in one transaction.
 
         What is there already stays as it is (two writers may find the same intent), but evidence of success makes a
-        retired intent or planner active again. Raises BankError, also if intent or planner is neither given nor known,
-        or is not the one that the evidence names; nothing is written then.
+        retired intent or planner active again, and what comes with evidence of failure begins as retired. What is about
+        an intent merged into another is kept under that one. Raises BankError, also if intent or planner is neither
+        given nor known, or is not the one that the evidence names; nothing is written then.
         """
         if intent is not None and canonical(intent.label) != canonical(evidence.label):
             raise BankError(f"The evidence is about {evidence.label!r} but the intent given is {intent.label!r}.")
         if planner is not None and planner.hash != evidence.planner_hash:
             raise BankError(f"The evidence for {evidence.label!r} names another planner than the one given.")
+        status = "active" if evidence.success else "retired"
         with self._writing() as now:
-            if intent is not None:
-                rows.insert_intent(self._connection, intent, now)
+            label = rows.resolve(rows.read_settings(self._connection), evidence.label)
+            if intent is not None and label == evidence.label:
+                rows.insert_intent(
+                    self._connection, intent if evidence.success else replace(intent, status=status), now
+                )
             if planner is not None:
-                rows.insert_planner(self._connection, evidence.label, planner, now)
-            known_intent = rows.read_intent(self._connection, evidence.label)
-            known_planner = rows.read_planner(self._connection, evidence.label, evidence.planner_hash)
+                rows.insert_planner(self._connection, label, planner, now, status)
+            evidence = replace(evidence, label=label)
+            known_intent = rows.read_intent(self._connection, label)
+            known_planner = rows.read_planner(self._connection, label, evidence.planner_hash)
             if known_intent is None or known_planner is None:
                 lacking = "intent" if known_intent is None else "planner"
                 raise BankError(f"The memory bank has no such {lacking} as the evidence for {evidence.label!r} names.")
             rows.insert_evidence(self._connection, evidence, now)
-            known_intent = rows.read_intent(self._connection, evidence.label) or known_intent
-        self._take_in(rows.stored(evidence, known_intent.label, now), known_intent, known_planner)
+            known_intent = rows.read_intent(self._connection, label) or known_intent
+        self._take_in(rows.stored(evidence, known_intent.label, now), known_intent, *known_planner)
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
-        """Add an intent and planners without evidence (a person's work, an import), in one transaction.
+        """Add an intent and planners without evidence (a person's work), in one transaction.
 
         What is there already stays as it is. Raises BankError.
         """
+        self.absorb([Source(intent, tuple(planners))], unique_modes=False)
+
+    def absorb(self, sources: Iterable[Source], *, unique_modes: bool = True) -> edits.Absorbed:
+        """Add what the bank lacks of ``sources`` (an import), in one transaction; what was added. Raises BankError.
+
+        What is there already stays as it is. With ``unique_modes`` a planner whose mode another one of its intent has
+        gets a mode with a number.
+        """
         with self._writing() as now:
-            rows.insert_intent(self._connection, intent, now)
-            for planner in planners:
-                rows.insert_planner(self._connection, intent.label, planner, now)
+            added = edits.absorb(self._connection, sources, now, unique_modes=unique_modes)
+        self.refresh()
+        return added
+
+    def merge(self, label: str, into: str) -> None:
+        """Move planners and evidence of one intent into another active one; the first is retired, and its label finds
+        the other from now on. In one transaction. Raises BankError, also if either is unknown or both are one."""
+        with self._writing() as now:
+            edits.merge(self._connection, label, into, now)
+        self.refresh()
+
+    def retire(self, label: str, mode: str | None = None, *, back: bool = False) -> None:
+        """Retire an intent, or its planners of one mode (with the last active one the intent too); nothing is deleted.
+
+        ``back`` makes active again what was retired. Raises BankError, also if there is no such intent or mode.
+        """
+        with self._writing():
+            edits.retire(self._connection, label, mode, back=back)
         self.refresh()
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
@@ -225,7 +293,7 @@ class MemoryBank:
                     self._connection.execute("ROLLBACK")
                 raise
 
-    def _take_in(self, evidence: Evidence, intent: IntentRecord, planner: Planner) -> None:
+    def _take_in(self, evidence: Evidence, intent: IntentRecord, planner: Planner, status: str) -> None:
         """Add what was written to what is in RAM."""
         key = canonical(intent.label)
         if self._content.intents.get(key) != intent:
@@ -234,9 +302,12 @@ class MemoryBank:
         planners = self._content.planners.setdefault(key, [])
         if all(known.hash != planner.hash for known in planners):
             planners.append(planner)
+            if status == "retired":
+                self._content.retired.add((key, planner.hash))
         if evidence.success:
             self._content.retired.discard((key, planner.hash))
         self._content.evidence.append(evidence)
+        self._scenes = None
 
 
 def _label_statistics(planners: Sequence[Planner], evidence: Sequence[Evidence]) -> LabelStatistics:

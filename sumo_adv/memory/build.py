@@ -1,46 +1,49 @@
-"""The shipped bank from its text sources: ``memory_bank/<slug>/intent.toml`` and ``<mode>.py`` beside it."""
+"""Banks from text: ``<slug>/intent.toml``, ``<mode>.py`` beside it and, in an export, ``evidence.csv``.
+
+``intent.toml`` holds label, description and applies. An export may add ``status``, ``merged_into`` and a table
+``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status.  Nothing here runs a planner.
+"""
 
 from __future__ import annotations
 
 import os
 import tempfile
 import tomllib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import BankError, SumoAdvError
-from sumo_adv.memory import rows
+from sumo_adv.memory import edits, rows
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.migrations import APPLICATION_ID, migrate
-from sumo_adv.memory.records import IntentRecord, canonical
+from sumo_adv.memory.evidence_csv import read_evidence
+from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
+from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical
 from sumo_adv.memory.similarity import TfIdf
-from sumo_adv.memory.store import connect, sentences
+from sumo_adv.memory.store import connect, publish, sentences
 
 Parse = Callable[[str], tuple[Parameter, ...]]
 
 SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
+EVIDENCE_FILE = "evidence.csv"
+MAX_TEXT_BYTES = 256 * 1024  # of an intent.toml or a planner
+MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """One intent of the sources and its planners, by mode."""
-
-    intent: IntentRecord
-    planners: tuple[Planner, ...]
+_MORE_KEYS = {"status": str, "merged_into": str, "planners": dict}
+_PLANNER_KEYS = {"mode", "origin", "parent", "status"}
 
 
 def read_sources(folder: Path, parse: Parse) -> list[Source]:
     """The intents of ``folder`` by slug. ``parse`` reads a planner's PARAMETERS table without running it.
 
-    Raises BankError for a missing or wrong file, an unknown key, an intent without planners, a label used twice.
+    Raises BankError for a missing or wrong file, a link, an unknown key, an intent without planners, a label used
+    twice.
     """
     files = sorted(folder.glob("*/intent.toml"))
     if not files:
-        raise BankError(f"{folder} holds no <intent>/intent.toml, so there is no bank to build.")
-    sources = [Source(intent := read_intent(file), _read_planners(file.parent, intent.label, parse)) for file in files]
+        raise BankError(f"{folder} holds no <intent>/intent.toml, so there is no bank to build or import.")
+    sources = [_read_source(file, parse) for file in files]
     seen: dict[str, str] = {}
     for source in sources:
         label = source.intent.label
@@ -53,32 +56,85 @@ def read_sources(folder: Path, parse: Parse) -> list[Source]:
 
 
 def read_intent(file: Path) -> IntentRecord:
-    """One ``intent.toml``. Raises BankError."""
+    """The intent of one ``intent.toml``. Raises BankError."""
+    return _intent(_read_toml(file))
+
+
+def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        table = tomllib.loads(_read_text(file, MAX_TEXT_BYTES))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise BankError(f"{file} cannot be read as TOML: {error}.") from error
-    if set(table) != set(_KEYS) or any(not isinstance(table[key], kind) for key, kind in _KEYS.items()):
+    known = {**_KEYS, **_MORE_KEYS}
+    if not set(_KEYS) <= set(table) <= set(known) or any(not isinstance(v, known[k]) for k, v in table.items()):
         raise BankError(
-            f"{file} must hold label and description (texts) and applies (a list), and has {sorted(table)}."
+            f"{file} must hold label and description (texts) and applies (a list), may hold {', '.join(_MORE_KEYS)},"
+            f" and has {sorted(table)}."
         )
-    return IntentRecord(table["label"], " ".join(table["description"].split()), tuple(map(str, table["applies"])))
+    if not table["label"].isprintable() or len(table["label"]) > 120:
+        raise BankError(f"{file} needs a label of at most 120 characters that can be printed.")
+    return table
 
 
-def _read_planners(folder: Path, label: str, parse: Parse) -> tuple[Planner, ...]:
-    planners = []
-    for file in sorted(folder.glob("*.py")):
-        try:
-            source = file.read_text(encoding="utf-8")
-            parameters = parse(source)
-        except (SumoAdvError, UnicodeDecodeError, OSError) as error:
-            raise BankError(f"{file} is no planner: {error}") from error
-        planners.append(Planner(label, file.stem, source, parameters, "seed"))
-    if not planners:
+def _read_text(file: Path, limit: int) -> str:
+    """The text of a regular file; anything else, such as a link out of the folder, is refused."""
+    try:
+        if file.is_symlink() or not file.is_file():
+            raise BankError(f"{file} is not a plain file; a bank in text holds plain files only.")
+        if file.stat().st_size > limit:
+            raise BankError(f"{file} is larger than {limit} bytes, which no such file needs to be.")
+        return file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BankError(f"{file} is not text in UTF-8.") from error
+    except OSError as error:
+        raise BankError(f"{file} cannot be read: {error.strerror or error}.") from error
+
+
+def _intent(table: Mapping[str, Any]) -> IntentRecord:
+    description = "".join(c for c in " ".join(table["description"].split()) if c.isprintable())
+    return IntentRecord(table["label"], description, tuple(map(str, table["applies"])), table.get("status", "active"))
+
+
+def _read_source(file: Path, parse: Parse) -> Source:
+    folder, table = file.parent, _read_toml(file)
+    intent, merged_into = _intent(table), table.get("merged_into")
+    details: dict[str, dict[str, str]] = table.get("planners", {})
+    names = sorted(path.stem for path in folder.glob("*.py"))
+    if any(not name.isprintable() or len(name) > 120 for name in names):
+        raise BankError(f"{folder} has a planner whose file name is too long or cannot be printed.")
+    for name, each in details.items():
+        if name not in names or not isinstance(each, dict) or not set(each) <= _PLANNER_KEYS:
+            raise BankError(f"{file} has a wrong table for the planner {name!r}; it may hold {sorted(_PLANNER_KEYS)}.")
+        if any(not isinstance(v, str) or not v.isprintable() or len(v) > 120 for v in each.values()):
+            raise BankError(f"{file} must describe the planner {name!r} in short texts.")
+        if each.get("status", "active") not in STATUSES:
+            raise BankError(f"{file} gives the planner {name!r} a status that is neither active nor retired.")
+    planners = {
+        name: _read_planner(folder / f"{name}.py", intent.label, details.get(name, {}), parse) for name in names
+    }
+    if not planners and merged_into is None:
         raise BankError(f"{folder} has no planner; an intent needs at least one <mode>.py.")
-    if len({planner.hash for planner in planners}) < len(planners):
+    hashes = {name: planner.hash for name, planner in planners.items()}
+    if len(set(hashes.values())) < len(planners):
         raise BankError(f"{folder} has two planners with the same text; each mode needs its own.")
-    return tuple(planners)
+    retired = frozenset(hashes[name] for name, each in details.items() if each.get("status") == "retired")
+    evidence_file = folder / EVIDENCE_FILE
+    evidence = (
+        read_evidence(_read_text(evidence_file, MAX_EVIDENCE_BYTES), intent.label, hashes, str(evidence_file))
+        if evidence_file.exists() or evidence_file.is_symlink()
+        else ()
+    )
+    return Source(intent, tuple(planners.values()), retired, evidence, merged_into)
+
+
+def _read_planner(file: Path, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
+    source = _read_text(file, MAX_TEXT_BYTES)
+    try:
+        parameters = parse(source)
+    except SumoAdvError as error:
+        raise BankError(f"{file} is no planner: {error}") from error
+    mode = details.get("mode", file.stem)
+    return Planner(label, mode, source, parameters, details.get("origin", "seed"), details.get("parent"))
 
 
 def build(folder: Path, target: Path, parse: Parse) -> None:
@@ -86,31 +142,54 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
 
     The file is in rollback-journal mode, so that reading it makes no files beside it. Raises BankError.
     """
-    sources = read_sources(folder, parse)
+    key, value = epsilon_setting()
+    _write(target, read_sources(folder, parse), {key: value}, lambda: SEED_TIME, replace=True)
+
+
+def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
+    """A new bank at ``target`` with only these intents of ``bank``, their planners and evidence, and its epsilon; their
+    labels. Raises BankError, also for a label that the bank lacks or a target that exists."""
+    wanted = {canonical(label): label for label in labels}
+    sources = [source for source in bank.sources() if canonical(source.intent.label) in wanted]
+    lacking = wanted.keys() - {canonical(source.intent.label) for source in sources}
+    if lacking or not sources:
+        named = ", ".join(repr(wanted[key]) for key in sorted(lacking)) or "nothing"
+        there = ", ".join(record.label for record in bank.intents())
+        raise BankError(f"The bank has no intent {named}; it has: {there}.")
+    if target.exists():
+        raise BankError(f"{target} exists; give the path of a new bank.")
+    _write(target, sources, bank.settings("epsilon."), clock, replace=False)
+    return [source.intent.label for source in sources]
+
+
+def _write(target: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock, *, replace: bool) -> None:
+    """A bank at ``target``, whole or not at all; one that exists is kept unless ``replace``."""
     with sentences(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}-", suffix=".new", dir=target.parent)
         os.close(handle)
         fresh = Path(name)
         try:
-            _write(fresh, sources)
+            _fill(fresh, sources, settings, clock)
             fresh.chmod(0o644)
-            fresh.replace(target)
+            if replace:
+                fresh.replace(target)
+            else:
+                publish(fresh, target)
         finally:
             for leftover in (fresh, fresh.with_name(fresh.name + "-journal")):
                 leftover.unlink(missing_ok=True)
 
 
-def _write(fresh: Path, sources: list[Source]) -> None:
+def _fill(fresh: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock) -> None:
     connection = connect(fresh, "mode=rw")
     try:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        migrate(connection, str(fresh), lambda: SEED_TIME)
+        migrate(connection, str(fresh), clock)
         connection.execute("BEGIN IMMEDIATE")
-        for source in sources:
-            rows.insert_intent(connection, source.intent, SEED_TIME)
-            for planner in source.planners:
-                rows.insert_planner(connection, source.intent.label, planner, SEED_TIME)
-        rows.write_setting(connection, *epsilon_setting())
+        edits.absorb(connection, sources, clock(), unique_modes=False)
+        for key, value in settings.items():
+            rows.write_setting(connection, key, value)
         connection.execute("COMMIT")
     finally:
         connection.close()
@@ -128,22 +207,23 @@ def verify_same(folder: Path, bank_path: Path, parse: Parse) -> list[str]:
     """
     sources = read_sources(folder, parse)
     with MemoryBank.open(bank_path, read_only=True) as bank:
-        found = {record.label: record for record in bank.intents()}
+        held = {source.intent.label: source for source in bank.sources()}
+        found = {label: source.intent for label, source in held.items()}
         wanted = {source.intent.label: source for source in sources}
         differences = [f"The bank lacks the intent {label!r}." for label in wanted if label not in found]
         differences += [f"The sources lack the intent {label!r}." for label in found if label not in wanted]
         for label, source in wanted.items():
             if label in found:
-                differences += _compare(source, found[label], bank.planners(label))
-        if bank.evidence():
-            differences.append("The bank holds evidence, and the sources have none.")
+                differences += _compare(source, found[label], held[label].planners)
+        if len(bank.evidence()) != sum(len(source.evidence) for source in sources):
+            differences.append("The bank holds evidence that the sources have not, or the other way round.")
         value = epsilon_setting()[1]
         if bank.epsilon() != (value["epsilon"], value["calibrated_on"]):
             differences.append("The bank has another epsilon than the program.")
     return differences
 
 
-def _compare(source: Source, found: IntentRecord, planners: list[Planner]) -> list[str]:
+def _compare(source: Source, found: IntentRecord, planners: Iterable[Planner]) -> list[str]:
     label = found.label
     differences = (
         [] if found == source.intent else [f"The intent {label!r} differs in description, relations or status."]

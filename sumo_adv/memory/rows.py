@@ -63,9 +63,14 @@ def read(connection: sqlite3.Connection) -> Content:
         f"SELECT intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
     ):
         content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
-    for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
-        content.settings[key] = json.loads(value)
+    content.settings = read_settings(connection)
     return content
+
+
+def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
+    """All settings, by key."""
+    rows = connection.execute("SELECT key, value FROM settings ORDER BY key")
+    return {key: json.loads(value) for key, value in rows}
 
 
 def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str) -> None:

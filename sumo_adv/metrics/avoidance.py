@@ -151,7 +151,7 @@ def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ra
     if braking == 0:
         return travelled
     low = min(int(delay / dt + 1e-9), travelled.shape[1] - 2)
-    part = delay / dt - low
+    part = max(delay / dt - low, 0.0)
     v0 = (speed[:, low] * (1 - part) + speed[:, low + 1] * part)[:, None]
     s0 = (travelled[:, low] * (1 - part) + travelled[:, low + 1] * part)[:, None]
     stop = np.where(v0 <= braking * ramp / 2, np.sqrt(2 * ramp * v0 / braking), v0 / braking + ramp / 2)

@@ -87,7 +87,7 @@ def full_judge(
         min_headway=float(measures["headway"].min()),
         max_btn=_largest(measures["drac"]) / AVAILABLE,
         max_required_lateral=_largest(measures["required_lateral"]),
-        min_centre_distance=float(measures["centre_distance"].min()),
+        min_centre_distance=_nearest_centres(ego, adversary, measures["centre_distance"], contact),
         conflict_point=_conflict(ego, adversary, trigger_time, stop, contact),
     )
 
@@ -99,6 +99,15 @@ def _conflict(
     if contact is None:
         return pet(ego.between(start, stop), adversary.between(start, stop)).point
     return contact_point(at_time(ego, contact), at_time(adversary, contact))
+
+
+def _nearest_centres(ego: Track, adversary: Track, distances: Floats, contact: float | None) -> float:
+    """Least distance of the centres [m] over the steps and, where they met, at the first contact."""
+    least = float(distances.min())
+    if contact is None:
+        return least
+    a, b = at_time(ego, contact), at_time(adversary, contact)
+    return min(least, float(np.hypot(b.x - a.x, b.y - a.y)))
 
 
 def _largest(values: Floats) -> float:

@@ -21,7 +21,7 @@ def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
     """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
     s, v = situation.profile_s, situation.profile_v
     last = len(s) - 1
-    u = np.clip(time / situation.dt, 0.0, last)
+    u = np.minimum(np.maximum(time / situation.dt, 0.0), last)
     i = np.minimum(u.astype(np.intp), last - 1)
     w = u - i
     beyond = np.maximum(time - last * situation.dt, 0.0)

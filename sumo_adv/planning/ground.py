@@ -51,7 +51,7 @@ class Ground:
     def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
         """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""
         row = self.rows.row
-        u = np.clip(motion.s / PATH_STEP, 0.0, self._ego.shape[2] - 1.0)
+        u = np.minimum(np.maximum(motion.s / PATH_STEP, 0.0), self._ego.shape[2] - 1.0)
         i = np.minimum(u.astype(np.intp), self._ego.shape[2] - 2)
         w = u - i
         s0, d0, h0 = self._ego[row, :, i].T
@@ -70,14 +70,17 @@ class Ground:
         x, y, h, v, time = np.array(values, float).T
         best_cost = np.full(len(ends), np.inf)
         best_row, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
-        here = pose(Batch, motion, self.rows)
+        several = int(self._count.max()) > 1
+        here = pose(Batch, motion, self.rows) if several else None
         for k in range(int(self._count.max())):
             row = np.minimum(self._base + k, self._base + self._count - 1)
             s, d, turned = self._project(row, x, y, h)
-            there = pose(Batch, motion, self._on(row))
-            open_ = (np.hypot(there[0] - here[0], there[1] - here[1]) < SAME_PLACE) | (row == self.rows.row)
-            cost = np.abs(d) + TURN_COST * turned - LOYALTY * (row == self.rows.row)
-            better = have & open_ & (cost < best_cost)
+            same = row == self.rows.row
+            cost = np.abs(d) + TURN_COST * turned - LOYALTY * same
+            better = have & (cost < best_cost)
+            if here is not None:
+                there = pose(Batch, motion, self._on(row))
+                better &= (np.hypot(there[0] - here[0], there[1] - here[1]) < SAME_PLACE) | same
             best_cost = np.where(better, cost, best_cost)
             best_row, best_s = np.where(better, row, best_row), np.where(better, s, best_s)
             best_d = np.where(better, d, best_d)
@@ -98,7 +101,7 @@ class Ground:
         heading = table[k, 2, i]
         c, s = np.cos(heading), np.sin(heading)
         along, aside = c * dx[k, i] + s * dy[k, i], -s * dx[k, i] + c * dy[k, i]
-        along = np.where((i > 0) & (i < last), np.clip(along, -PATH_STEP, PATH_STEP), along)
+        along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
         turned = np.abs(wrap_all(h - heading))
         return np.minimum(i, last) * PATH_STEP + along, aside, turned
 
@@ -118,15 +121,18 @@ class Ground:
         rs, rd, rh = self.relative(motion)
         ahead_s, ahead_v = stations(sit, now, es, ev, ea, LOOK)
         px, py, ph = sit.frame.points_to_local(*sit.ego_path.at(ahead_s, ed[:, None]))
-        path = np.stack([np.broadcast_to(LOOK, px.shape), px, py, ph, ahead_v], axis=2).tolist()
+        table = np.empty((*px.shape, 5))
+        for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
+            table[:, :, column] = values
+        path = table.tolist()
         road_h = wrap_all(sit.ego_path.at(rs)[2] - sit.frame.heading)
         meet = self._arrivals(now, es, ev, ea)
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.maximum(motion.span - motion.clock, 0.0) * (np.abs(motion.target - motion.d) > 0.05)
-        columns = np.stack(
+        columns = np.array(
             [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
-             motion.v * np.cos(rh)], axis=1,
-        ).tolist()  # fmt: skip
+             motion.v * np.cos(rh)],
+        ).T.tolist()  # fmt: skip
         told = []
         for k, target in enumerate(self.targets):
             bv = dict(zip(BV_FIELDS, columns[k], strict=True))

@@ -5,9 +5,9 @@ array overhead: about 15 us a step) and many predicted rollouts at once (numpy a
 the two sets of operations; every function takes one of them as ``m``.
 
 Longitudinal: the acceleration moves by at most J dt towards what the cubic to (s_T, v_T) at T asks for, bounded by the
-limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path, stretched until lateral
-acceleration, slope and jerk are within bounds, on a clock that runs with the vehicle's speed: braking in the middle of a
-lane change slows the move down and does not turn the vehicle any further.
+limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path, stretched until
+lateral acceleration, slope and jerk are within bounds, on a clock that runs with the vehicle's speed: braking in the
+middle of a lane change slows the move down and does not turn the vehicle any further.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Motion(NamedTuple):
     """A driven vehicle along its path. Floats or arrays ``(n,)``.
 
     s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
-    slope: sine of the angle between its heading and the path's; pace: the speed at which the quintic runs in time; clock, span: progress and duration of the running
-    quintic [s]; c: its coefficients in clock/span; target: its end.
+    slope: sine of the angle between its heading and the path's; pace: the speed at which the quintic runs in time;
+    clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
     """
 
     s: Any
@@ -147,7 +147,7 @@ class PathRows:
         """x, y, heading, curvature; straight on beyond both ends."""
         row = self.row
         last = self.last[row]
-        u = np.clip(s / PATH_STEP, 0.0, last)
+        u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
         i = np.minimum(u.astype(np.intp), last - 1)
         w = u - i
         a, b = self.table[row, :4, i], self.table[row, :4, i + 1]
@@ -157,7 +157,7 @@ class PathRows:
 
     def bend_speed(self, s: Any, d: Any) -> Any:
         """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
-        i = np.clip((s / PATH_STEP).astype(np.intp), 0, self.last[self.row])
+        i = np.minimum(np.maximum((s / PATH_STEP).astype(np.intp), 0), self.last[self.row])
         curvature, speed = self.table[self.row, 3:5, i].T
         return speed * np.sqrt(np.maximum(1.0 - curvature * d, 0.2))
 
@@ -166,7 +166,8 @@ def start(m: Any, s: Any, d: Any, dd: Any, v: Any, a: Any) -> Motion:
     """A motion that keeps its offset after the lateral speed ``dd`` [m/s] it comes with has died away."""
     zero = v * 0.0
     slope = dd / m.maximum(v, 1.0)
-    still = Motion(s, d, dd, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, (d, zero, zero, zero, zero, zero), d)
+    stays = (d, zero, zero, zero, zero, zero)
+    still = Motion(s, d, dd, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, stays, d)
     return bend(m, still, d, zero + 1.5, zero)
 
 

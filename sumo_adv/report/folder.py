@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.episode.loop import Episode
+from sumo_adv.episode.episode import Episode
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc

@@ -11,7 +11,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict
-from sumo_adv.episode.loop import Episode
+from sumo_adv.episode.episode import Episode
 
 SCHEMA = 1
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
@@ -41,7 +41,7 @@ def outcome(
         },
         "agents": {
             "analyzer": "expert", "generator": "expert", "modifier": "expert", "tuner": settings.tuner,
-            "note": EXPERT_NOTE,
+            "note": EXPERT_NOTE, "calls": episode.calls,
         },
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
@@ -125,7 +125,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "skips": episode.skips,
         "intents_allowed": list(episode.source.intents),
-        "bank_hash": episode.bank_hash, "model_answers": [],
+        "bank_hash": episode.bank_hash, "bandit": episode.bandit, "model_answers": [],
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
     }  # fmt: skip

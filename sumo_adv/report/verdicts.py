@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Attempt, Floats, Role, Track
-from sumo_adv.episode.loop import Episode
+from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import AttemptResult, Found, Prefix
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.contact import Impact
@@ -34,6 +34,11 @@ LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distribu
 MOST_MAPPED = 40  # reference vehicles whose distance to the road's edge is taken
 WOSAC_FEATURES = (
     "linear_speed", "linear_acceleration", "angular_speed", "angular_acceleration", "distance_to_road_edge",
+)  # fmt: skip
+DISTANCES = ("kl", "js", "wasserstein")
+SHARES = (
+    "abnormal_lateral_share", "reference_abnormal_lateral_share", "off_road_share", "lateral_acceleration_max",
+    "jerk_max", "yaw_rate_max", "curvature_max",
 )  # fmt: skip
 PAPER_EPSILON = 5.0  # m, the paper's collision threshold on centres, which it does not give: a car's length
 FULL_KEYS = (
@@ -152,15 +157,13 @@ def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> di
     raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, {found.ego: Role.EGO}, step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
-    steps = sum(len(t.time) for t in traffic)
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
-    enough = len(moved.time) >= LEAST_OWN and steps >= LEAST_REFERENCE
     return {
-        **{k: _rounded(v) for k, v in _distances(moved, traffic, found.drivable, enough=enough).items()},
+        **{k: _rounded(v) for k, v in realism_figures(moved, traffic, found.drivable).items()},
         "steps": len(moved.time),
         "reference": {
             "what": "background vehicles of the unattacked run, driven by SUMO, in the same window",
-            "vehicles": len(traffic), "steps": steps, "from": round(start, 4), "to": round(end, 4), "sigma": sigmas,
+            "vehicles": len(traffic), "steps": sum(len(t.time) for t in traffic), "from": round(start, 4), "to": round(end, 4), "sigma": sigmas,
         },
     }  # fmt: skip
 
@@ -169,19 +172,19 @@ def _rounded(value: Any) -> Any:
     return {k: number(v) for k, v in value.items()} if isinstance(value, dict) else number(value)
 
 
-def _distances(moved: Track, traffic: Sequence[Track], drivable: Drivable, *, enough: bool) -> dict[str, Any]:
-    """Every figure of the block, null where there is too little to say it."""
-    names = [f"{n}_{d}" for n in PAPER_BINS for d in ("kl", "js", "wasserstein")]
-    found: dict[str, Any] = dict.fromkeys([*names, "reference_abnormal_lateral_share"])
+def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, Any]:
+    """Every figure of the block: the adversary's motion against that of ``traffic``.
+
+    None where there is too little to say it: fewer than 10 steps of the adversary, or 100 of traffic.
+    """
+    found: dict[str, Any] = dict.fromkeys([*(f"{n}_{d}" for n in PAPER_BINS for d in DISTANCES), *SHARES])
     found["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
-    if enough:
-        found |= realism([moved], traffic, on_road=drivable)
-        found["wosac_js"] |= _wosac(moved, traffic, drivable)
-    else:
-        alone = ("abnormal_lateral_share", "lateral_acceleration_max", "jerk_max", "yaw_rate_max", "curvature_max")
-        found |= dict.fromkeys([*alone, "off_road_share"])
-        if len(moved.time) >= LEAST_OWN:
-            found |= own_figures([moved], on_road=drivable)
+    if len(moved.time) < LEAST_OWN:
+        return found
+    if sum(len(t.time) for t in traffic) < LEAST_REFERENCE:
+        return found | own_figures([moved], on_road=drivable)
+    found |= realism([moved], traffic, on_road=drivable)
+    found["wosac_js"] |= _wosac(moved, traffic, drivable)
     return found
 
 

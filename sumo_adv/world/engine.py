@@ -31,16 +31,18 @@ class Engine:
 
     def __init__(self, body: Body) -> None:
         context = multiprocessing.get_context("spawn")
-        self._log = tempfile.NamedTemporaryFile(prefix="sumo_adv-engine-", suffix=".log", delete=False)  # noqa: SIM115
-        self._log.close()
+        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
+        self._log = Path(self._folder.name) / "log"
+        self._log.touch()
         self._control, control = context.Pipe()
         pairs = [context.Pipe() for _ in range(SLOTS)]
         self._slots = [p[0] for p in pairs]
-        saved = {k: os.environ.get(k) for k in QUIET_VARIABLES}
-        os.environ.update(QUIET_VARIABLES)
+        variables = {**QUIET_VARIABLES, "TMPDIR": self._folder.name}
+        saved = {k: os.environ.get(k) for k in variables}
+        os.environ.update(variables)
         try:
             self._process = context.Process(
-                target=_serve, args=(body, control, [p[1] for p in pairs], self._log.name), daemon=True
+                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log)), daemon=True
             )
             self._process.start()
         finally:
@@ -72,7 +74,7 @@ class Engine:
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
     def _last_words(self) -> str:
-        lines = [line for line in Path(self._log.name).read_text(errors="replace").splitlines() if line.strip()]
+        lines = [line for line in self._log.read_text(errors="replace").splitlines() if line.strip()]
         errors = [line.removeprefix("Error: ") for line in lines if line.startswith("Error:")] or lines
         return f" ({errors[-1][:300]})" if errors else ""
 
@@ -84,7 +86,7 @@ class Engine:
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
-        Path(self._log.name).unlink(missing_ok=True)
+        self._folder.cleanup()
 
     def __enter__(self) -> Engine:
         return self

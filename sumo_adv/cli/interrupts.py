@@ -1,0 +1,41 @@
+"""Ctrl-C during a run: it ends the episode, and never the writing of what came of it."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+
+class Interrupts:
+    """Remembers a Ctrl-C beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows one that comes while it runs a
+    planner (measured). A context manager for the main thread."""
+
+    def __enter__(self) -> Self:
+        self._pressed = False
+        self._before = signal.signal(signal.SIGINT, self._press)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        signal.signal(signal.SIGINT, self._before)
+
+    def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+        """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+
+        def told(what: str, value: Any) -> None:
+            tell(what, value)
+            if self._pressed:
+                raise KeyboardInterrupt
+
+        return told
+
+    def hold(self) -> None:
+        """From here on Ctrl-C is ignored: the rest takes a second or two."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def _press(self, number: int, frame: FrameType | None) -> None:
+        self._pressed = True
+        raise KeyboardInterrupt

@@ -1,0 +1,112 @@
+"""``memory verify | calibrate``: do the planners still work, and where does "known" end."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent, open_bank
+
+if TYPE_CHECKING:
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.calibrate import Paraphrase
+    from sumo_adv.memory.records import Source
+
+
+def verify(
+    label: Annotated[str | None, typer.Option(help="Only the planners of this intent.")] = None,
+    memory: Bank = None,
+    as_json: Json = False,
+) -> None:
+    """Run each active planner in the sandbox on made-up situations; exit status 1 if one fails.
+
+    Whether a planner still succeeds as its evidence says is not tried: that takes runs.
+    """
+    from sumo_adv.planning.sandbox import Sandbox
+
+    with open_bank(memory) as bank:
+        wanted = known_intent(bank, label).label if label is not None else None
+        sources = [s for s in bank.sources() if s.intent.status == "active" and wanted in (None, s.intent.label)]
+    with Sandbox() as sandbox:
+        results = [row for source in sources for row in _verify(sandbox, source)]
+        isolation = sandbox.isolation if results else None
+    failed = sum(not row["ok"] for row in results)
+    value = {"planners": results, "failed": failed, "isolation": isolation}
+    answer(value, as_json, lambda: [
+        *(f"{'ok    ' if r['ok'] else 'FAILED'}  {r['label']} / {r['mode']}{'' if r['ok'] else ': ' + r['failure']}"
+          for r in results),
+        f"{len(results) - failed} of {len(results)} planners answer well in all situations of their relations.",
+    ])  # fmt: skip
+    if failed:
+        raise typer.Exit(1)
+
+
+def _verify(sandbox: Any, source: Source) -> list[dict[str, Any]]:
+    from sumo_adv.cli.memory_trial import trial
+
+    rows = []
+    for planner in source.planners:
+        if planner.hash not in source.retired:
+            failure = trial(sandbox, planner, source.intent.applies)
+            successes = sum(e.success for e in source.evidence if e.planner_hash == planner.hash)
+            rows.append({
+                "label": source.intent.label, "mode": planner.mode, "hash": planner.hash, "ok": failure is None,
+                "failure": failure, "successes": successes,
+            })  # fmt: skip
+    return rows
+
+
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="Paraphrases of known intents, and novel behaviours, in TOML.")],
+    store: Annotated[bool, typer.Option("--store", help="Keep the epsilon in the bank.")] = False,
+    memory: Bank = None,
+    as_json: Json = False,
+) -> None:
+    """How well the bank tells known from novel intents: epsilon from one half of the file, figures from the other.
+
+    Behaviours whose intent the bank lacks count as novel. The intervals are 95 % bootstrap.
+    """
+    from sumo_adv.memory.calibrate import calibrate as measure
+    from sumo_adv.memory.calibrate import read_paraphrases
+    from sumo_adv.memory.similarity import TfIdf
+
+    with open_bank(memory) as bank:
+        tuning, reporting = (_as_known(bank, half) for half in read_paraphrases(file))
+        active = [record for record in bank.intents() if record.status == "active"]
+        found = measure(TfIdf(), active, tuning, reporting)
+        known = sum(p.intent is not None for p in tuning)
+        on = (
+            f"{file.name}, tuning half: {known} paraphrases and {len(tuning) - known} novel behaviours,"
+            f" a bank of {len(active)} intents"
+        )
+        before = bank.epsilon()[0]
+        if store:
+            bank.set_epsilon(found.epsilon, on)
+    figures = {"top-1": found.top1, "AUC": found.auc, "balanced accuracy": found.balanced_accuracy}
+    value = {**asdict(found), "calibrated_on": on, "before": before, "stored": store}
+    answer(value, as_json, lambda: [
+        f"Metric {found.metric}: epsilon {found.epsilon:.3f}, {'stored' if store else 'not stored'} (was {before:.3f})",
+        f"Calibrated on {on}.",
+        f"On the other half ({found.known} known, {found.novel} novel):",
+        *(f"  {name:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for name, f in figures.items()),
+    ])  # fmt: skip
+
+
+def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:
+    """The paraphrases, those of intents that are not active in the bank as novel ones."""
+    active = {record.label for record in bank.intents() if record.status == "active"}
+
+    def there(label: str) -> bool:
+        record = bank.intent(label)
+        return record is not None and record.label in active
+
+    return [p if p.intent is None or there(p.intent) else replace(p, intent=None) for p in half]
+
+
+COMMANDS = (
+    ("verify", verify, "verify --label 'Aggressive Cut-in'"),
+    ("calibrate", calibrate, "calibrate tests/data/intents_paraphrases.toml --store"),
+)

@@ -1,0 +1,150 @@
+"""Made-up situations in which a planner must answer: what ``planning.ground`` would tell it, by hand.
+
+For each relation that an intent applies to: the ego stands, drives slowly, drives fast, on a straight road and in a
+left-hand curve; the BV at the trigger, two seconds later in the middle of a move sideways, and five seconds later.
+Frame: the ego's pose at the trigger, x forward, y left; SI units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+LENGTH, WIDTH, LANE_WIDTH = 5.0, 1.8, 3.2  # m
+NO_ARRIVAL = 1e3  # s, as planners are told it
+HORIZON = 8.0  # s
+CURVATURE = 1.0 / 80.0  # 1/m, of the curve
+TIMES = (0.0, 2.0, 5.0)  # s after the trigger
+SPEEDS = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # m/s, of the ego
+CONFLICT = 45.0  # m along the ego's path: where crossing and merging ways meet it
+
+LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
+"""m ahead and to the left, along the ego's path; an oncoming one is so far ahead that they meet after ``MEET``."""
+
+MEET = 6.0  # s
+
+CROSSING_ANGLES = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
+"""rad: the BV's heading at the conflict, relative to the ego's path there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """One call's ``bv``, ``ego`` and ``road``."""
+
+    name: str
+    bv: dict[str, Any]
+    ego: dict[str, Any]
+    road: dict[str, Any]
+
+
+Pose = tuple[float, float, float]
+
+
+def probes(relation: str) -> list[Probe]:
+    """All situations of one of the bank's relations."""
+    return list(_probes(relation))
+
+
+def _probes(relation: str) -> Iterator[Probe]:
+    for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve")):
+        for pace, speed in SPEEDS.items():
+            for time in TIMES:
+                name = f"{relation}, {pace}, {shape}, after {time:.0f} s"
+                crossing = relation in CROSSING_ANGLES
+                yield (_crossing if crossing else _lane)(name, relation, curvature, speed, time)
+
+
+def on_arc(station: float, left: float, curvature: float) -> Pose:
+    """The pose beside a path that begins at the origin along x."""
+    turned = station * curvature
+    x = math.sin(turned) / curvature if curvature else station
+    y = (1.0 - math.cos(turned)) / curvature if curvature else 0.0
+    return x - left * math.sin(turned), y + left * math.cos(turned), turned
+
+
+def _ego(curvature: float, speed: float, time: float, arrivals: list[float]) -> dict[str, Any]:
+    path = []
+    for t in range(9):
+        path.append([float(t), *on_arc(speed * (time + t), 0.0, curvature), speed])
+    x, y, heading = path[0][1:4]
+    return {
+        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "length": LENGTH, "width": WIDTH,
+        "path": path, "arrivals": arrivals,
+    }  # fmt: skip
+
+
+def _lane(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    ahead, left = LANE_PLACES[relation]
+    oncoming = relation == "oncoming"
+    own = max(speed, 3.0) if oncoming else speed + 1.0
+    ahead += MEET * (own + speed) if oncoming else 0.0
+    travelled = own * time
+    station = ahead + (-travelled if oncoming else travelled)
+    x, y, h = on_arc(station, left, curvature)
+    turned = math.pi if oncoming else 0.0
+    step = -2.0 if oncoming else 2.0
+    line = [list(on_arc(ahead + step * i, left, curvature)[:2]) for i in range(60)]
+    way = {"movement": "straight", "junction": NO_ARRIVAL, "conflict": None, "centreline": line}
+    bv = _bv((x, y, _wrap(h + turned)), own, travelled, time, (x, y))
+    bv |= {
+        "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
+        "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TIMES[1] else 0.0,
+        "speed_along": -own if oncoming else own,
+    }  # fmt: skip
+    road = _road(relation, left, curvature, own, (*on_arc(ahead, left, curvature)[:2], turned), way)
+    return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL]), road)
+
+
+def _crossing(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
+    heading = _wrap(ch + CROSSING_ANGLES[relation])
+    c, s = math.cos(heading), math.sin(heading)
+    away = 40.0  # m from the conflict at the trigger
+    own = 7.0
+    travelled = own * time
+    line = [[cx + (2.0 * i - away) * c, cy + (2.0 * i - away) * s] for i in range(60)]
+    conflict = {
+        "kind": "merging" if relation == "merging" else "crossing", "x": cx, "y": cy, "heading": heading,
+        "bv_distance": away, "ego_distance": CONFLICT, "angle": CROSSING_ANGLES[relation],
+    }  # fmt: skip
+    movement = relation.removeprefix("crossing_") if relation != "merging" else "right"
+    way = {"movement": movement, "junction": away - 8.0, "conflict": conflict, "centreline": line}
+    x, y = cx + (travelled - away) * c, cy + (travelled - away) * s
+    ego_left = CONFLICT - speed * time
+    arrival = ego_left / max(speed, 3.0) if ego_left <= 0 else (ego_left / speed if speed > 2.8 else NO_ARRIVAL)
+    bv = _bv((x, y, heading), own, travelled, time, (x, y))
+    bv |= {
+        "ahead": x - speed * time, "left": y, "relative_heading": CROSSING_ANGLES[relation], "road_heading": ch,
+        "target_left": y, "lateral_time": 0.0, "speed_along": own * math.cos(CROSSING_ANGLES[relation]),
+    }  # fmt: skip
+    start = (cx - away * c, cy - away * s, heading)
+    road = _road("merging" if relation == "merging" else "crossing", start[1], curvature, own, start, way)
+    return Probe(name, bv, _ego(curvature, speed, time, [arrival]), road)
+
+
+def _bv(pose: Pose, speed: float, travelled: float, time: float, here: tuple[float, float]) -> dict[str, Any]:
+    x, y, heading = pose
+    last = {"x": here[0], "y": here[1], "heading": heading, "speed": speed, "time": 2.0} if time else None
+    return {
+        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "travelled": travelled, "offset": 0.0,
+        "length": LENGTH, "width": WIDTH, "time": time, "last": last,
+    }  # fmt: skip
+
+
+def _road(
+    relation: str, left: float, curvature: float, speed: float, start: Pose, way: dict[str, Any]
+) -> dict[str, Any]:
+    x, y, heading = start
+    return {
+        "relation": relation, "left": left, "lane_width": LANE_WIDTH, "ways": [way],
+        "sides": [{"offset": LANE_WIDTH, "kind": "same"}, {"offset": -LANE_WIDTH, "kind": "opposite"}],
+        "start": {"x": x, "y": y, "heading": heading, "speed": speed},
+        "ego_centreline": [list(on_arc(2.0 * i, 0.0, curvature)[:2]) for i in range(100)],
+        "fastest": max(1.4 * speed, speed + 5.0),
+    }  # fmt: skip
+
+
+def _wrap(angle: float) -> float:
+    return math.remainder(angle, 2.0 * math.pi)

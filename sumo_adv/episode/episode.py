@@ -1,0 +1,45 @@
+"""Everything that came of one run, filled in as it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Ending, Intent
+from sumo_adv.episode.refine import Refinement
+from sumo_adv.episode.task import Found, Prefix, Task
+from sumo_adv.world.inputs import RunInput
+
+
+@dataclass(slots=True)
+class Episode:
+    """Everything that came of one run."""
+
+    source: RunInput
+    settings: Settings
+    task: Task
+    ending: Ending = Ending.SIMULATION_FAILED
+    reason: str = ""
+    found: Found | None = None
+    intents: Sequence[Intent] = ()
+    intent: Intent | None = None
+    refinement: Refinement = field(default_factory=Refinement)
+    prefix: Prefix | None = None
+    lanes: Sequence[Any] = ()
+    forked: bool = False
+    skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
+    isolation: str = ""
+    bank_hash: str = ""
+    calls: dict[str, int] = field(default_factory=lambda: {"analyzer": 0, "generator": 0, "modifier": 0})
+    bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
+    learnt: bool = False
+    notes: list[str] = field(default_factory=list)
+    timing: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Attempt | None:
+        """The attempt that counts."""
+        k = self.refinement.best
+        return None if k is None else self.refinement.attempts[k]

@@ -1,0 +1,145 @@
+"""What the memory bank gives to an episode and gets from it: library, retrieval, recall of scenes, learning."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sumo_adv import __version__
+from sumo_adv.agents.expert import ExpertGenerator, applies_of
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.task import Found
+from sumo_adv.errors import BankError
+from sumo_adv.memory import bandit
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.recall import recall_scene, signature_distance
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.planning.source import make_planner
+from sumo_adv.situation import Situation
+
+
+def read_library(
+    bank: MemoryBank, now: SceneSignature, seed: int
+) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
+    """The behaviour library as it stands in the bank, an intent's planners ordered by what the evidence says of scenes
+    like ``now`` (Thompson sampling); and how they were ordered, for the manifest."""
+    rng = random.Random(seed)
+    entries, explained = [], list[dict[str, object]]()
+    for record in bank.intents():
+        if record.status == "active":
+            arms = bandit.draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
+            explained.append({"label": record.label, "planners": bandit.explain(arms)})
+            planners = tuple(arm.planner for arm in arms)
+            entries.append(LibraryEntry(record.label, record.description, record.applies, planners))
+    return entries, explained
+
+
+def recall(
+    episode: Episode, found: Found, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> tuple[Intent, Proposal] | None:
+    """What succeeded in a like scene, as it was driven there; None where no scene of the bank is like this one."""
+    began = time.perf_counter()
+    best: tuple[tuple[bool, float], Intent, Proposal] | None = None
+    for delay, situation in sorted(found.situations.items()):
+        for target in situation.target_list():
+            now = signature(situation, target.state.id, episode.task.ego_driver)
+            evidence = recall_scene(bank, now)
+            known = _remembered(library, evidence) if evidence is not None else None
+            if evidence is None or known is None:
+                continue
+            entry, planner = known
+            order = (not evidence.valid, signature_distance(evidence.scene, now))
+            if best is None or order < best[0]:
+                why = f"a like scene in '{evidence.network}' has evidence (distance {order[1]:.2f})"
+                intent = Intent(target.state.id, entry.label, entry.description, "high", evidence.acceleration, why)
+                proposal = Proposal(
+                    target.state.id, entry.label, planner, dict(evidence.parameters), evidence.acceleration, delay,
+                    by="memory", score=0.0,
+                )  # fmt: skip
+                best = (order, intent, proposal)
+    episode.timing["recall"] = time.perf_counter() - began
+    return None if best is None else best[1:]
+
+
+def _remembered(library: Sequence[LibraryEntry], evidence: Evidence) -> tuple[LibraryEntry, Planner] | None:
+    """The entry and the planner that a piece of evidence is about; None if they are retired."""
+    for entry in library:
+        for planner in entry.planners:
+            if entry.label == evidence.label and planner.hash == evidence.planner_hash:
+                return entry, planner
+    return None
+
+
+def retrieve(
+    episode: Episode, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> list[LibraryEntry]:
+    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner."""
+    entries, known = list(library), {e.label: e for e in library}
+    began = time.perf_counter()
+    for intent in episode.intents:
+        if intent.label in known:
+            continue
+        hit = bank.retrieve(intent.label, intent.description).hit
+        words = applies_of(intent.label)
+        if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
+            entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
+            entries = [entry if e.label == hit else e for e in entries]
+            known[hit] = known[intent.label] = entry
+            continue
+        episode.calls["generator"] += 1
+        planner = ExpertGenerator(make_planner).generate(intent, situation, library)
+        if planner is not None:
+            entry = LibraryEntry(intent.label, intent.description, words, (planner,), "generated")
+            known[intent.label] = entry
+            entries.append(entry)
+    episode.timing["retrieval"] = time.perf_counter() - began
+    return entries
+
+
+def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
+    """Keep what was critical, feasible and not rear-end; of a failure only the evidence, for a planner the bank has.
+
+    A bank that cannot be written is a note.
+    """
+    best = episode.best
+    if episode.settings.learn == "off" or best is None or episode.found is None:
+        return
+    evidence = _evidence(episode, best)
+    entry = next(e for e in entries if e.label == best.proposal.label)
+    planner = best.proposal.planner
+    known = planner.hash in {p.hash for p in bank.planners(entry.label)}
+    if not evidence.success and not known:
+        return
+    record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
+    try:
+        bank.record(evidence, intent=record, planner=None if known else planner)
+        episode.learnt = True
+    except BankError as error:
+        episode.notes.append(f"Nothing was learnt: {error}")
+
+
+def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
+    """What makes scenes alike: geometry class, relation, relative state of the BV (m, rad, m/s), the ego's driver."""
+    target = situation.targets[bv]
+    x, y, h = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
+    kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
+    geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
+    relative = {
+        "ahead": round(x, 2), "left": round(y, 2), "heading": round(h, 3), "speed": round(target.state.speed, 2),
+        "ego_speed": round(situation.ego.speed, 2),
+    }  # fmt: skip
+    return SceneSignature(geometry, target.relation, relative, driver)
+
+
+def _evidence(episode: Episode, best: Attempt) -> Evidence:
+    assert episode.found is not None
+    p = best.proposal
+    scene = signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver)
+    return evidence_of(
+        best.verdict, label=p.label, planner_hash=p.planner.hash, scene=scene, attempts=best.index + 1,
+        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
+        acceleration=p.acceleration, delay=p.delay,
+    )  # fmt: skip

@@ -1,0 +1,79 @@
+"""What a person may want to do about a bank: merge intents, retire planners. Proposals only, nothing is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sumo_adv.memory.bank import MemoryBank
+
+DUPLICATE = 0.5  # of epsilon: two intents this near are proposed for merging
+HOPELESS = 20  # pieces of evidence without one success: a planner is proposed for retiring
+
+
+@dataclass(frozen=True, slots=True)
+class MergeProposal:
+    """``label`` could be merged into ``into`` (the older one): why, and how far apart they are."""
+
+    label: str
+    into: str
+    distance: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerCounts:
+    """The evidence about one planner."""
+
+    label: str
+    mode: str
+    hash: str
+    origin: str
+    retired: bool
+    successes: int
+    failures: int
+
+
+def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
+    """Active intents that may be one: a planner with the same text, or that can be tried from a common relation and lie
+    within half of epsilon; nearest first."""
+    places = {record.label: i for i, record in enumerate(bank.intents())}
+    sources = {source.intent.label: source for source in bank.sources() if source.intent.status == "active"}
+    texts: dict[str, list[str]] = {}
+    found: dict[tuple[str, str], MergeProposal] = {}
+    for label, source in sources.items():
+        for planner in source.planners:
+            texts.setdefault(planner.hash, []).append(label)
+        for other, distance in bank.retrieve(label, source.intent.description).nearest:
+            common = set(source.intent.applies) & set(sources[other].intent.applies)
+            if other != label and common and distance <= DUPLICATE * bank.epsilon()[0]:
+                into, later = sorted((label, other), key=places.__getitem__)
+                found[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
+    for labels in texts.values():
+        for later in labels[1:]:
+            found[later, labels[0]] = MergeProposal(later, labels[0], 0.0, "they have a planner with the same text")
+    return sorted(found.values(), key=lambda proposal: (proposal.distance, proposal.label, proposal.into))
+
+
+def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:
+    """Successes and failures of every planner, retired ones too, in the order of ``MemoryBank.sources``."""
+    counts = []
+    for source in bank.sources():
+        results: Mapping[str, list[int]] = {planner.hash: [0, 0] for planner in source.planners}
+        for evidence in source.evidence:
+            results[evidence.planner_hash][0 if evidence.success else 1] += 1
+        for planner in source.planners:
+            good, bad = results[planner.hash]
+            retired = planner.hash in source.retired or source.intent.status == "retired"
+            counts.append(
+                PlannerCounts(source.intent.label, planner.mode, planner.hash, planner.origin, retired, good, bad)
+            )
+    return counts
+
+
+def hopeless(bank: MemoryBank, at_least: int = HOPELESS) -> list[PlannerCounts]:
+    """Active planners that failed ``at_least`` times and never succeeded."""
+    return [
+        each for each in planner_counts(bank)
+        if not each.retired and each.successes == 0 and each.failures >= at_least
+    ]  # fmt: skip

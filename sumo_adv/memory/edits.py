@@ -1,0 +1,176 @@
+"""Changes to what a bank holds, beside new evidence: taking in another's content, merging, retiring.
+
+Every function is to be called within a transaction; it raises BankError before it changes anything it cannot finish.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections import Counter
+from collections.abc import Collection, Iterable
+from dataclasses import asdict, dataclass, replace
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.errors import BankError
+from sumo_adv.memory import rows
+from sumo_adv.memory.records import Evidence, IntentRecord, Source, canonical
+
+
+@dataclass(frozen=True, slots=True)
+class Absorbed:
+    """How much of what was offered was new."""
+
+    intents: int = 0
+    planners: int = 0
+    evidence: int = 0
+
+    def __add__(self, other: Absorbed) -> Absorbed:
+        return Absorbed(
+            self.intents + other.intents, self.planners + other.planners, self.evidence + other.evidence
+        )  # fmt: skip
+
+
+def absorb(connection: sqlite3.Connection, sources: Iterable[Source], now: str, *, unique_modes: bool) -> Absorbed:
+    """Add what the bank lacks; a piece of evidence that it holds as often as ``sources`` do is not added again."""
+    sources = list(sources)
+    added = Absorbed()
+    content = rows.read(connection)
+    held = Counter(evidence_key(evidence) for evidence in content.evidence)
+    for source in sources:
+        added += _absorb_one(connection, source, content, held, now, unique_modes=unique_modes)
+    for source in sources:
+        key = canonical(source.intent.label)
+        if source.merged_into is not None and key not in content.intents:
+            if rows.read_intent(connection, source.merged_into) is None:
+                raise BankError(
+                    f"The intent {source.intent.label!r} is merged into {source.merged_into!r}, which is not there."
+                )
+            rows.write_setting(connection, f"{rows.MERGED}{key}", source.merged_into)
+    return added
+
+
+def _absorb_one(
+    connection: sqlite3.Connection,
+    source: Source,
+    content: rows.Content,
+    held: Counter[str],
+    now: str,
+    *,
+    unique_modes: bool,
+) -> Absorbed:
+    label = rows.resolve(content.settings, source.intent.label)
+    key = canonical(label)
+    fresh = key not in content.intents
+    if fresh:
+        rows.insert_intent(connection, source.intent, now)
+    else:
+        label = content.intents[key].label
+    known = content.planners.get(key, [])
+    hashes, modes = {planner.hash for planner in known}, {planner.mode for planner in known}
+    planners = [planner for planner in source.planners if planner.hash not in hashes]
+    for planner in planners:
+        named = replace(planner, mode=free_mode(planner.mode, modes)) if unique_modes else planner
+        modes.add(named.mode)
+        status = "retired" if planner.hash in source.retired else "active"
+        rows.insert_planner(connection, label, named, now, status)
+    count = 0
+    for evidence in source.evidence:
+        mine = replace(evidence, label=label)
+        if held[evidence_key(mine)] > 0:
+            held[evidence_key(mine)] -= 1
+        else:
+            rows.insert_evidence(connection, mine, now, wake=False)
+            count += 1
+    return Absorbed(int(fresh), len(planners), count)
+
+
+def free_mode(mode: str, taken: Collection[str]) -> str:
+    """``mode``, or with the first number from 2 on that makes it none of ``taken``."""
+    number, name = 1, mode
+    while name in taken:
+        number += 1
+        name = f"{mode}-{number}"
+    return name
+
+
+def evidence_key(evidence: Evidence) -> str:
+    """The content of a piece of evidence as text, without its time stamp; equal for equal pieces."""
+    plain = asdict(evidence)
+    del plain["created"]
+    plain["label"] = canonical(evidence.label)
+    return json.dumps(plain, sort_keys=True)
+
+
+def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> None:
+    """See ``MemoryBank.merge``."""
+    content = rows.read(connection)
+    one, other = _known(content, label), _known(content, into)
+    source, target = canonical(one.label), canonical(other.label)
+    if source == target:
+        raise BankError(f"{label!r} and {into!r} are the same intent; name two.")
+    if other.status != "active":
+        raise BankError(f"The intent {other.label!r} is retired; merge into an active one.")
+    modes = {planner.mode for planner in content.planners[target]}
+    hashes = {planner.hash for planner in content.planners[target]}
+    for planner in content.planners[source]:
+        retired = (source, planner.hash) in content.retired
+        if planner.hash not in hashes:
+            named = replace(planner, label=other.label, mode=free_mode(planner.mode, modes))
+            modes.add(named.mode)
+            rows.insert_planner(connection, other.label, named, now, "retired" if retired else "active")
+        elif not retired:
+            _set_planner(connection, target, planner.hash, "active")
+    connection.execute(
+        "UPDATE evidence SET intent = (SELECT id FROM intents WHERE key = ?)"
+        " WHERE intent = (SELECT id FROM intents WHERE key = ?)",
+        (target, source),
+    )
+    connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
+    _set_intent(connection, source, "retired")
+    rows.write_setting(connection, f"{rows.MERGED}{source}", other.label)
+
+
+def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back: bool) -> None:
+    """See ``MemoryBank.retire``."""
+    content = rows.read(connection)
+    record = _known(content, label)
+    key = canonical(record.label)
+    planners = content.planners[key]
+    chosen = [planner for planner in planners if mode is not None and planner.mode == mode]
+    if mode is not None and not chosen:
+        there = ", ".join(sorted({planner.mode for planner in planners})) or "none"
+        raise BankError(f"The intent {record.label!r} has no planner of the mode {mode!r}; its modes: {there}.")
+    status = "active" if back else "retired"
+    for planner in chosen:
+        _set_planner(connection, key, planner.hash, status)
+    gone = {planner.hash for planner in planners if (key, planner.hash) in content.retired}
+    touched = {planner.hash for planner in chosen}
+    left = _active_planners(planners, gone - touched if back else gone | touched)
+    if back and not left:
+        raise BankError(f"The intent {record.label!r} has no active planner; say --mode to bring one back too.")
+    if mode is None or back or not left:
+        _set_intent(connection, key, status)
+
+
+def _active_planners(planners: Iterable[Planner], gone: Collection[str]) -> list[Planner]:
+    return [planner for planner in planners if planner.hash not in gone]
+
+
+def _known(content: rows.Content, label: str) -> IntentRecord:
+    record = content.intents.get(canonical(label))
+    if record is None:
+        there = ", ".join(each.label for each in content.intents.values()) or "none"
+        raise BankError(f"The bank has no intent {label!r}; it has: {there}.")
+    return record
+
+
+def _set_intent(connection: sqlite3.Connection, key: str, status: str) -> None:
+    connection.execute("UPDATE intents SET status = ? WHERE key = ?", (status, key))
+
+
+def _set_planner(connection: sqlite3.Connection, key: str, planner_hash: str, status: str) -> None:
+    connection.execute(
+        "UPDATE planners SET status = ? WHERE hash = ? AND intent = (SELECT id FROM intents WHERE key = ?)",
+        (status, planner_hash, key),
+    )

@@ -1,0 +1,120 @@
+"""Evidence as a CSV file, one row a piece, sorted: text that can be compared and reviewed.
+
+Columns: ``planner`` (the name of its file without ``.py``), then those of Evidence; ``relative`` and ``parameters`` are
+JSON objects of numbers, yes or no is 1 or 0, and what does not arise (or a TTC that is never) is empty.  Time stamps
+are left out: they are no part of a bank's content.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+
+from sumo_adv.errors import BankError
+from sumo_adv.memory.records import Evidence, SceneSignature
+
+COLUMNS = (
+    "planner", "geometry", "relation", "controller", "relative", "parameters", "acceleration", "delay", "attempts",
+    "min_ttc", "collided", "critical", "feasible", "rear_end", "valid", "strict", "version", "network", "seed",
+)  # fmt: skip
+
+
+def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> str:
+    """The text of the file; ``names``: planner hash -> name of its file."""
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(sorted(_row(each, names[each.planner_hash]) for each in evidence))
+    return lines.getvalue()
+
+
+def _row(e: Evidence, name: str) -> list[str]:
+    return [
+        name, e.scene.geometry, e.scene.relation, e.scene.controller,
+        json.dumps(dict(e.scene.relative), sort_keys=True), json.dumps(dict(e.parameters), sort_keys=True),
+        repr(float(e.acceleration)), repr(float(e.delay)), str(e.attempts),
+        "" if math.isinf(e.min_ttc) else repr(float(e.min_ttc)),
+        *(("" if flag is None else str(int(flag))) for flag in
+          (e.collided, e.critical, e.feasible, e.rear_end, e.valid, e.strict)),
+        e.version, e.network, str(e.seed),
+    ]  # fmt: skip
+
+
+def read_evidence(text: str, label: str, hashes: Mapping[str, str], where: str) -> tuple[Evidence, ...]:
+    """Evidence about ``label`` from the text of a file; ``hashes``: name of a planner's file -> its hash.
+
+    Raises BankError with the line, ``where`` being the file's name for the sentence.
+    """
+    try:
+        lines = csv.reader(io.StringIO(text), strict=True)
+        head = tuple(next(lines, ()))
+        if head != COLUMNS:
+            raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
+        found = []
+        for row in lines:
+            try:
+                found.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {error}.") from error
+    except csv.Error as error:
+        raise BankError(f"{where} cannot be read as CSV: {error}.") from error
+    return tuple(found)
+
+
+def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> Evidence:
+    if row["planner"] not in hashes:
+        raise ValueError(f"there is no planner {row['planner'][:80]!r}")
+    for name in ("geometry", "relation", "controller", "version", "network"):
+        if len(row[name]) > 200 or not row[name].isprintable():
+            raise ValueError(f"{name} must be short text")
+    attempts, seed = int(row["attempts"]), int(row["seed"])
+    if attempts < 1 or abs(seed) >= 2**63 or attempts >= 2**63:
+        raise ValueError("attempts must be 1 or more, and seed a whole number of SQLite")
+    min_ttc = _number(row["min_ttc"]) if row["min_ttc"] else math.inf
+    if min_ttc < 0.0:
+        raise ValueError("min_ttc must be 0 or more")
+    return Evidence(
+        label=label,
+        planner_hash=hashes[row["planner"]],
+        scene=SceneSignature(row["geometry"], row["relation"], _numbers(row["relative"]), row["controller"]),
+        attempts=attempts,
+        min_ttc=min_ttc,
+        collided=_flag(row["collided"]),
+        critical=_flag(row["critical"]),
+        feasible=_flag(row["feasible"]),
+        rear_end=_flag(row["rear_end"]),
+        valid=_flag(row["valid"]) if row["valid"] else None,
+        strict=_flag(row["strict"]) if row["strict"] else None,
+        version=row["version"],
+        network=row["network"],
+        seed=seed,
+        parameters=_numbers(row["parameters"]),
+        acceleration=_number(row["acceleration"]),
+        delay=_number(row["delay"]),
+    )
+
+
+def _flag(text: str) -> bool:
+    if text not in ("0", "1"):
+        raise ValueError(f"yes or no is 1 or 0, not {text[:20]!r}")
+    return text == "1"
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]!r} is not a finite number")
+    return value
+
+
+def _numbers(text: str) -> dict[str, float]:
+    table = json.loads(text)
+    if not isinstance(table, dict) or len(table) > 100:
+        raise ValueError("relative and parameters are objects of numbers")
+    for name, value in table.items():
+        if type(value) not in (int, float) or not math.isfinite(value):
+            raise ValueError(f"{name[:40]!r} must be a finite number")
+    return {name[:100]: value for name, value in table.items()}

@@ -1,0 +1,160 @@
+"""A bank as a folder of text, and back: what ``memory export`` writes, and ``memory import`` and ``memory build`` read.
+
+The text depends on the bank's content alone (no time stamps, everything sorted), so it can be compared and reviewed
+like code.  Settings are left out: epsilon is calibrated where a bank is used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+import textwrap
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.errors import BankError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import EVIDENCE_FILE, Parse, read_sources
+from sumo_adv.memory.edits import Absorbed, free_mode
+from sumo_adv.memory.evidence_csv import write_evidence
+from sumo_adv.memory.records import IntentRecord, Source, canonical
+from sumo_adv.memory.store import sentences
+
+Verify = Callable[[IntentRecord, Planner], str | None]
+"""Tries a planner where it can do no harm: None, or what is wrong with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A planner that an import would not take, and why."""
+
+    label: str
+    mode: str
+    reason: str
+
+
+def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
+    """Write the bank to ``folder``, whole or not at all; the number of intents.
+
+    With ``force`` an earlier export there is replaced. Raises BankError, also where anything else is in the folder.
+    """
+    if folder.exists() and not (force and _is_export(folder)):
+        said = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
+        raise BankError(f"The folder {folder} {said}.")
+    sources = sorted(bank.sources(), key=lambda source: canonical(source.intent.label))
+    slugs: set[str] = set()
+    with sentences(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
+            fresh, old = Path(scratch) / "new", Path(scratch) / "old"
+            fresh.mkdir()
+            for source in sources:
+                slug = free_mode(_slug(source.intent.label), slugs)
+                slugs.add(slug)
+                _write_source(fresh / slug, source)
+            if folder.exists():
+                folder.replace(old)
+            try:
+                fresh.replace(folder)
+            except OSError:
+                if old.exists():
+                    shutil.move(old, folder)
+                raise
+    return len(sources)
+
+
+def import_bank(
+    bank: MemoryBank, folder: Path, parse: Parse, verify: Verify, *, skip_refused: bool = False
+) -> tuple[Absorbed, list[Refused]]:
+    """Add what the bank lacks of an export, in one transaction, after ``verify`` had a look at each of its planners.
+
+    With ``skip_refused`` the rest is taken where planners are refused. Returns what was added and what was refused;
+    where anything was refused without ``skip_refused`` nothing is added. Raises BankError for a folder that cannot
+    be read.
+    """
+    refused, taken = [], []
+    for source in read_sources(folder, parse):
+        bad: set[str] = set()
+        for planner in source.planners:
+            if (reason := verify(source.intent, planner)) is not None:
+                refused.append(Refused(source.intent.label, planner.mode, reason))
+                bad.add(planner.hash)
+        kept = tuple(planner for planner in source.planners if planner.hash not in bad)
+        evidence = tuple(each for each in source.evidence if each.planner_hash not in bad)
+        if kept or source.merged_into is not None:
+            taken.append(replace(source, planners=kept, evidence=evidence))
+    if refused and not skip_refused:
+        return Absorbed(), refused
+    return bank.absorb(taken), refused
+
+
+def _is_export(folder: Path) -> bool:
+    """Whether nothing but what an export writes is there."""
+    if folder.is_symlink() or not folder.is_dir():
+        return False
+    for entry in folder.iterdir():
+        if entry.is_symlink() or not (entry / "intent.toml").is_file():
+            return False
+        if any(not f.is_file() or (f.suffix != ".py" and f.name not in ("intent.toml", EVIDENCE_FILE))
+               for f in entry.iterdir()):  # fmt: skip
+            return False
+    return True
+
+
+def _write_source(folder: Path, source: Source) -> None:
+    folder.mkdir()
+    names: dict[str, str] = {}
+    for planner in source.planners:
+        names[planner.hash] = free_mode(_slug(planner.mode), set(names.values()))
+        _write(folder / f"{names[planner.hash]}.py", planner.source)
+    _write(folder / "intent.toml", _toml(source, names))
+    if source.evidence:
+        _write(folder / EVIDENCE_FILE, write_evidence(source.evidence, names))
+
+
+def _write(file: Path, text: str) -> None:
+    file.write_text(text, encoding="utf-8", newline="")
+
+
+def _slug(name: str) -> str:
+    """A file name of lower-case letters and digits; with part of a hash where nothing else is left of the name."""
+    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name.lower()).strip("_")
+    while "__" in plain:
+        plain = plain.replace("__", "_")
+    return plain[:80] or f"intent_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+
+
+def _toml(source: Source, names: dict[str, str]) -> str:
+    intent = source.intent
+    wrapped = "\n".join(textwrap.wrap(_quoted(" ".join(intent.description.split()))[1:-1], 118, break_long_words=False,
+                                      break_on_hyphens=False))  # fmt: skip
+    lines = [
+        f"label = {_quoted(intent.label)}",
+        f'description = """\n{wrapped}\n"""',
+        f"applies = [{', '.join(map(_quoted, intent.applies))}]",
+    ]
+    if intent.status != "active":
+        lines.append(f"status = {_quoted(intent.status)}")
+    if source.merged_into is not None:
+        lines.append(f"merged_into = {_quoted(source.merged_into)}")
+    for planner in source.planners:
+        name = names[planner.hash]
+        more = {
+            "mode": planner.mode if planner.mode != name else None,
+            "origin": planner.origin if planner.origin != "seed" else None,
+            "parent": planner.parent,
+            "status": "retired" if planner.hash in source.retired else None,
+        }
+        told = [f"{key} = {_quoted(value)}" for key, value in more.items() if value is not None]
+        if told:
+            lines += ["", f"[planners.{name}]", *told]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    """A basic string of TOML: JSON's, with DEL escaped too."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
