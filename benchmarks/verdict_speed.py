@@ -1,7 +1,8 @@
 """How long the verdicts take.  ``python benchmarks/verdict_speed.py``; best of several runs, one core.
 
 Bounds (issue 3): TTC of the ego against 100 vehicles x 91 steps < 10 ms, a gate verdict on 120 steps with 10 others
-< 5 ms, a full verdict < 150 ms; scoring of 60 predicted rollouts (avoidability, three delays) < 30 ms.
+< 5 ms, a full verdict < 150 ms; scoring of 60 predicted rollouts (avoidability, three delays) < 30 ms.  What a run adds
+to the full verdict: the rows of ``criticality.csv.gz``, markings and realism, each < 50 ms.
 """
 
 from __future__ import annotations
@@ -11,13 +12,18 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from shapely import box
 
 from sumo_adv.datatypes import Boxes, Floats, Role, Track
 from sumo_adv.metrics.avoidance import avoidance
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import full_judge
 from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.markings import Strip, markings_crossed
 from sumo_adv.metrics.validity import judge
+from sumo_adv.report.tables import series_rows
+from sumo_adv.report.verdicts import realism_figures
+from sumo_adv.world.network import Drivable
 
 DT = 0.1
 TIME = np.arange(0.0, 12.0, DT)
@@ -55,8 +61,10 @@ def rollouts(tracks: list[Track]) -> Boxes:
 def main() -> int:
     """Print a line a figure; 1 if one is over its bound."""
     generator = np.random.default_rng(0)
-    many = Boxes(*(generator.uniform(-50, 50, (100, 91)) for _ in range(4)), 5.0, 2.0)
-    one = Boxes(*(generator.uniform(-50, 50, 91) for _ in range(4)), 5.0, 2.0)
+    x, y, heading, speed = generator.uniform(-50, 50, (4, 100, 91))
+    many = Boxes(x, y, heading, speed, 5.0, 2.0)
+    x, y, heading, speed = generator.uniform(-50, 50, (4, 91))
+    one = Boxes(x, y, heading, speed, 5.0, 2.0)
     ego, adversary = track("ego", 15 * TIME, 0 * TIME, 15.0), cut_in(9.0, 50.0, 5.0)
     others = [track(f"b{i}", 20 * i - 50 + 14 * TIME, 0 * TIME - 3.2 * (i % 3 + 1) - 1, 14.0) for i in range(10)]
 
@@ -66,6 +74,8 @@ def main() -> int:
     egos = rollouts([ego] * 60)
     foes = rollouts([cut_in(9.0 + i / 10, 3.0 + i, 1.5 + i / 15) for i in range(60)])
     trigger, contact = np.full(60, 10), np.full(60, 80)
+    road = Drivable(box(-500.0, -20.0, 2000.0, 20.0))
+    strips = [Strip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
     hazards, _ = hazard_index(egos, foes, trigger, contact, DT)
     figures = (
         ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(one, many)),
@@ -75,6 +85,9 @@ def main() -> int:
             lambda: judge(ego, adversary, others, trigger_time=1.0, on_road=on_road),
         ),
         ("full verdict", 150.0, lambda: full_judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)),
+        ("series rows, 120 steps, 10 others", 50.0, lambda: series_rows(ego, [ego, adversary, *others], "adversary")),
+        ("markings, 120 steps, 30 lanes", 50.0, lambda: markings_crossed(adversary, strips, road)),
+        ("realism, 120 steps, 10 others", 50.0, lambda: realism_figures(adversary, others, road)),
         ("hazard of 60 rollouts", 10.0, lambda: hazard_index(egos, foes, trigger, contact, DT)),
         ("avoidability of 60 rollouts", 30.0, lambda: avoidance(egos, foes, hazards, DT)),
     )

@@ -97,14 +97,12 @@ def test_what_cannot_be_run_is_refused(program: Program, make: Callable[[Path], 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--attempts", "0"), "attempts"), (("--ttc", "-1"), "ttc"), (("--seed", "-1"), "seed"), (("--tuner", "best"), "tuner"), (("--ego", "nobody"), "nobody"),
+        (("--attempts", "0"), "attempts"), (("--ttc", "-1"), "ttc"), (("--seed", "-1"), "seed"),
+        (("--tuner", "best"), "tuner"), (("--ego", "nobody"), "nobody"), (("--end", "inf"), "end"),
         (("--ego", "no_such_module:Ego"), "no_such_module"), (("--ego", "ego_samples:NoEgo"), "NoEgo"),
         (("--ego-id", "nobody"), "nobody"), (("--adversary", "nobody"), "nobody"),
-        (("--settings", "missing.toml"), "missing.toml"), (("--trigger", "nan"), "trigger"), (("--end", "inf"), "end"),
-        pytest.param(
-            ("--adversary", "nobody", "--trigger", "5"), "nobody",
-            marks=pytest.mark.xfail(reason="with a trigger given an unknown adversary is no_encounter"),
-        ),
+        (("--settings", "missing.toml"), "missing.toml"), (("--trigger", "nan"), "trigger"),
+        (("--adversary", "nobody", "--trigger", "5"), "nobody"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )  # fmt: skip

@@ -22,9 +22,9 @@ from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot
 
 CROSSING_ROADS = """<net version="1.20">
   <location netOffset="0,0" convBoundary="-150,-150,80,80" origBoundary="-150,-150,80,80" projParameter="!"/>
-  <edge id="a" from="w" to="j" priority="2"><lane id="a_0" index="0" speed="14" length="247"
+  <edge id="a" from="w" to="j" priority="2"><lane id="a_0" index="0" speed="10" length="247"
     shape="-150,0 30,0 77,47"/></edge>
-  <edge id="b" from="s" to="j" priority="1"><lane id="b_0" index="0" speed="14" length="247"
+  <edge id="b" from="s" to="j" priority="1"><lane id="b_0" index="0" speed="10" length="247"
     shape="0,-150 0,30 47,77"/></edge>
   <junction id="w" type="dead_end" x="-150" y="0" incLanes="" intLanes="" shape="-150,0 -150,-3"/>
   <junction id="s" type="dead_end" x="0" y="-150" incLanes="" intLanes="" shape="0,-150 3,-150"/>
@@ -83,28 +83,30 @@ def straight(tmp_path: Path) -> SimulationSpec:
 
 
 def test_sumo_misses_two_cars_that_cross_on_approach_lanes(tmp_path: Path) -> None:
-    """Both driven by SUMO at 10 m/s: fronts at 50 and 48 m of lanes that cross at 150 m. Ours after 9.75 to 10.4 s."""
+    """Both driven by SUMO at 10 m/s, fronts at 50 and 48 m of lanes that cross at 150 m.
+
+    b's front is at a's flank, 149 m, after 101 m; a is in its way while its own front is between 149 and 156 m.
+    """
     network = tmp_path / "crossing.net.xml"
     network.write_text(CROSSING_ROADS)
     spec = make_spec(tmp_path, "straight_3lane", [vehicle("a", "a", 0, 50.0, 10.0), vehicle("b", "b", 0, 48.0, 10.0)])
     seen = watch(SimulationSpec(network, spec.routes, (), 0.0, 1), {}, 130)
     assert seen.sumo == []
-    assert 9.7 < seen.ours < 10.5
+    assert seen.ours == pytest.approx(10.15, abs=0.15)  # departure takes up to a step, lengths are scaled by 0.2 %
 
 
 def test_sumo_misses_a_collision_beside_the_road(straight: SimulationSpec) -> None:
-    """b meets a at y = -12, off all lanes: its front, 2.5 m ahead of its centre, is at a's flank (y = -13) at 1.5 s.
+    """a along y = -12, off all lanes: its front, 2.5 m ahead, is at b's side, x = 119, after 16.5 m, at 1.65 s.
 
-    a's rear passes x = 119 (b's left side) 2.15 s after x = 100, so the flank is there to be hit: b's front needs
-    15 m (from y = -28 to -13).
+    The first pose is the state at 0.2 s, and b is there then: its centre at y = -14, its front past a's flank.
     """
     seen = watch(straight, {"a": eastwards(100.0, -12.0), "b": northwards(120.0, -30.5)}, 40)
     assert seen.sumo == []
-    assert seen.ours == pytest.approx(1.85, abs=0.02)  # a's front at x = 119 after 16.5 m, 0.2 s after the first step
+    assert seen.ours == pytest.approx(0.2 + 1.65, abs=0.01)
 
 
 def test_sumo_misses_the_moment_at_which_a_crossing_car_hits_the_flank(straight: SimulationSpec) -> None:
-    """b crosses at 12 m/s while a comes along at 10: SUMO reports them 2.5 m and more apart, and not when they touch."""
+    """b crosses at 12 m/s, a comes along at 10: SUMO reports them 2.5 m and more apart, and not when they touch."""
     seen = watch(straight, {"a": eastwards(100.0, -3.2), "b": northwards(120.0, -20.0, 12.0)}, 40)
     assert seen.ours == pytest.approx(1.85, abs=0.01)
     assert seen.sumo and max(seen.sumo) < seen.ours - 0.1
@@ -120,7 +122,7 @@ def test_sumo_invents_a_collision_with_a_car_that_has_crossed(straight: Simulati
 
 
 def test_sumo_invents_a_collision_with_a_car_that_stands_across_two_metres_ahead(straight: SimulationSpec) -> None:
-    """b across the lane with its flank at x = 129; a stops with its front at 127. SUMO: a collision, step after step."""
+    """b across the lane with its flank at x = 129; a stops with its front at 127. SUMO: a collision, step by step."""
 
     def stopping(k: int) -> Pose:
         return Pose(min(100.0 + k, 124.5), -3.2, 0.0, 10.0 if k < 25 else 0.0)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.records import IntentRecord
 
-Bank = Annotated[Path | None, typer.Option("--memory", help="The bank [default: the one in the user's data folder].")]
+Bank = Annotated[Path | None, typer.Option("--memory", help="The bank (else the one in the user's data folder).")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 
 

@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 def add(
     file: Annotated[Path, typer.Argument(metavar="PLANNER.py", help="The planner: Python in the sandbox's subset.")],
     label: Annotated[str, typer.Option(help="The intent that it realises.")],
-    mode: Annotated[
-        str | None, typer.Option(help="Its name among the intent's planners [default: the file's].")
-    ] = None,
+    mode: Annotated[str | None, typer.Option(help="Its name among the intent's planners (else the file's).")] = None,
     description: Annotated[str | None, typer.Option(help="Of a new intent: one to three sentences.")] = None,
     applies: Annotated[str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour.")] = None,
     memory: Bank = None,
@@ -137,9 +135,7 @@ def retire(
 def new(
     path: Annotated[Path, typer.Argument(help="The new bank; nothing may be there.")],
     only: Annotated[str, typer.Option(help="Labels, with commas between them.")],
-    memory: Annotated[
-        Path | None, typer.Option("--memory", help="The bank to take from [default: the shipped].")
-    ] = None,
+    memory: Annotated[Path | None, typer.Option("--memory", help="The bank to take from (else the shipped).")] = None,
     as_json: Json = False,
 ) -> None:
     """Make a bank with part of a library, such as the two intents of the paper's LLM-F."""

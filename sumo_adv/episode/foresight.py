@@ -58,7 +58,8 @@ class Foresight:
 
     def _together(self, delay: float, proposals: list[Proposal]) -> list[Proposal]:
         situation, settings = self._situations[delay], self._settings
-        with Sessions(self._sandbox, situation, [p.planner for p in proposals], settings.seed) as sessions:
+        planners = [p.planner for p in proposals]
+        with Sessions(self._sandbox, situation, planners, settings.seed, self.failures) as sessions:
             rollouts = predict(
                 situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
@@ -78,13 +79,20 @@ class Foresight:
 class Sessions:
     """One sandbox session for each planner of a batch."""
 
-    def __init__(self, sandbox: Sandbox, situation: Situation, planners: Sequence[Planner], seed: int) -> None:
+    def __init__(
+        self,
+        sandbox: Sandbox,
+        situation: Situation,
+        planners: Sequence[Planner],
+        seed: int,
+        failed: Mapping[str, str] | None = None,
+    ) -> None:
         self._situation = situation
         self._roads = {n: road_of(situation, n) for n in situation.targets}
         self._sandbox, self._seed = sandbox, seed
         self._open: dict[str, Any] = {}
-        self.failures: dict[str, str] = {}
-        self._planners = {p.hash: p for p in planners}
+        self.failures: dict[str, str] = dict(failed or {})  # planner hash -> sentence; those are not asked again
+        self._planners = {p.hash: p for p in planners if p.hash not in self.failures}
 
     def __enter__(self) -> Sessions:
         for name, planner in self._planners.items():

@@ -80,6 +80,7 @@ class Scout:
                 drive.release()
             elif task.trigger is not None:
                 if drive.now >= task.trigger - 1e-6:
+                    self._refuse_unknown()
                     return encounter.rank(drive)
             elif step % every == 0 and drive.now - since >= self._wait(wanted):
                 ranking = encounter.look(drive)
@@ -99,16 +100,19 @@ class Scout:
     def _nothing(self, wanted: str | None, best: float) -> NotFound:
         if wanted is not None and self.drive.ego is None and wanted not in self.drive.simulation.fleet.sizes:
             raise UsageError(f"No vehicle '{wanted}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
-        unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
-        if unknown:
-            raise UsageError(
-                f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; check --adversary."
-            )
+        self._refuse_unknown()
         return NotFound(
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
             f"(highest risk seen {best:.2f}, {ON:.2f} is needed); try a longer --end, another --seed or --ego-id.",
         )
+
+    def _refuse_unknown(self) -> None:
+        """Raises UsageError for an adversary that was asked for and never came."""
+        unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
+        if unknown:
+            asked = "check --adversary or the scenario's candidates"
+            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; {asked}.")
 
     def _choose_ego(self, tried: set[str]) -> str | None:
         """The moving car with most moving traffic within 60 m; a tie goes to the first id."""

@@ -137,6 +137,8 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
     record = _known(content, label)
     key = canonical(record.label)
     planners = content.planners[key]
+    if back and (into := content.settings.get(f"{rows.MERGED}{key}")) is not None:
+        raise BankError(f"The intent {record.label!r} is merged into {into!r}, which has its planners; name that one.")
     chosen = [planner for planner in planners if mode is not None and planner.mode == mode]
     if mode is not None and not chosen:
         there = ", ".join(sorted({planner.mode for planner in planners})) or "none"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import secrets
 import time
 from collections.abc import Mapping, Sequence
@@ -226,11 +227,14 @@ class _Prints:
             raise RuntimeError("too much output")
 
 
+MEASURED = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # a time that differs from run to run, and its limit
+
+
 def _translate(error: MontyError, who: str, loading: bool) -> tuple[SandboxError, bool]:
     """Monty's error as ours, and whether the session can go no further."""
     from pydantic_monty import MontyRuntimeError, MontySyntaxError, MontyTypingError
 
-    said = clean(str(error))
+    said = MEASURED.sub(r"more than \1", clean(str(error)))
     if isinstance(error, MontyTypingError):
         return PlannerSyntaxError(f"{who} fails the type check: {said}"), False
     if isinstance(error, MontySyntaxError):
@@ -238,7 +242,9 @@ def _translate(error: MontyError, who: str, loading: bool) -> tuple[SandboxError
     if not isinstance(error, MontyRuntimeError):
         return PlannerLimitError(f"{who}: its worker was stopped: {said}"), True
     kind = type(error.exception())
-    if kind in (TimeoutError, MemoryError) or said.startswith("RuntimeError: suspension limit"):
+    if kind is TimeoutError:  # where it was stopped differs from run to run
+        return PlannerLimitError(f"{who} ran into a limit: {said}"), True
+    if kind is MemoryError or said.startswith("RuntimeError: suspension limit"):
         return PlannerLimitError(f"{who}{_line(error)} ran into a limit: {said}"), True
     if kind is RecursionError:
         return PlannerLimitError(f"{who}{_line(error)} ran into a limit: {said}"), False

@@ -163,7 +163,8 @@ def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> di
         "steps": len(moved.time),
         "reference": {
             "what": "background vehicles of the unattacked run, driven by SUMO, in the same window",
-            "vehicles": len(traffic), "steps": sum(len(t.time) for t in traffic), "from": round(start, 4), "to": round(end, 4), "sigma": sigmas,
+            "vehicles": len(traffic), "steps": sum(len(t.time) for t in traffic), "from": number(start),
+            "to": number(end), "sigma": sigmas,
         },
     }  # fmt: skip
 

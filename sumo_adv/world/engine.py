@@ -82,7 +82,7 @@ class Engine:
         """End the process."""
         for connection in (self._control, *self._slots):
             connection.close()
-        self._process.join(timeout=2.0)
+        self._process.join(timeout=0.5)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()

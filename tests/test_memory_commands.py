@@ -1,0 +1,171 @@
+"""``memory add | merge | retire | new | export | import | verify | calibrate | stats`` as a user has them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
+
+from sumo_adv.cli.memory_probes import CROSSING_ANGLES, LANE_PLACES, probes
+from sumo_adv.cli.memory_trial import trial
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import RELATIONS
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.source import make_planner
+
+SHIPPED = ROOT / "memory_bank.sqlite"
+PARAPHRASES = ROOT / "tests" / "data" / "intents_paraphrases.toml"
+COMMANDS = (
+    "list", "show", "find", "stats", "add", "merge", "retire", "new", "export", "import", "build", "verify",
+    "calibrate",
+)  # fmt: skip
+
+
+def told(done: Done) -> dict[str, Any]:
+    assert (done.status, done.err) == (0, ""), done.err
+    return dict(json.loads(done.out))
+
+
+def refused(done: Done, words: str) -> None:
+    """Wrong use: one sentence, no traceback."""
+    assert done.status == 2
+    assert done.out == ""
+    assert done.err.startswith("sumo-adv: ")
+    assert done.err.count("\n") == 1
+    assert words in done.err
+
+
+def test_every_command_has_help_with_an_example(program: Program) -> None:
+    listed = program("memory", "--help").out
+    for command in COMMANDS:
+        assert command in listed
+    for command in ("merge", "import", "verify"):  # the others are made in the same way
+        assert f"Example: sumo-adv memory {command}" in program("memory", command, "--help").out
+
+
+def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Program) -> None:
+    bank = program.folder / "bank.sqlite"
+    (program.folder / "trail.py").write_text(TRAIL)
+    (program.folder / "bad.py").write_text(BAD_PLANNERS["raises"])
+    shutil.copy(SHIPPED, bank)
+    use = ("--memory", bank)
+    new_intent = ("--label", "Trailing Along", "--description", "It drives beside the ego.", "--applies", "neighbour")
+    refused(program("memory", "add", "bad.py", *new_intent, *use), "division by zero")
+    refused(program("memory", "add", "trail.py", "--label", "Trailing Along", *use), "is new: give --description")
+    refused(program("memory", "add", "none.py", *new_intent, *use), "cannot be read")
+    with MemoryBank.open(bank) as opened, MemoryBank.open(SHIPPED, read_only=True) as shipped:
+        assert opened.content_hash() == shipped.content_hash()
+    added = told(program("memory", "add", "trail.py", *new_intent, *use, "--json"))
+    assert (added["label"], added["mode"]) == ("Trailing Along", "trail")
+    refused(program("memory", "add", "trail.py", "--label", "trailing along", *use), "already, as the mode 'trail'")
+    refused(program("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), "Say which: memory merge")
+    merged = told(program("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json"))
+    assert merged == {"merged": "Trailing Along", "into": "Straight Lane Shift", "modes": ["side", "trail"]}
+    retired = told(program("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
+    assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["side"]}
+    found = told(program("memory", "find", "Trailing along", *use, "--json"))
+    assert found["hit"] == "Straight Lane Shift"
+    assert found["band"] is False
+    counts = told(program("memory", "stats", *use, "--json"))
+    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 12, 0)
+    assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
+    shown = told(program("memory", "show", "Trailing Along", *use, "--json"))
+    assert (shown["status"], shown["merged_into"], shown["planners"]) == ("retired", "Straight Lane Shift", [])
+
+
+def test_a_bank_goes_out_and_comes_in_and_code_that_attacks_stays_out(program: Program) -> None:
+    out = program.folder / "shared"
+    exported = told(program("memory", "export", out, "--memory", SHIPPED, "--json"))
+    refused(program("memory", "export", out, "--memory", SHIPPED), "say --force")
+    made = told(program("memory", "new", "two.sqlite", "--only", "emergency braking,Close Car-following", "--json"))
+    assert made["intents"] == ["Close Car-following", "Emergency Braking"]
+    refused(program("memory", "new", "two.sqlite", "--only", "Emergency Braking"), "exists")
+    bad = out / "aggressive_cut_in" / "attack.py"
+    bad.write_text(BAD_PLANNERS["allocates"])
+    refused(program("memory", "import", out, "--memory", "two.sqlite"), "Aggressive Cut-in / attack: ")
+    with MemoryBank.open(program.folder / "two.sqlite", read_only=True) as bank:
+        assert len(bank.intents()) == 2
+    skipped = told(program("memory", "import", out, "--memory", "two.sqlite", "--skip-refused", "--json"))
+    assert (skipped["intents"], [each["mode"] for each in skipped["refused"]]) == (5, ["attack"])
+    with MemoryBank.open(program.folder / "two.sqlite", read_only=True) as bank:
+        assert bank.content_hash() == exported["hash"]
+    assert {p.name for p in program.folder.iterdir()} >= {"shared", "two.sqlite"}
+    assert not [p.name for p in program.folder.iterdir() if p.name.startswith(".")]
+
+
+def test_verify_finds_the_planner_that_fails(program: Program) -> None:
+    good = told(program("memory", "verify", "--memory", SHIPPED, "--label", "emergency braking", "--json"))
+    assert [(p["label"], p["ok"]) for p in good["planners"]] == [("Emergency Braking", True)]
+    bank_with(program.folder / "bad.sqlite", BAD_PLANNERS["teleports"])
+    bad = program("memory", "verify", "--memory", "bad.sqlite", "--json")
+    assert bad.status == 1
+    [planner] = json.loads(bad.out)["planners"]
+    assert not planner["ok"]
+    assert "which no vehicle reaches" in planner["failure"]
+
+
+def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> None:
+    shutil.copy(SHIPPED, program.folder / "bank.sqlite")
+    first = told(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--json"))
+    assert (first["stored"], first["known"], first["novel"]) == (False, 77, 30)
+    with MemoryBank.open(program.folder / "bank.sqlite") as bank:
+        assert bank.epsilon()[0] == first["before"]
+        bank.retire("Straight Lane Shift")
+    stored = told(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--store", "--json"))
+    assert (stored["known"], stored["novel"]) == (66, 41)  # 11 paraphrases of the retired one are novel now
+    with MemoryBank.open(program.folder / "bank.sqlite") as bank:
+        assert bank.epsilon() == (stored["epsilon"], stored["calibrated_on"])
+    assert stored["calibrated_on"].endswith("41 novel behaviours, a bank of 6 intents")
+    refused(program("memory", "calibrate", "none.toml", "--memory", "bank.sqlite"), "cannot be read")
+
+
+def test_there_are_probes_for_every_relation() -> None:
+    assert set(LANE_PLACES) | set(CROSSING_ANGLES) == set(RELATIONS)
+    names = [probe.name for relation in RELATIONS for probe in probes(relation)]
+    assert len(set(names)) == len(names) == len(RELATIONS) * 2 * 3 * 3
+    behind = probes("follower")[6]  # fast, straight: 16 m behind at 25 m/s
+    assert behind.name == "follower, fast, straight, after 0 s"
+    assert (behind.bv["x"], behind.bv["ahead"], behind.bv["speed"]) == (-16.0, -16.0, 25.0)
+    assert behind.ego["path"][2] == [2.0, 48.0, 0.0, 0.0, 24.0]
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    with Sandbox() as opened:
+        yield opened
+
+
+def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:
+    with MemoryBank.open(SHIPPED, read_only=True) as bank:
+        results = {
+            (record.label, planner.mode): trial(sandbox, planner, record.applies)
+            for record in bank.intents()
+            for planner in bank.planners(record.label)
+        }
+    assert set(results.values()) == {None}
+    assert len(results) == 11
+
+
+HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]
+
+
+@pytest.mark.parametrize(
+    ("source", "sentence"),
+    [
+        (BAD_PLANNERS["loops"], "time limit"),
+        (BAD_PLANNERS["another type"], "must return a dict"),
+        (HEAD.replace("def ", "asked = []\n\n\ndef ") + "    asked.append(1)\n"
+         '    return {"x": bv["x"] + len(asked) * 0.1, "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 2.0}\n',
+         "depends on what it was asked before"),
+        (HEAD + '    return {"x": 1 / ego["speed"], "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 9.0}\n', "standing"),
+        (TRAIL + "\n\ndef trajectory(bv, endpoint, road, dt):\n    return []\n", "1 to 400 states"),
+    ],
+)  # fmt: skip
+def test_a_trial_names_what_is_wrong(sandbox: Sandbox, source: str, sentence: str) -> None:
+    wrong = trial(sandbox, make_planner("Odd", "m", source, "person"), ("leader", "neighbour"))
+    assert wrong is not None
+    assert sentence in wrong

@@ -1,0 +1,158 @@
+"""Export and import: there and back, the same text for the same content, nothing of an untrusted folder is believed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from bank_samples import BRAKE_PLANNER, BRAKING, CUT_IN, CUT_PLANNER, evidence
+from test_bank_build import parse
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.errors import BankError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import build
+from sumo_adv.memory.exchange import Refused, export_bank, import_bank
+from sumo_adv.memory.records import IntentRecord
+
+ODD = IntentRecord('Ein "Überholer" \\ 超車', 'It says "go" \\ and passes.', ("oncoming", "merging"))
+ODD_PLANNER = Planner(ODD.label, "../..//x", "PARAMETERS = {}\n# ü\n", (), "some/model", parent="ab" * 32)
+TWIN = replace(ODD_PLANNER, mode="x", source="PARAMETERS = {}\n# twin")
+
+
+def fine(intent: IntentRecord, planner: Planner) -> str | None:
+    return None
+
+
+def fill(path: Path, order: list[int]) -> Path:
+    """A bank with odd names, a retired planner, a merged intent and evidence."""
+    with MemoryBank.open(path) as bank:
+        for i in order:
+            bank.add(*((BRAKING, [BRAKE_PLANNER]), (CUT_IN, [CUT_PLANNER]), (ODD, [ODD_PLANNER, TWIN]))[i])
+        never = evidence(min_ttc=math.inf, critical=False, collided=False, valid=None, strict=None, parameters={})
+        for i in order:
+            bank.record((evidence(), evidence(), never)[i])
+        bank.retire(ODD.label, "x")
+        bank.add(IntentRecord("Old Braking", "As it was called once.", ("leader",)), [replace(BRAKE_PLANNER, mode="o")])
+        bank.merge("Old Braking", BRAKING.label)
+    return path
+
+
+def texts(folder: Path) -> dict[str, bytes]:
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_there_and_back_again(tmp_path: Path) -> None:
+    with MemoryBank.open(fill(tmp_path / "one.sqlite", [0, 1, 2])) as bank:
+        assert export_bank(bank, tmp_path / "out" / "one") == 4
+        wanted = bank.content_hash()
+    with MemoryBank.open(fill(tmp_path / "two.sqlite", [2, 1, 0])) as bank:
+        export_bank(bank, tmp_path / "out" / "two")
+    one = texts(tmp_path / "out" / "one")
+    assert one == texts(tmp_path / "out" / "two")
+    folders = {name.partition("/")[0] for name in one}
+    assert {"aggressive_cut_in", "emergency_braking", "old_braking"} < folders
+    assert sum(name.endswith(".py") for name in one) == 4
+    assert one["emergency_braking/evidence.csv"].count(b"\n") == 4
+    with MemoryBank.open(tmp_path / "back.sqlite") as bank:
+        added, refused = import_bank(bank, tmp_path / "out" / "one", parse, fine)
+        assert (added.intents, added.planners, added.evidence, refused) == (4, 4, 3, [])
+        assert bank.content_hash() == wanted
+        again, _ = import_bank(bank, tmp_path / "out" / "one", parse, fine)
+        assert (again.intents, again.planners, again.evidence) == (0, 0, 0)
+        assert bank.content_hash() == wanted
+        assert bank.retrieve("old braking").hit == BRAKING.label
+    build(tmp_path / "out" / "one", tmp_path / "built.sqlite", parse)
+    with MemoryBank.open(tmp_path / "built.sqlite") as built, MemoryBank.open(tmp_path / "back.sqlite") as back:
+        assert sorted(built.sources(), key=str) == sorted(back.sources(), key=str)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"one", "two"}
+
+
+def test_an_export_replaces_only_an_export(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        export_bank(bank, out)
+        with pytest.raises(BankError, match="say --force"):
+            export_bank(bank, out)
+        bank.add(CUT_IN, [CUT_PLANNER])
+        assert export_bank(bank, out, force=True) == 2
+        (out / "diary.txt").write_text("mine")
+        with pytest.raises(BankError, match="is no export"):
+            export_bank(bank, out, force=True)
+        assert (out / "diary.txt").read_text() == "mine"
+    assert {p.name for p in tmp_path.iterdir()} == {"bank.sqlite", "out"}
+
+
+def test_an_import_keeps_what_is_there_and_renames_a_mode_that_is_taken(tmp_path: Path) -> None:
+    other = replace(BRAKE_PLANNER, source=BRAKE_PLANNER.source + "# theirs\n")
+    with MemoryBank.open(tmp_path / "theirs.sqlite") as bank:
+        bank.add(replace(BRAKING, label="emergency-braking", description="Theirs."), [other])
+        bank.record(evidence(planner_hash=other.hash))
+        export_bank(bank, tmp_path / "theirs")
+    with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        added, _ = import_bank(bank, tmp_path / "theirs", parse, fine)
+        assert (added.intents, added.planners, added.evidence) == (0, 1, 1)
+        assert bank.intents() == [BRAKING]
+        assert [p.mode for p in bank.planners(BRAKING.label)] == ["plain", "plain-2"]
+        assert bank.evidence()[0].planner_hash == other.hash
+
+
+def test_what_fails_in_the_sandbox_is_refused_by_name(tmp_path: Path) -> None:
+    def wary(intent: IntentRecord, planner: Planner) -> str | None:
+        return "It attacks." if planner.hash == CUT_PLANNER.hash else None
+
+    with MemoryBank.open(fill(tmp_path / "bank.sqlite", [0, 1, 2])) as bank:
+        export_bank(bank, tmp_path / "out")
+    with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
+        before = bank.content_hash()
+        added, refused = import_bank(bank, tmp_path / "out", parse, wary)
+        assert refused == [Refused("Aggressive Cut-in", "side", "It attacks.")]
+        assert added.intents == 0
+        assert bank.content_hash() == before
+        added, refused = import_bank(bank, tmp_path / "out", parse, wary, skip_refused=True)
+        assert (added.intents, len(refused)) == (3, 1)
+        assert bank.intent("Aggressive Cut-in") is None
+
+
+def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with MemoryBank.open(tmp_path / "one.sqlite") as bank:
+        bank.add(CUT_IN, [CUT_PLANNER])
+        bank.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
+        export_bank(bank, out)
+    secret = tmp_path / "secret.py"
+    secret.write_text(BRAKE_PLANNER.source)
+    braking = out / "emergency_braking"
+    toml, rows = (braking / "intent.toml").read_text(), (braking / "evidence.csv").read_text()
+    cases = [
+        ("evidence.csv", rows.replace("plain,straight", "other,straight"), "line 2, is no evidence: there is no plan"),
+        ("evidence.csv", rows.replace(",7\n", ",\n"), "line 2, is no evidence"),
+        ("evidence.csv", rows.replace('""closing"": -1.25', '""closing"": NaN'), "must be a finite number"),
+        ("evidence.csv", rows.replace("planner,", "planer,"), "must have the columns planner,"),
+        ("evidence.csv", rows.replace(",1,1,1,0,1,0,", ",1,1,2,0,1,0,"), "1 or 0"),
+        ("intent.toml", toml + "[planners.nobody]\norigin = 'x'\n", "wrong table for the planner 'nobody'"),
+        ("intent.toml", toml + "[planners.plain]\norigin = 1\n", "short texts"),
+        ("intent.toml", toml.replace('label = "Em', 'label = "\\u001b[31mEm'), "that can be printed"),
+        ("intent.toml", toml + "status = 'asleep'\n", "it is active or retired"),
+        ("intent.toml", toml + "merged_into = 'Nobody'\n", "'Nobody', which is not there"),
+        ("plain.py", "x" * 300_000, "larger than"),
+    ]
+    with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
+        before = bank.content_hash()
+        for name, text, sentence in cases:
+            kept = (braking / name).read_text()
+            (braking / name).write_text(text)
+            with pytest.raises(BankError, match=sentence):
+                import_bank(bank, out, parse, fine)
+            (braking / name).write_text(kept)
+        (braking / "link.py").symlink_to(secret)
+        with pytest.raises(BankError, match="not a plain file"):
+            import_bank(bank, out, parse, fine)
+        (braking / "link.py").unlink()
+        assert bank.content_hash() == before
+        import_bank(bank, out, parse, fine)
+        assert len(bank.evidence()) == 1

@@ -1,0 +1,125 @@
+"""Scenes seen before, and the choice among planners: by hand, deterministic, fast."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bank_samples import BRAKE_PLANNER, BRAKING, CUT_IN, CUT_PLANNER, evidence
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.memory.bandit import choose, draw, explain, likeness
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.recall import SceneIndex, recall_scene, signature_distance
+from sumo_adv.memory.records import SceneSignature
+
+HERE = {"ahead": 12.0, "left": 3.2, "heading": 0.0, "speed": 14.0, "ego_speed": 15.0}
+SCENE = SceneSignature("straight", "neighbour", HERE, "idm")
+FAILED = {"critical": False, "collided": False, "valid": None, "strict": None, "min_ttc": 4.0}
+
+
+def moved(**changes: float) -> SceneSignature:
+    return replace(SCENE, relative={**HERE, **changes})
+
+
+def test_distances_by_hand() -> None:
+    assert signature_distance(SCENE, SCENE) == 0.0
+    # 3 m of 5 m and 0.8 m of 1 m: sqrt(0.6^2 + 0.8^2) = 1
+    assert signature_distance(SCENE, moved(ahead=15.0, left=2.4)) == pytest.approx(1.0)
+    assert signature_distance(moved(speed=10.0), SCENE) == pytest.approx(2.0)
+    # from 3.1 rad to -3.1 rad the shorter way is 2 pi - 6.2 = 0.0832 rad, of 0.2
+    assert signature_distance(moved(heading=3.1), moved(heading=-3.1)) == pytest.approx(0.4159, abs=1e-4)
+    for other in (
+        replace(SCENE, geometry="crossing"), replace(SCENE, relation="leader"), replace(SCENE, controller="krauss"),
+        moved(speed=math.nan), replace(SCENE, relative={"ahead": 12.0}),
+    ):  # fmt: skip
+        assert signature_distance(SCENE, other) == math.inf
+
+
+def test_the_nearest_success_is_recalled_a_valid_one_first(tmp_path: Path) -> None:
+    with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        assert recall_scene(bank, SCENE) is None
+        bank.record(evidence(scene=moved(ahead=12.1), **FAILED))
+        assert recall_scene(bank, SCENE) is None
+        bank.record(evidence(scene=moved(ahead=13.0), valid=False, seed=1))
+        bank.record(evidence(scene=moved(ahead=16.0), valid=True, seed=2))
+        bank.record(evidence(scene=moved(ahead=15.0), valid=True, seed=3))
+        bank.record(evidence(scene=moved(ahead=18.0), valid=True, seed=4))
+        found = recall_scene(bank, SCENE)
+        assert found is not None
+        assert found.seed == 3
+        nearer = recall_scene(bank, SCENE, limit=0.5)
+        assert nearer is not None
+        assert nearer.seed == 1
+        assert recall_scene(bank, SCENE, limit=0.1) is None
+        assert recall_scene(bank, replace(SCENE, controller="krauss")) is None
+        assert recall_scene(bank, replace(SCENE, relative={})) is None
+        bank.retire(BRAKING.label)
+        assert recall_scene(bank, SCENE) is None
+
+
+def test_of_equally_near_ones_the_order_of_the_rows_does_not_decide() -> None:
+    rows = [evidence(scene=SCENE, seed=seed, parameters={"hardness": 7.0 - seed}) for seed in range(6)]
+    first = SceneIndex(rows).nearest(SCENE, 1.0)
+    assert first == rows[0]
+    assert SceneIndex(rows[::-1]).nearest(SCENE, 1.0) == first
+
+
+def test_five_thousand_scenes_are_searched_in_under_a_millisecond() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-40.0, 40.0, 5000)
+    index = SceneIndex([evidence(scene=moved(ahead=float(x)), seed=i) for i, x in enumerate(places)])
+    seconds = []
+    for x in places[:50]:
+        start = time.perf_counter()
+        found = index.nearest(moved(ahead=float(x)), 1.0)
+        seconds.append(time.perf_counter() - start)
+        assert found is not None
+        assert found.scene.relative["ahead"] == x
+    assert float(np.median(seconds)) < 1e-3
+
+
+SIDE, BACK = CUT_PLANNER, Planner(CUT_IN.label, "back", "# back\n", (), "expert")
+
+
+def test_evidence_of_other_scenes_counts_for_less() -> None:
+    assert likeness(SCENE, SCENE) == 1.0
+    assert likeness(replace(SCENE, controller="krauss"), SCENE) == 0.5
+    assert likeness(replace(SCENE, geometry="crossing", relation="leader"), SCENE) == pytest.approx(0.15)
+
+
+def test_arms_by_hand_and_the_same_in_any_order() -> None:
+    known = [
+        evidence(planner_hash=SIDE.hash, scene=SCENE),
+        evidence(planner_hash=SIDE.hash, scene=replace(SCENE, controller="krauss")),
+        evidence(planner_hash=SIDE.hash, scene=replace(SCENE, geometry="crossing"), **FAILED),
+        evidence(planner_hash="of nobody here", scene=SCENE),
+    ]
+    arms = draw([SIDE, BACK], known, SCENE, random.Random(1))
+    by_mode = {arm.planner.mode: arm for arm in arms}
+    side, back = by_mode["side"], by_mode["back"]
+    assert (side.successes, side.failures, side.rows) == (1.5, 0.3, 3)
+    assert side.mean == pytest.approx(2.5 / 3.8)
+    assert (back.successes, back.failures, back.mean) == (0.0, 0.0, 0.5)
+    assert draw([BACK, SIDE], known[::-1], SCENE, random.Random(1)) == arms
+    told = explain(arms)
+    assert [row["draw"] for row in told] == sorted((row["draw"] for row in told), reverse=True)
+    assert {row["mode"]: row["planner"] for row in told} == {"side": SIDE.hash, "back": BACK.hash}
+
+
+def test_what_succeeded_is_tried_first_mostly_and_new_ones_sometimes() -> None:
+    known = [evidence(planner_hash=SIDE.hash, scene=SCENE, seed=seed) for seed in range(4)]
+    rng = random.Random(0)
+    first = [choose([BACK, SIDE], known, SCENE, rng)[0].mode for _ in range(300)]
+    # P(Beta(5, 1) > U) = 5/6
+    assert 0.77 < first.count("side") / 300 < 0.90
+    failed = [replace(each, critical=False) for each in known]
+    first = [choose([BACK, SIDE], failed, SCENE, rng)[0].mode for _ in range(300)]
+    assert first.count("side") / 300 < 0.23
+    assert choose([], known, SCENE, rng) == []
