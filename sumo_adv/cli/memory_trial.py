@@ -11,7 +11,7 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
 
 if TYPE_CHECKING:
-    from sumo_adv.planning.sandbox import Call, Sandbox
+    from sumo_adv.planning.sandbox import Call, PlannerSession, Sandbox
 
 FASTEST = 60.0  # m/s: no vehicle on a road gets farther than this from where it is, and
 NEAR = 20.0  # m more
@@ -30,7 +30,9 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str]) -> str | N
     calls = [call for _, call in named]
     try:
         with sandbox.session(planner, roads) as session:
-            session.endpoint(*calls[0])  # one that never ends is found out here, and not in each of its calls
+            first = _first(session, calls[0])  # one that never ends is found out here, and not in each of its calls
+            if first is not None:
+                return f"In the situation {named[0][0]!r}: {first}"
             forth = session.endpoints(calls)
         for (name, call), answer in zip(named, forth, strict=True):
             if (wrong := _wrong(call, answer)) is not None:
@@ -48,6 +50,14 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str]) -> str | N
 def trier(sandbox: Sandbox) -> Callable[[Any, Planner], str | None]:
     """``trial`` for ``exchange.import_bank``: takes the intent's record."""
     return lambda intent, planner: trial(sandbox, planner, intent.applies)
+
+
+def _first(session: PlannerSession, call: Call) -> SandboxError | None:
+    try:
+        session.endpoint(*call)
+    except SandboxError as error:
+        return error
+    return None
 
 
 def _calls(planner: Planner, situations: Sequence[Probe]) -> list[tuple[str, Call]]:
@@ -75,10 +85,11 @@ def _wrong(call: Call, answer: dict[str, float] | SandboxError) -> str | None:
 
 
 def _own_trajectory(
-    session: Any, named: Sequence[tuple[str, Call]], answers: Sequence[dict[str, float] | SandboxError]
+    session: PlannerSession, named: Sequence[tuple[str, Call]], answers: Sequence[dict[str, float] | SandboxError]
 ) -> str | None:
-    """None, or what is wrong with the planner's own trajectory in the first situations of each relation."""
+    """None, or what is wrong with the planner's own trajectory in a dozen of the situations."""
     for (name, call), endpoint in list(zip(named, answers, strict=True))[:: max(1, len(named) // 12)]:
+        assert isinstance(endpoint, dict)  # the others were found out before
         try:
             session.trajectory(call[0], call[1], endpoint, 0.1)
         except SandboxError as error:
