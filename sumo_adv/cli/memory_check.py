@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def verify(
     label: Annotated[str | None, typer.Option(help="Only the planners of this intent.")] = None,
     scenario: Annotated[
-        str | None, typer.Option(help="Also run this scenario with each planner that has a success on it (slow).")
+        Path | None, typer.Option(help="Also run this scenario with each planner that has a success on it (slow).")
     ] = None,
     memory: Bank = None,
     as_json: Json = False,
@@ -54,7 +54,7 @@ def _remark(row: dict[str, Any]) -> str:
     return f": succeeded again, {row['rerun']['attempts']} attempts" if row["rerun"] is not None else ""
 
 
-def _verify(sandbox: Sandbox, source: Source, scenario: str | None) -> list[dict[str, Any]]:
+def _verify(sandbox: Sandbox, source: Source, scenario: Path | None) -> list[dict[str, Any]]:
     from sumo_adv.cli.memory_trial import trial
 
     rows = []
@@ -72,7 +72,7 @@ def _verify(sandbox: Sandbox, source: Source, scenario: str | None) -> list[dict
 
 
 def _again(
-    sandbox: Sandbox, source: Source, planner: Planner, scenario: str
+    sandbox: Sandbox, source: Source, planner: Planner, scenario: Path
 ) -> tuple[dict[str, Any] | None, str | None]:
     """The new run of a planner that has evidence on the scenario, and what is wrong with it."""
     from sumo_adv.cli.memory_rerun import rerun, successes_on

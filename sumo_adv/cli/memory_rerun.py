@@ -28,7 +28,7 @@ def successes_on(source: Source, planner: Planner, network: str) -> list[Evidenc
     return [e for e in source.evidence if e.success and e.planner_hash == planner.hash and e.network == network]
 
 
-def rerun(sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence, scenario: str) -> Rerun:
+def rerun(sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence, scenario: Path) -> Rerun:
     """Run ``scenario`` with this planner alone, with the evidence's seed and ego driver, until it succeeds.
 
     Raises UsageError for a scenario that cannot be read.

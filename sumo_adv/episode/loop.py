@@ -151,8 +151,7 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
         episode.ending, episode.reason, episode.found = found.ending, found.reason, None
         return None
     episode.found, episode.prefix = found, engine.request("prefix")
-    ego = found.first.ego
-    episode.lanes = engine.request("lanes", ego.x, ego.y, 200.0)
+    episode.lanes = engine.request("lanes", *found.area)
     tell("encounter", found)
     return found
 

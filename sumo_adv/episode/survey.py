@@ -12,10 +12,11 @@ import numpy as np
 from sumo_adv.datatypes import Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
+from sumo_adv.metrics.case import closest
 from sumo_adv.situation import Situation, Target, relate
 from sumo_adv.world.network import RoadMap
 
-OTHERS_NEAR = 90.0  # m around the ego: whose motion is kept
+OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 
 
@@ -91,7 +92,7 @@ def survey(
         return None
     others = tuple(
         part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
-        and np.min(np.hypot(part.x - ego.x, part.y - ego.y)) < OTHERS_NEAR
+        and closest(ego_track, part, time) < OTHERS_NEAR
     )  # fmt: skip
     width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
     return Situation(

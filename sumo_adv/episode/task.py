@@ -43,6 +43,7 @@ class Found:
     passed_over: tuple[str, ...]
     drivable: Drivable
     sizes: Mapping[str, tuple[float, float]]
+    area: tuple[float, float, float]  # x, y, radius [m] of what is known of the road
 
     @property
     def first(self) -> Situation:

@@ -36,7 +36,7 @@ from sumo_adv.world.simulation import Snapshot, tracks_of
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
 PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
-ROAD_RADIUS = 260.0  # m around the encounter in which the drivable area is known
+ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
 INSERTED_EGO = "ego"
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
 MOST_SHIFT = 8.0  # s
@@ -174,9 +174,9 @@ class Worker:
         if not situations:
             return None, "the vehicles near it leave at once"
         order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
-        ego = situations[min(situations)].ego
-        drivable = self._map.drivable(ego.x, ego.y, ROAD_RADIUS)
-        return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes), ""
+        area = _area(self._raw_ego.between(time, math.inf))
+        drivable = self._map.drivable(*area)
+        return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
 
     def _delays(self, ranking: Sequence[Candidate], tracks: Mapping[str, Track], time: float) -> list[float]:
         """Seconds after the trigger at which attacks may begin: later where the ways meet only far ahead."""
@@ -263,6 +263,12 @@ class Worker:
             case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits,
             on_road=self._found.drivable, lane_half_width=self._found.first.lane_width / 2,
         )  # fmt: skip
+
+
+def _area(ego: Track) -> tuple[float, float, float]:
+    """A circle (x, y, radius) [m] around where the unattacked ego comes, with a margin."""
+    x, y = float(ego.x.min() + ego.x.max()) / 2, float(ego.y.min() + ego.y.max()) / 2
+    return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN
 
 
 def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
