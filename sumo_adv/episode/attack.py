@@ -82,7 +82,8 @@ class Adversary:
         """One step on; where it is then."""
         dt = self.situation.dt
         self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
-        self.goal = self.goal._replace(time=self.goal.time - dt)
+        goal = self.goal
+        self.goal = Goal(goal.s, goal.d, goal.v, goal.time - dt)
         x, y, h = pose(Scalar, self.motion, self.road)
         return Pose(x, y, h, self.motion.v)
 

@@ -261,7 +261,8 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     a = (faster - v) / dt
     clock, d, dd, ddd, slope = _sideways(m, motion, faster, dt)
     along = m.sqrt(m.maximum(faster * faster - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
-    return motion._replace(s=s + along * dt, d=d, dd=dd, ddd=ddd, v=faster, a=a, slope=slope, clock=clock)
+    here, span, coefficients, target = s + along * dt, motion.span, motion.c, motion.target
+    return Motion(here, d, dd, ddd, faster, a, slope, motion.pace, clock, span, coefficients, target)
 
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
