@@ -8,12 +8,13 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from bank_samples import evidence
 from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
 from sumo_adv.cli.memory_probes import CROSSING_ANGLES, LANE_PLACES, probes
 from sumo_adv.cli.memory_trial import trial
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import RELATIONS
+from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import make_planner
 
@@ -104,6 +105,27 @@ def test_verify_finds_the_planner_that_fails(program: Program) -> None:
     [planner] = json.loads(bad.out)["planners"]
     assert not planner["ok"]
     assert "which no vehicle reaches" in planner["failure"]
+
+
+def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(program: Program) -> None:
+    path = program.folder / "bank.sqlite"
+    with MemoryBank.open(SHIPPED, read_only=True) as shipped:
+        cut_in = next(source for source in shipped.sources() if source.intent.label == "Aggressive Cut-in")
+    claims = {"network": "motorway_cut_in_left", "seed": 0, "scene": SceneSignature("straight", "neighbour", {}, "idm")}
+    trail = make_planner("Odd Driving", "trail", TRAIL, "person")
+    with MemoryBank.open(path) as bank:
+        bank.absorb([cut_in, Source(IntentRecord("Odd Driving", "It drives along.", ("neighbour",)), (trail,))])
+        bank.record(evidence(label="Aggressive Cut-in", planner_hash=cut_in.planners[0].hash, **claims))
+        bank.record(evidence(label="Odd Driving", planner_hash=trail.hash, **claims))
+    done = program(
+        "memory", "verify", "--memory", path, "--scenario", "motorway_cut_in_left", "--attempts", "3", "--json"
+    )  # fmt: skip
+    assert (done.status, done.err) == (1, "")
+    good, bad = json.loads(done.out)["planners"]
+    assert (good["ok"], good["rerun"]["ok"]) == (True, True)
+    assert 1 <= good["rerun"]["attempts"] <= 3
+    assert (bad["ok"], bad["rerun"]["ok"]) == (False, False)
+    assert "did not again" in bad["failure"]
 
 
 def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> None:

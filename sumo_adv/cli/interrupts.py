@@ -12,6 +12,8 @@ class Interrupts:
     """Remembers a Ctrl-C beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows one that comes while it runs a
     planner (measured). A context manager for the main thread."""
 
+    happened = False  # in this process, ever
+
     def __enter__(self) -> Self:
         self._pressed = False
         self._before = signal.signal(signal.SIGINT, self._press)
@@ -37,5 +39,5 @@ class Interrupts:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def _press(self, number: int, frame: FrameType | None) -> None:
-        self._pressed = True
+        self._pressed = Interrupts.happened = True
         raise KeyboardInterrupt

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 from typing import Annotated
@@ -10,6 +11,7 @@ import typer
 
 from sumo_adv import __version__
 from sumo_adv.cli import doctor, memory, run
+from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
 INTERRUPTED = 130  # what typer makes of Ctrl-C
@@ -50,7 +52,21 @@ def main() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
         sys.exit(1)
     except SystemExit as end:
-        if end.code != INTERRUPTED:
-            raise
-        typer.echo("sumo-adv: interrupted.", err=True)
-        sys.exit(1)
+        if end.code == INTERRUPTED:
+            typer.echo("sumo-adv: interrupted.", err=True)
+            _leave(1)
+        if Interrupts.happened:
+            _leave(end.code if isinstance(end.code, int) else 1)
+        raise
+
+
+def _leave(status: int) -> None:
+    """Clean up and exit with a status.
+
+    CPython remembers a KeyboardInterrupt that passed through an ``exec`` of text (dataclasses do that on import), even
+    one that was caught, and would end the process by SIGINT in place of the status.
+    """
+    atexit._run_exitfuncs()  # temporary folders, the engine's process
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)

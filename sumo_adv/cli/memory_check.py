@@ -23,6 +23,7 @@ def verify(
     scenario: Annotated[
         Path | None, typer.Option(help="Also run this scenario with each planner that has a success on it (slow).")
     ] = None,
+    attempts: Annotated[int, typer.Option(min=1, help="With --scenario: at most so many attempts a planner.")] = 25,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -36,7 +37,7 @@ def verify(
         wanted = known_intent(bank, label).label if label is not None else None
         sources = [s for s in bank.sources() if s.intent.status == "active" and wanted in (None, s.intent.label)]
     with Sandbox() as sandbox:
-        results = [row for source in sources for row in _verify(sandbox, source, scenario)]
+        results = [row for source in sources for row in _verify(sandbox, source, scenario, attempts)]
         isolation = sandbox.isolation if results else None
     failed = sum(not row["ok"] for row in results)
     value = {"planners": results, "failed": failed, "isolation": isolation}
@@ -54,7 +55,7 @@ def _remark(row: dict[str, Any]) -> str:
     return f": succeeded again, {row['rerun']['attempts']} attempts" if row["rerun"] is not None else ""
 
 
-def _verify(sandbox: Sandbox, source: Source, scenario: Path | None) -> list[dict[str, Any]]:
+def _verify(sandbox: Sandbox, source: Source, scenario: Path | None, attempts: int) -> list[dict[str, Any]]:
     from sumo_adv.cli.memory_trial import trial
 
     rows = []
@@ -62,7 +63,7 @@ def _verify(sandbox: Sandbox, source: Source, scenario: Path | None) -> list[dic
         if planner.hash not in source.retired:
             failure, again = trial(sandbox, planner, source.intent.applies), None
             if failure is None and scenario is not None:
-                again, failure = _again(sandbox, source, planner, scenario)
+                again, failure = _again(sandbox, source, planner, scenario, attempts)
             successes = sum(e.success for e in source.evidence if e.planner_hash == planner.hash)
             rows.append({
                 "label": source.intent.label, "mode": planner.mode, "hash": planner.hash, "ok": failure is None,
@@ -72,7 +73,7 @@ def _verify(sandbox: Sandbox, source: Source, scenario: Path | None) -> list[dic
 
 
 def _again(
-    sandbox: Sandbox, source: Source, planner: Planner, scenario: Path
+    sandbox: Sandbox, source: Source, planner: Planner, scenario: Path, attempts: int
 ) -> tuple[dict[str, Any] | None, str | None]:
     """The new run of a planner that has evidence on the scenario, and what is wrong with it."""
     from sumo_adv.cli.memory_rerun import rerun, successes_on
@@ -81,7 +82,7 @@ def _again(
     held = successes_on(source, planner, load_input(scenario).name)
     if not held:
         return None, None
-    found = rerun(sandbox, source, planner, held[0], scenario)
+    found = rerun(sandbox, source, planner, held[0], scenario, attempts)
     failure = None if found.ok else f"It succeeded in {scenario} once and in {found.attempts} attempts did not again."
     return asdict(found), failure
 

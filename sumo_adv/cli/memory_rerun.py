@@ -24,11 +24,17 @@ class Rerun:
 
 
 def successes_on(source: Source, planner: Planner, network: str) -> list[Evidence]:
-    """The evidence that a run on ``network`` can be held against, in the order of the bank."""
-    return [e for e in source.evidence if e.success and e.planner_hash == planner.hash and e.network == network]
+    """The evidence that a run on ``network`` can be held against, in the order of the bank.
+
+    Not that of an ego which is a Python class: evidence may have been imported, and must not name code to be run.
+    """
+    own = [e for e in source.evidence if e.success and e.planner_hash == planner.hash]
+    return [e for e in own if e.network == network and ":" not in e.scene.controller]
 
 
-def rerun(sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence, scenario: Path) -> Rerun:
+def rerun(
+    sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence, scenario: Path, attempts: int
+) -> Rerun:
     """Run ``scenario`` with this planner alone, with the evidence's seed and ego driver, until it succeeds.
 
     Raises UsageError for a scenario that cannot be read.
@@ -43,7 +49,12 @@ def rerun(sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence
     given = load_input(scenario)
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder:
         settings = load_settings(
-            None, ego=evidence.scene.controller, seed=evidence.seed, learn="off", horizon=given.horizon
+            None,
+            ego=evidence.scene.controller,
+            seed=evidence.seed,
+            learn="off",
+            horizon=given.horizon,
+            attempts=attempts,
         )
         task = make_task(given, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(body) as engine:
