@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from sumo_adv.datatypes import Limits
@@ -48,9 +48,9 @@ class Settings(BaseSettings):
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
     adversary: str | None = None
-    trigger: float | None = None
-    begin: float | None = None
-    end: float | None = None
+    trigger: float | None = Field(None, ge=0)
+    begin: float | None = Field(None, ge=0)
+    end: float | None = Field(None, ge=0)
     until: Until = Until.TTC
     attempts: int = Field(25, ge=1, le=10_000)
     ttc: float = Field(1.0, gt=0, le=20)
@@ -75,6 +75,16 @@ class Settings(BaseSettings):
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
     limits: LimitSettings = Field(default_factory=LimitSettings)
+
+    @model_validator(mode="after")
+    def _fits_the_step(self) -> Settings:
+        """Times that are steps are at least one step long; delays are there and not negative."""
+        for name in ("replan", "history", "duration", "horizon"):
+            if getattr(self, name) < self.step_length:
+                raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
+        if not self.delays or min(self.delays) < 0:
+            raise ValueError("delays needs one time or more, none of them negative")
+        return self
 
     @classmethod
     def settings_customise_sources(
@@ -114,6 +124,10 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(p) for p in first["loc"])
+        if not name:
+            raise UsageError(
+                f"The settings do not fit together: {first['msg'].removeprefix('Value error, ')}."
+            ) from error
         raise UsageError(f"Setting '{name}' cannot be {first.get('input')!r}: {first['msg']}.") from error
     except ValueError as error:
         raise UsageError(f"The settings could not be read ({error}).") from error

@@ -45,14 +45,14 @@ class Ending(StrEnum):
 
 ENDING_SENTENCES: Mapping[Ending, str] = {
     Ending.CRITICAL: "An attempt met the criterion.",
-    Ending.ATTEMPTS_EXHAUSTED: "All attempts were used and none met the criterion.",
+    Ending.ATTEMPTS_EXHAUSTED: "No attempt met the criterion.",
     Ending.NO_ENCOUNTER: "No encounter worth attacking was found in the time given.",
     Ending.EGO_LEFT: "The ego left the network before an encounter.",
     Ending.EGO_LOST: "The ego's controller was lost.",
     Ending.MODEL_FAILED: "The language model failed.",
     Ending.BUDGET_EXHAUSTED: "The budget of model calls, tokens or seconds is used up.",
     Ending.PLANNER_FAILED: "No planner could be run.",
-    Ending.SIMULATION_FAILED: "SUMO failed.",
+    Ending.SIMULATION_FAILED: "The simulation failed.",
     Ending.INTERRUPTED: "The run was interrupted.",
 }
 

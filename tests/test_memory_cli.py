@@ -94,8 +94,11 @@ def test_a_run_teaches_its_own_bank_and_never_the_shipped_one(runs: Runs) -> Non
     taught = Path(first.folder).parent / "home" / "data" / "sumo_adv" / "memory_bank.sqlite"
     with MemoryBank.open(taught, read_only=True) as bank:
         evidence = bank.evidence()
-        assert len(evidence) == (1 if first.outcome["learnt"] else 0)
-        assert all(e.label == first.outcome["intent"]["label"] and e.critical and e.feasible for e in evidence)
+        tried = {(a["intent"], a["planner"]["hash"]) for a in first.outcome["attempts"]}
+        assert {(e.label, e.planner_hash) for e in evidence} == tried and len(evidence) == len(tried)
+        won = {(e.label, e.planner_hash) for e in evidence if e.success}
+        best = first.outcome["attempts"][first.outcome["best"]]
+        assert first.outcome["learnt"] and (best["intent"], best["planner"]["hash"]) in won
     with MemoryBank.open(ROOT / "memory_bank.sqlite", read_only=True) as bank:
         assert bank.content_hash() == first.manifest["bank_hash"]
         assert bank.evidence() == []

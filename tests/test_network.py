@@ -132,11 +132,11 @@ def test_nothing_is_beside_inside_a_junction_or_off_the_road() -> None:
 
 def test_the_opposite_lane_is_found_from_where_the_vehicle_is() -> None:
     two_way = road("two_way")
-    assert two_way.opposite_offset(500.0, -1.6, 0.0, 3.2) == pytest.approx(3.2)
-    assert two_way.opposite_offset(500.0, -2.0, 0.0, 3.2) == pytest.approx(3.6)
-    assert two_way.opposite_offset(500.0, 1.6, math.pi, 3.2) == pytest.approx(3.2)  # the same for those who oppose
-    assert two_way.opposite_offset(500.0, 3.0, 0.0, 3.2) is None  # beyond it there is no further one
-    assert road("straight_3lane").opposite_offset(500.0, 0.0, 0.0, 3.2) is None
+    assert two_way.opposite_offset(500.0, -1.6, 0.0) == pytest.approx(3.2)
+    assert two_way.opposite_offset(500.0, -2.0, 0.0) == pytest.approx(3.6)
+    assert two_way.opposite_offset(500.0, 1.6, math.pi) == pytest.approx(3.2)  # the same for those who oppose
+    assert two_way.opposite_offset(500.0, 3.0, 0.0) is None  # beyond it there is no further one
+    assert road("straight_3lane").opposite_offset(500.0, 0.0, 0.0) is None
 
 
 def test_on_a_curved_road_the_opposite_lane_is_one_lane_width_away_everywhere() -> None:
@@ -145,7 +145,7 @@ def test_on_a_curved_road_the_opposite_lane_is_one_lane_width_away_everywhere() 
     for a, b in zip(lane.shape[1:-2], lane.shape[2:-1], strict=True):
         heading = math.atan2(b[1] - a[1], b[0] - a[0])
         x, y = (a + b) / 2
-        assert curved.opposite_offset(float(x), float(y), heading, 3.2) == pytest.approx(3.2, abs=0.1)
+        assert curved.opposite_offset(float(x), float(y), heading) == pytest.approx(3.2, abs=0.1)
 
 
 def test_lanes_near_are_those_within_the_radius() -> None:

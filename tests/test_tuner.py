@@ -2,11 +2,15 @@
 
 import random
 
+import numpy as np
 import pytest
 
 from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.datatypes import Attempt, Boxes, Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.episode.foresight import _batches, _touching
+from sumo_adv.episode.knowledge import evidence_bias
+from sumo_adv.episode.refine import _untuned
 from sumo_adv.planning.source import make_planner
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -163,3 +167,44 @@ def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():
     family = Family(0.0, next(iter(situation.targets.values())), braking, braking.planners[0])
     assert family.proposal(None).acceleration == -7.5
     assert -8.0 <= family.proposal(random.Random(3)).acceleration <= -5.0
+
+
+def test_evidence_of_failures_sends_a_planner_to_the_back():
+    bad, good = entry("Bad", ("neighbour",)), entry("Good", ("neighbour",), SHIFT + "\n# another text\n")
+    arms = [{"label": "Bad", "planners": [{"planner": bad.planners[0].hash, "rows": 200, "draw": 0.01}]}]
+    arms.append({"label": "Good", "planners": [{"planner": good.planners[0].hash, "rows": 0, "draw": 0.02}]})
+    bias = evidence_bias(arms)
+    assert bias == {bad.planners[0].hash: pytest.approx(0.3 * 0.98)}  # nobody is judged without evidence
+    situation = straight_situation()
+    expert = Expert(ByGap(), proposals=2, seed=1, bias=bias)
+    expert.analyze({0.0: situation}, [bad, good])  # both predicted the same: |2 - 1| / 4
+    tuner = Tuner(expert, families({0.0: situation}, [bad, good]), share=8)
+    first = tuner.next()
+    assert first is not None and (first.label, first.score) == ("Good", 0.25)
+
+
+def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
+    situation = straight_situation()
+    library = [entry("Shift", ("neighbour",))]
+    ways = families({4.0: situation, 5.5: situation}, library)
+    intent = Intent("bv", "Shift", "", "high", ((0.0, -2.0), (1.0, 1.0)))
+    remembered = ways[0].proposal(random.Random(1))
+    plans = _untuned([intent], ways, [remembered])
+    assert plans[0] is remembered
+    assert [(p.delay, p.parameters, p.acceleration) for p in plans[1:]] == [(4.0, {"gap": 2.0, "drift": 3.0}, -2.0)]
+
+
+def test_planners_are_predicted_in_batches_that_fit_the_sandbox():
+    planners = [make_planner("Shift", f"m{k}", SHIFT + f"# {k}\n", "seed") for k in range(30)]
+    proposals = [Proposal("bv", "Shift", p, {}, 0.0, delay) for p in planners for delay in (0.0, 1.5)]
+    batches = _batches(proposals)
+    assert [(delay, len(hashes)) for delay, hashes in batches] == [(d, n) for d in (0.0, 1.5) for n in (12, 12, 6)]
+    assert {h for delay, hashes in batches if delay == 1.5 for h in hashes} == {p.hash for p in planners}
+
+
+def test_long_vehicles_touch_from_further_away():
+    one = np.array([[0.0]])
+    car = Boxes(one, one, one, one, 5.0, 1.8)
+    bus = Boxes(one + 8.0, one, one, one, 12.0, 2.5)
+    assert _touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
+    assert not _touching(car, Boxes(one + 8.6, one, one, one, 12.0, 2.5)).any()

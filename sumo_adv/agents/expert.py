@@ -9,7 +9,7 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
@@ -78,11 +78,20 @@ class Expert:
 
     name = NAME
 
-    def __init__(self, scorer: Scorer, *, proposals: int, seed: int, allowed: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        scorer: Scorer,
+        *,
+        proposals: int,
+        seed: int,
+        allowed: Sequence[str] = (),
+        bias: Mapping[str, float] | None = None,
+    ) -> None:
         self._scorer = scorer
         self._count = proposals
         self._draw = random.Random(seed)
         self._allowed = tuple(allowed)
+        self._bias = bias or {}  # planner hash -> what evidence adds to its proposals' scores
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -101,7 +110,7 @@ class Expert:
             ways[k % len(ways)].proposal(None if defaults and k < len(ways) else self._draw)
             for k in range(max(count, len(ways) if defaults else 0))
         ]
-        return self._scorer.score(drawn)
+        return [replace(p, score=p.score + self._bias.get(p.planner.hash, 0.0)) for p in self._scorer.score(drawn)]
 
     def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         groups: dict[tuple[str, str], list[Proposal]] = {}

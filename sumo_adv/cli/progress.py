@@ -115,12 +115,21 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         before = "collision" if raw["collided"] else _seconds(raw["min_ttc"])
         after = "collision" if best["collided"] else _seconds(best["min_ttc"])
-        verdict = {True: "valid", False: "not valid", None: "no collision"}[best["valid"]]
+        verdict = {True: "valid", False: f"not valid: {_why(best)}", None: "no collision"}[best["valid"]]
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}: min TTC {before} unattacked, {after} attacked ({verdict}).")
     lines.append(result["agents"]["note"])
+    if result["encounter"] is not None and not result["forked"]:
+        lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
     lines.append(f"Files: {folder}")
     return "\n".join(lines)
+
+
+def _why(verdict: Mapping[str, Any]) -> str:
+    """What keeps a collision from being valid."""
+    reasons = [g.replace("_", " ") for g in verdict["failed_gates"]]
+    reasons += ["rear-end"] if verdict["rear_end"] else []
+    return ", ".join(reasons) or str(verdict["avoidable"]).replace("_", " ")
 
 
 def _seconds(value: float | None) -> str:

@@ -135,7 +135,7 @@ def _replay(source: Path, out: Path | None, *, force: bool, as_json: bool) -> No
     recorded = read_manifest(source)
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
-        with Sandbox() as sandbox, Engine(body) as engine:
+        with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, Engine(body) as engine:
             episode = replay_episode(
                 recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
             )

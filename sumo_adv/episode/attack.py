@@ -23,8 +23,7 @@ from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance,
 from sumo_adv.situation import Situation
 from sumo_adv.world.simulation import Pose
 
-PARTED = 90.0  # m between centres: nothing will come of it any more
-LOOK_CLOSER = 9.0  # m between centres: boxes are compared
+PARTED = 90.0  # m between bumpers: nothing will come of it any more
 CLEAR = 1e-3  # m: further apart along an axis, boxes need no exact test
 CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
 
@@ -128,8 +127,8 @@ def _apart(drive: Drive, ego: str, bv: str) -> float:
     if ego not in raw or bv not in raw:
         return math.inf
     apart = math.hypot(raw[ego][0] - raw[bv][0], raw[ego][1] - raw[bv][1])
-    if apart > LOOK_CLOSER:
-        return apart
+    if apart > sum(math.hypot(*drive.simulation.fleet.sizes[name]) for name in (ego, bv)):
+        return apart  # no point of a box is further from its front bumper than its diagonal
     a, b = drive.state(ego), drive.state(bv)
     if _surely_apart(a, b):
         return apart

@@ -37,6 +37,7 @@ class Drive:
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
         self.line_ahead: LineAhead | None = None
+        self.on_load: Callable[[], None] | None = None  # what is done to a simulation that was just loaded
 
     @property
     def now(self) -> float:
@@ -77,6 +78,8 @@ class Drive:
         """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
         takeovers = dict(self._takeovers)
         self.simulation.reload()
+        if self.on_load is not None:
+            self.on_load()
         self.ego, self._takeovers, self._playing = None, [], False
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):

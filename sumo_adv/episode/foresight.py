@@ -29,8 +29,8 @@ from sumo_adv.world.network import Drivable
 
 NONE, MISS, OFF_ROAD, THIRD, REAR, FAILED = 1.2, 1.5, 3.0, 4.0, 5.0, 9.0
 DELAYS = (0.6, 0.8, 1.0)  # s after the hazard shows at which a manoeuvre begins
-REACH = 7.0  # m between centres: boxes are compared
 LEAST_STEPS = 3
+TOGETHER = 12  # planners with a sandbox session open at once
 
 
 class Foresight:
@@ -48,8 +48,8 @@ class Foresight:
         """The same proposals with ``score`` and ``predicted`` filled in."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
-        for delay in sorted({p.delay for p in proposals}):
-            rows = [k for k, p in enumerate(proposals) if p.delay == delay]
+        for delay, hashes in _batches(proposals):
+            rows = [k for k, p in enumerate(proposals) if p.delay == delay and p.planner.hash in hashes]
             for k, p in zip(rows, self._together(delay, [proposals[k] for k in rows]), strict=True):
                 scored[k] = p
         self.seconds += time.perf_counter() - began
@@ -74,6 +74,15 @@ class Foresight:
             else replace(p, score=r["score"], predicted=r)
             for p, r in zip(proposals, results, strict=True)
         ]
+
+
+def _batches(proposals: Sequence[Proposal]) -> list[tuple[float, set[str]]]:
+    """What is predicted together: one delay, and at most ``TOGETHER`` planners, each in a session of its own."""
+    found = []
+    for delay in sorted({p.delay for p in proposals}):
+        hashes = list(dict.fromkeys(p.planner.hash for p in proposals if p.delay == delay))
+        found += [(delay, set(hashes[k : k + TOGETHER])) for k in range(0, len(hashes), TOGETHER)]
+    return found
 
 
 class Sessions:
@@ -176,12 +185,16 @@ def judge_all(
 
 
 def _touching(a: Boxes, b: Boxes) -> Bools:
-    near = np.hypot(a.x - b.x, a.y - b.y) < REACH
+    near = np.hypot(a.x - b.x, a.y - b.y) < _half_diagonal(a) + _half_diagonal(b)
     touching = np.zeros(near.shape, bool)
     k = np.nonzero(near)
     if len(k[0]):
         touching[k] = overlaps(_pick(a, k), _pick(b, k))
     return touching
+
+
+def _half_diagonal(b: Boxes) -> Floats:
+    return np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2
 
 
 def _pick(b: Boxes, k: Any) -> Boxes:
@@ -234,7 +247,8 @@ def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary:
     names = np.array([t.id for t in tracks])
     for k, proposal in enumerate(proposals):
         until = slice(0, int(last[k]) + 1)
-        near = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until]) < REACH
+        apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
+        near = apart < _half_diagonal(grid) + _half_diagonal(adversary)[k]
         near &= (names != proposal.bv)[:, None]
         i, j = np.nonzero(near)
         if len(i):

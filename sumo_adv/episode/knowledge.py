@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.agents.expert import ExpertGenerator, applies_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.refine import rank
 from sumo_adv.episode.task import Found
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
@@ -19,6 +21,8 @@ from sumo_adv.memory.recall import recall_scene, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.planning.source import make_planner
 from sumo_adv.situation import Situation
+
+EVIDENCE = 0.3  # score: what evidence can add to or take from a prediction
 
 
 def read_library(
@@ -37,18 +41,24 @@ def read_library(
     return entries, explained
 
 
+def evidence_bias(explained: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """What Thompson's draws add to predicted scores: up to +-``EVIDENCE`` for planners with evidence, 0 for others."""
+    arms = [arm for intent in explained for arm in intent["planners"] if arm["rows"] > 0]
+    return {str(arm["planner"]): EVIDENCE * (1.0 - 2.0 * float(arm["draw"])) for arm in arms}
+
+
 def recall(
     episode: Episode, found: Found, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Intent, Proposal] | None:
     """What succeeded in a like scene, as it was driven there; None where no scene of the bank is like this one."""
-    began = time.perf_counter()
+    began, allowed = time.perf_counter(), episode.source.intents
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
             now = signature(situation, target.state.id, episode.task.ego_driver)
             evidence = recall_scene(bank, now)
             known = _remembered(library, evidence) if evidence is not None else None
-            if evidence is None or known is None:
+            if evidence is None or known is None or (allowed and evidence.label not in allowed):
                 continue
             entry, planner = known
             order = (not evidence.valid, signature_distance(evidence.scene, now))
@@ -100,25 +110,36 @@ def retrieve(
 
 
 def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
-    """Keep what was critical, feasible and not rear-end; of a failure only the evidence, for a planner the bank has.
+    """Keep what was critical, feasible and not rear-end; of failures only the evidence, a row for each planner that was
+    tried and that the bank has.
 
     A bank that cannot be written is a note.
     """
-    best = episode.best
-    if episode.settings.learn == "off" or best is None or episode.found is None:
+    if episode.settings.learn == "off" or episode.best is None or episode.found is None:
         return
-    evidence = _evidence(episode, best)
-    entry = next(e for e in entries if e.label == best.proposal.label)
-    planner = best.proposal.planner
-    known = planner.hash in {p.hash for p in bank.planners(entry.label)}
-    if not evidence.success and not known:
-        return
-    record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
+    tried: dict[str, Attempt] = {}
+    for attempt in episode.refinement.attempts:
+        name = attempt.proposal.planner.hash
+        if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
+            tried[name] = attempt
     try:
-        bank.record(evidence, intent=record, planner=None if known else planner)
-        episode.learnt = True
+        for attempt in tried.values():
+            episode.learnt |= _learn_one(episode, bank, entries, attempt)
     except BankError as error:
         episode.notes.append(f"Nothing was learnt: {error}")
+
+
+def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
+    """Write one piece of evidence; True if it is a success."""
+    evidence = _evidence(episode, attempt)
+    entry = next(e for e in entries if e.label == attempt.proposal.label)
+    planner = attempt.proposal.planner
+    known = planner.hash in {p.hash for p in bank.planners(entry.label)}
+    if not evidence.success and not known:
+        return False
+    record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
+    bank.record(evidence, intent=record, planner=None if known else planner)
+    return evidence.success
 
 
 def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:

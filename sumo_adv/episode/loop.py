@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import learn, read_library, recall, retrieve, signature
+from sumo_adv.episode.knowledge import evidence_bias, learn, read_library, recall, retrieve, signature
 from sumo_adv.episode.refine import NOTHING, Refiner, succeeded
 from sumo_adv.episode.task import Found, NotFound, Task
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -26,7 +26,7 @@ from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import make_planner
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import RunInput, first_departure
+from sumo_adv.world.inputs import RunInput, first_departure, scan_demand
 from sumo_adv.world.simulation import SimulationSpec
 
 MOST_SKIPS = 6  # encounters passed over for being out of reach
@@ -37,12 +37,13 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task; demand is generated into ``folder`` where the input has none."""
     routes = source.routes
     begin = settings.begin if settings.begin is not None else source.begin
+    driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
     if begin is None:
-        begin = first_departure(routes) if routes else 0.0
+        begin = first_departure((*routes, *source.additional)) if routes or driven else 0.0
     end = settings.end if settings.end is not None else source.end
     end = min(end, begin + settings.search) if end is not None and settings.end is None else end
     end = begin + settings.search if end is None else end
-    if not routes:
+    if not routes and not driven:
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
         routes = (
@@ -50,6 +51,10 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         )
     spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
     trigger = settings.trigger if settings.trigger is not None else source.trigger
+    if end <= begin:
+        raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
+    if trigger != "auto" and not begin <= float(trigger) < end:
+        raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
     return Task(
         spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
         {**dict(source.ego_parameters), **settings.ego_parameters},
@@ -76,6 +81,12 @@ def run_episode(
         if error.exit_status == 2:
             raise
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+    except Exception as error:  # a fault of ours: what was found so far is kept, and the sentence names it
+        what = f"{type(error).__name__}: {error}"
+        episode.ending, episode.reason = (
+            Ending.SIMULATION_FAILED,
+            f"A fault of sumo_adv itself ({what}); please report it.",
+        )
     episode.timing["total"] = time.perf_counter() - began
     return episode
 
@@ -122,7 +133,10 @@ def analyze(
     """The intents of an encounter, and the library with what was retrieved or generated for new ones."""
     began = time.perf_counter()
     settings = episode.settings
-    expert = Expert(foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents)
+    expert = Expert(
+        foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
+        bias=evidence_bias(episode.bandit),
+    )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:  # a like scene has evidence: nobody is asked
         episode.intents, expert.pool = [known[0]], [known[1]]

@@ -85,13 +85,14 @@ class Refiner:
         began = time.perf_counter()
         ways = families(self._found.situations, self._library, [i.label for i in intents])
         if self._settings.tuner == "off":
-            source: Tuner | list[Proposal] = _untuned(intents, ways)
+            remembered = [p for p in self._expert.pool if p.by == "memory"]
+            source: Tuner | list[Proposal] = _untuned(intents, ways, remembered)
         else:
             source = Tuner(self._expert, ways, share=self._settings.per_planner)
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(source, ways, found)
             if not plans:
-                found.reason = "Nothing was left to try."
+                found.reason = "Nothing was left to try." if found.attempts else "There was nothing to try."
                 break
             if self._try(plans, found, began):
                 break
@@ -103,6 +104,8 @@ class Refiner:
         left = self._settings.attempts - len(found.attempts)
         count = min(1 if not found.attempts else AT_ONCE, left)
         if isinstance(source, list):
+            if not source:
+                source += self._rewritten(ways, found)
             return [source.pop(0) for _ in range(min(count, len(source)))]
         plans: list[Proposal] = []
         self._modify(source, ways, found)
@@ -138,28 +141,53 @@ class Refiner:
     def _modify(self, tuner: Tuner, ways: Sequence[Family], found: Refinement) -> None:
         """Have planners whose share is used up rewritten, at most ``modifications`` times in a line."""
         for name in tuner.exhausted():
-            depth = self._versions.get(name, 0)
-            if name in self._asked or depth >= self._settings.modifications:
-                continue
-            self._asked.add(name)
-            planner = next(w.planner for w in ways if w.planner.hash == name) if depth == 0 else self._new[name]
-            self.modifier_calls += 1
-            changed = self._modifier.modify(planner, found.attempts)
-            if changed is None:
-                continue
+            changed = self._changed(name, ways, found)
+            if changed is not None:
+                fresh = _with_planner(ways, changed)
+                tuner.add(fresh, 3 * len(fresh))
+
+    def _rewritten(self, ways: Sequence[Family], found: Refinement) -> list[Proposal]:
+        """Without a tuner: the vehicles and moments of the attempts so far, with their planners rewritten."""
+        plans = []
+        for tried in {a.proposal.planner.hash: a.proposal for a in found.attempts}.values():
+            changed = self._changed(tried.planner.hash, ways, found)
+            if changed is not None:
+                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by="tuner"))
+        return plans
+
+    def _changed(self, name: str, ways: Sequence[Family], found: Refinement) -> Planner | None:
+        """The modifier's new version of a planner, asked for once; None if there is none."""
+        depth = self._versions.get(name, 0)
+        known = {w.planner.hash: w.planner for w in ways} | self._new
+        if name in self._asked or depth >= self._settings.modifications or name not in known:
+            return None
+        self._asked.add(name)
+        self.modifier_calls += 1
+        changed = self._modifier.modify(known[name], found.attempts)
+        if changed is not None:
             self._versions[changed.hash] = depth + 1
             self._new[changed.hash] = changed
-            base = [w for w in ways if w.entry.label == planner.label and w.planner.mode == planner.mode]
-            fresh = [Family(w.delay, w.target, w.entry, changed) for w in base]
-            tuner.add(fresh, 3 * len(fresh))
+        return changed
 
 
-def _untuned(intents: Sequence[Intent], ways: Sequence[Family]) -> list[Proposal]:
-    """Without a tuner: each intent's planners with their authors' numbers, in the analyzer's order."""
-    plans = []
+def _with_planner(ways: Sequence[Family], changed: Planner) -> list[Family]:
+    """The ways of a planner's mode, with another version of it."""
+    same = {
+        (w.delay, w.target.state.id): w
+        for w in ways
+        if (w.planner.label, w.planner.mode) == (changed.label, changed.mode)
+    }
+    return [Family(w.delay, w.target, w.entry, changed) for w in same.values()]
+
+
+def _untuned(intents: Sequence[Intent], ways: Sequence[Family], remembered: Sequence[Proposal]) -> list[Proposal]:
+    """Without a tuner: what was remembered, then each intent's planners with their authors' numbers, in the analyzer's
+    order, at the earliest moment there is."""
+    plans = list(remembered)
     for intent in intents:
-        acceleration = intent.acceleration if isinstance(intent.acceleration, float) else intent.acceleration[0][1]
-        for way in ways:
-            if way.entry.label == intent.label and way.target.state.id == intent.bv and way.delay == 0.0:
-                plans.append(replace(way.proposal(None), acceleration=acceleration))
+        knots = intent.acceleration
+        acceleration = float(knots[0][1]) if isinstance(knots, tuple) else float(knots)
+        mine = [w for w in ways if w.entry.label == intent.label and w.target.state.id == intent.bv]
+        earliest = min((w.delay for w in mine), default=0.0)
+        plans += [replace(w.proposal(None), acceleration=acceleration) for w in mine if w.delay == earliest]
     return plans

@@ -104,11 +104,14 @@ class Scout:
         return NotFound(
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
-            f"(highest risk seen {best:.2f}, {ON:.2f} is needed); try a longer --end, another --seed or --ego-id.",
+            f"(highest risk seen {best:.2f}, {ON:.2f} is needed); "
+            "try a longer --end, more --density, another --seed or --ego-id.",
         )
 
     def _refuse_unknown(self) -> None:
         """Raises UsageError for an adversary that was asked for and never came."""
+        if self.drive.ego in self.task.only:
+            raise UsageError(f"Vehicle '{self.drive.ego}' is the ego, so it cannot be the adversary; name another.")
         unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
         if unknown:
             asked = "check --adversary or the scenario's candidates"

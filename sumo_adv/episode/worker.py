@@ -25,7 +25,9 @@ from sumo_adv.episode.scout import Scout
 from sumo_adv.episode.survey import survey
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
 from sumo_adv.errors import SimulationError
+from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.case import closest, make_case
+from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
@@ -35,12 +37,9 @@ from sumo_adv.world.network import RoadMap, read_network
 from sumo_adv.world.simulation import Snapshot, tracks_of
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
-PATIENCE = 25.0  # s one automatically chosen ego is watched without an encounter
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
-INSERTED_EGO = "ego"
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
 MOST_SHIFT = 8.0  # s
-LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: how far a driver is told its lane, and how long that serves
 
 
 class Worker:
@@ -67,6 +66,7 @@ class Worker:
         self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
         self._forks = task.settings.fork and can_fork() and controller.forkable
         self._scout = Scout(self._drive, self._road, task)
+        self._drive.on_load = self._scout.insert_ego
         self._scout.insert_ego()
 
     def forks(self) -> bool:
@@ -117,9 +117,13 @@ class Worker:
         return found
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
-        """Run attempts from the trigger, at most as many at once as there are slots."""
-        works = [self._work(k, p, slot) for k, (p, slot) in enumerate(zip(plans, self._slots, strict=False))]
-        return self._branch(works)
+        """Run attempts from the trigger, as many at once as there are slots."""
+        results: list[AttemptResult] = []
+        for first in range(0, len(plans), len(self._slots)):
+            some = list(enumerate(plans))[first : first + len(self._slots)]
+            works = [self._work(k, p, slot) for (k, p), slot in zip(some, self._slots, strict=False)]
+            results += self._branch(works)
+        return results
 
     @property
     def _map(self) -> RoadMap:
@@ -197,16 +201,14 @@ class Worker:
         ego = tracks[str(self._drive.ego)]
         if ego.time[-1] < time + 2.0:
             return "the ego leaves the network at once"
-        others = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 3 and t.time[-1] > time + 0.3]
-        others = [t for t in others if closest(ego, t, time) < 30.0]
+        time_grid = ego.time[ego.time >= time - 1e-6]
+        others = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < 30.0]
         if not others:
             return ""
-        least = min(
-            judge(
-                ego, others[0], others[1:], trigger_time=time, ttc_threshold=self._settings.ttc,
-                end=time + self._settings.duration,
-            ).min_ttc_any, math.inf,
-        )  # fmt: skip
+        me, them = on_grid([ego], time_grid), on_grid(others, time_grid)
+        if np.isfinite(first_contact(me, them, time_grid)).any():
+            return "the ego collides unattacked"
+        least = float(np.nanmin(ttc(me, them), initial=math.inf))
         return f"critical unattacked: min TTC {least:.2f} s" if least <= self._settings.ttc else ""
 
     def _ego_model(self) -> dict[str, Any]:

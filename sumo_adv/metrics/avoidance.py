@@ -43,9 +43,6 @@ class Manoeuvre:
     shift: float = 0.0
 
 
-CAREFUL = Manoeuvre(PERCEPTION + REACTION, CAREFUL_BRAKING, CAREFUL_RAMP)
-
-
 def manoeuvres(delay: float) -> tuple[Manoeuvre, ...]:
     """The combinations tried at one delay, brake-only ones first."""
     steer = tuple(Manoeuvre(delay, b, RAMP, d) for b in STEER_BRAKING for d in SHIFTS)

@@ -47,7 +47,7 @@ def read_manifest(folder: Path) -> Recorded:
         if m["attempt"] is None:
             raise UsageError(f"The run in {folder} made no attempt, so there is nothing to replay.")
         return _recorded(folder, m)
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} is not a manifest of this program ({type(error).__name__}: {error}).") from error
 
 
@@ -69,7 +69,8 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
     if planner.hash != a["planner"]:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
-    proposal = Proposal(a["bv"], a["label"], planner, a["parameters"], a["acceleration"], a["delay"], a["by"])
+    numbers = {str(k): float(v) for k, v in a["parameters"].items()}
+    proposal = Proposal(a["bv"], a["label"], planner, numbers, a["acceleration"], a["delay"], a["by"])
     source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
     return Recorded(source, settings, task, proposal, m["skips"])
 

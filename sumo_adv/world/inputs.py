@@ -330,8 +330,10 @@ def first_departure(files: Sequence[Path]) -> float:
 
     def see(tag: str, attributes: dict[str, str]) -> None:
         if tag in _DRIVING:
-            with contextlib.suppress(ValueError):
-                times.append(float(attributes.get("depart", attributes.get("begin", ""))))
+            said = attributes.get("depart", attributes.get("begin", ""))
+            with contextlib.suppress(UsageError):  # "triggered" and the like are no times
+                time = _seconds(files[0], "departure", said)
+                times.extend([] if time is None else [time])
 
     for file in files:
         _parse(file, see)

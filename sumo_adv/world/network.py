@@ -79,7 +79,7 @@ class RoadMap:
         tree, names = self._tree
         return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
 
-    def opposite_offset(self, x: float, y: float, heading: float, width: float) -> float | None:
+    def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
         """Lateral offset of the nearest lane to the left that leads the other way and touches ours; None if none."""
         best: float | None = None
         for lane in self.lanes_near(x, y, 12.0):
@@ -112,7 +112,7 @@ class RoadMap:
             if abs(i - lane.index) <= 2:
                 found.append((math.copysign(offset, i - lane.index), "same"))
         left = sum(widths[lane.index + 1 :]) + lane.width / 2
-        opposite = self.opposite_offset(x, y, heading, lane.width)
+        opposite = self.opposite_offset(x, y, heading)
         if opposite is not None and opposite < left + 2.6:
             found.append((opposite, "opposite"))
         return found

@@ -104,7 +104,6 @@ class Simulation:
         self._sumo: Any = libsumo
         self.spec = spec
         self.fleet = Fleet()
-        self._departed: dict[str, None] = {}
         try:
             libsumo.start(["sumo", *spec.arguments()])
         except libsumo.TraCIException as error:
