@@ -167,3 +167,14 @@ def test_shapes_broadcast_over_vehicles_and_steps() -> None:
     many = Boxes(*(np.stack([v, v + 0.0]) for v in (leader.x, leader.y, leader.heading, leader.speed)), 5.0, 2.0)
     assert ttc(ego, many).shape == (2, len(ego.x))
     assert (ttc(ego, many)[0] == ttc(ego, leader)).all()
+
+
+def test_headway_counts_only_the_part_of_a_slanted_box_that_is_in_the_path() -> None:
+    """Nose 20 degrees to the left across our right edge: only the front corner's part lies within 0.9 m of our line."""
+    turn = np.radians(20.0)
+    ego = Boxes(np.array(0.0), np.array(0.0), np.array(0.0), np.array(10.0), 4.8, 1.8)
+    other = Boxes(np.array(6.0), np.array(-2.0), np.array(turn), np.array(10.0), 4.8, 1.8)
+    # front left corner: (6 + 2.4 cos - 0.9 sin, -2 + 2.4 sin + 0.9 cos) = (7.947, -0.333); the left side runs back from
+    # it along (-cos, -sin) and leaves the path at y = -0.9, 0.567 / sin 20 = 1.657 m back: x = 7.947 - 1.557 = 6.390
+    assert headway(ego, other) == pytest.approx((6.390 - 2.4) / 10.0, abs=2e-3)
+    assert headway(ego, Boxes(np.array(6.0), np.array(-3.5), np.array(turn), np.array(10.0), 4.8, 1.8)) == np.inf

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Boxes, Floats, Track
-from sumo_adv.metrics.boxes import first_contact, half, overlaps, wrap
+from sumo_adv.metrics.boxes import corners, first_contact, half, overlaps, wrap
 
 TURNING_HORIZON = 10.0  # s, how far a TTC with turn rates looks
 TURNING_STEP = 0.05  # s
@@ -103,18 +103,25 @@ def required_lateral(ego: Boxes, other: Boxes, times: Floats | None = None) -> F
 
 
 def headway(ego: Boxes, other: Boxes) -> Floats:
-    """Time headway [s]: gap ahead to a box that is in the ego's straight path, over the ego's speed; inf if none."""
+    """Time headway [s]: gap to what of a box lies in the ego's straight path ahead, over its speed; inf if none."""
     ce, se = np.cos(ego.heading), np.sin(ego.heading)
     dx, dy = other.x - ego.x, other.y - ego.y
-    turn = other.heading - ego.heading
-    (le, we), (lo, wo) = half(ego), half(other)
-    c, s = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    along = dx * ce + dy * se
-    clear = along - le - (lo * c + wo * s)
-    in_path = (np.abs(dy * ce - dx * se) <= we + lo * s + wo * c) & (along > 0)
+    le, we = half(ego)
+    corner = corners(other)
+    x, y = corner[..., 0] - np.expand_dims(ego.x, -1), corner[..., 1] - np.expand_dims(ego.y, -1)
+    ce, se = np.expand_dims(ce, -1), np.expand_dims(se, -1)
+    ahead, left = x * ce + y * se, y * ce - x * se
+    edge = np.expand_dims(np.broadcast_to(we, np.shape(dx)), -1)
+    places = [np.where(np.abs(left) <= edge, ahead, np.inf)]  # corners within the path, and where sides enter it
+    onward, further = np.roll(ahead, -1, axis=-1), np.roll(left, -1, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        time = np.maximum(clear, 0.0) / ego.speed
-    return np.where(in_path & (np.asarray(ego.speed) > 0), time, np.inf)
+        for side in (-edge, edge):
+            part = (side - left) / (further - left)
+            places.append(np.where((part >= 0) & (part <= 1), ahead + part * (onward - ahead), np.inf))
+        nearest = np.min(np.concatenate(places, axis=-1), axis=-1)
+        centre_ahead = dx * ce[..., 0] + dy * se[..., 0] > 0
+        time = np.maximum(nearest - le, 0.0) / ego.speed
+    return np.where(centre_ahead & np.isfinite(nearest) & (np.asarray(ego.speed) > 0), time, np.inf)
 
 
 def btn(ego: Boxes, other: Boxes, available: float = AVAILABLE, times: Floats | None = None) -> Floats:
