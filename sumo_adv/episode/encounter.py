@@ -116,7 +116,7 @@ class Encounter:
             return None
         ways = bv_ways(self.road, drive, bv, path)
         if relation in ("", "oncoming"):
-            meeting = [(w.conflict.kind, _meeting(w, bv, ego, s)) for w in ways if w.conflict is not None]
+            meeting = [(w.conflict.kind, _meeting(w, bv, ego)) for w in ways if w.conflict is not None]
             kind, best = max(meeting, key=lambda m: m[1], default=("", 0.0))
             if best > risk:
                 relation, risk = (relation or kind), best
@@ -141,7 +141,7 @@ def _oncoming(s: float, closing: float) -> float:
     return 0.9 * math.exp(-max(0.0, abs(time - 4.0) - 1.0) / 1.5) if 1.8 < time < 10.0 else 0.0
 
 
-def _meeting(way: WayLine, bv: VehicleState, ego: VehicleState, s: float) -> float:
+def _meeting(way: WayLine, bv: VehicleState, ego: VehicleState) -> float:
     """Risk at a conflict point: both can be there at about the same time, the BV at the latest 0.2 s after the ego."""
     conflict = way.conflict
     assert conflict is not None

@@ -163,6 +163,7 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
     episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
     if isinstance(found, NotFound):
         episode.ending, episode.reason, episode.found = found.ending, found.reason, None
+        episode.intents = ()  # those of an encounter that was passed over
         return None
     episode.found, episode.prefix = found, engine.request("prefix")
     episode.lanes = engine.request("lanes", *found.area)

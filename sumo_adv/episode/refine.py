@@ -128,15 +128,24 @@ class Refiner:
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         modified = self._versions.get(proposal.planner.hash, 0) > 0
-        phase = "analyzer" if index == 0 else ("modifier" if modified else "tuner")
-        by: str = "expert" if index == 0 or modified else self._settings.tuner
+        untuned = index == 0 or self._settings.tuner == "off"
+        phase = "modifier" if modified else ("analyzer" if untuned else "tuner")
+        by = "tuner" if phase == "tuner" else "expert"
         if proposal.by == "memory":
             phase = by = "memory"
         verdict = result.verdict or NOTHING
         if result.driven.ending == "planner_failed":
             verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
-        named = replace(proposal, by="tuner" if by == "builtin" else by)
-        return Attempt(index, phase, named, result.start, verdict, result.driven.ending, (), result.driven.message)
+        return Attempt(
+            index,
+            phase,
+            replace(proposal, by=by),
+            result.start,
+            verdict,
+            result.driven.ending,
+            (),
+            result.driven.message,
+        )
 
     def _modify(self, tuner: Tuner, ways: Sequence[Family], found: Refinement) -> None:
         """Have planners whose share is used up rewritten, at most ``modifications`` times in a line."""
@@ -152,7 +161,7 @@ class Refiner:
         for tried in {a.proposal.planner.hash: a.proposal for a in found.attempts}.values():
             changed = self._changed(tried.planner.hash, ways, found)
             if changed is not None:
-                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by="tuner"))
+                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by="expert"))
         return plans
 
     def _changed(self, name: str, ways: Sequence[Family], found: Refinement) -> Planner | None:

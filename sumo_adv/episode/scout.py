@@ -46,9 +46,12 @@ class Scout:
 
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
         self.drive, self.road, self.task = drive, road, task
-        drive.line_ahead = LaneLine(road, drive)
+        drive.on_load = self.begin
+        self.begin()
 
-    def insert_ego(self) -> None:
+    def begin(self) -> None:
+        """Make a simulation that was just loaded ready: nothing is known of the lane ahead, the ego is inserted."""
+        self.drive.line_ahead = LaneLine(self.road, self.drive)
         route = self.task.ego
         if isinstance(route, EgoRoute):
             depart = {

@@ -66,8 +66,6 @@ class Worker:
         self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
         self._forks = task.settings.fork and can_fork() and controller.forkable
         self._scout = Scout(self._drive, self._road, task)
-        self._drive.on_load = self._scout.insert_ego
-        self._scout.insert_ego()
 
     def forks(self) -> bool:
         """Whether attempts are forked."""
