@@ -7,7 +7,7 @@ small enough to be sent between processes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,9 @@ from sumo_adv.geometry import Frame, Path, wrap_all
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
 NO_ARRIVAL = 1e3  # s: an arrival that is never
+
+Signal = tuple[str, float, str]
+"""A traffic light ahead of a vehicle: id, distance from its front bumper [m], SUMO's state letter (r, y, g, G ...)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +84,11 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``."""
+    """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``.
+
+    ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
+    situation is that much later than they.
+    """
 
     time: float
     dt: float
@@ -96,6 +103,7 @@ class Situation:
     targets: Mapping[str, Target]
     others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
     lane_width: float
+    signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -189,6 +189,17 @@ def test_the_road_is_told_with_ways_conflict_and_lanes_beside() -> None:
     assert road_of(situation([neighbour()]), "bv")["left"] == pytest.approx(3.2)
 
 
+def test_the_road_is_told_with_the_lights_ahead_of_both() -> None:
+    sit = replace(
+        situation([crossing()]), signals={"ego": (("J", 20.5, "G"),), "bv": (("J", 12.0, "r"), ("K", 90.0, "g"))}
+    )
+    assert road_of(sit, "bv")["signals"] == {
+        "bv": [{"id": "J", "distance": 12.0, "state": "r"}, {"id": "K", "distance": 90.0, "state": "g"}],
+        "ego": [{"id": "J", "distance": 20.5, "state": "G"}],
+    }
+    assert road_of(situation([crossing()]), "bv")["signals"] == {"bv": [], "ego": []}
+
+
 def moved(path: Path, frame: Frame) -> Path:
     """The path seen from the world, if it was drawn in ``frame``."""
     c, s = math.cos(frame.heading), math.sin(frame.heading)

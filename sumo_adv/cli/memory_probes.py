@@ -142,7 +142,7 @@ def _road(
         "sides": [{"offset": LANE_WIDTH, "kind": "same"}, {"offset": -LANE_WIDTH, "kind": "opposite"}],
         "start": {"x": x, "y": y, "heading": heading, "speed": speed},
         "ego_centreline": [list(on_arc(2.0 * i, 0.0, curvature)[:2]) for i in range(100)],
-        "fastest": max(1.4 * speed, speed + 5.0),
+        "fastest": max(1.4 * speed, speed + 5.0), "signals": {"bv": [], "ego": []},
     }  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from sumo_adv.datatypes import Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
 from sumo_adv.metrics.case import closest
-from sumo_adv.situation import Situation, Target, relate
+from sumo_adv.situation import Signal, Situation, Target, relate
 from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
@@ -73,6 +73,7 @@ def survey(
     horizon: float,
     ego_model: Mapping[str, Any],
     route: tuple[str, ...],
+    signals: Mapping[str, tuple[Signal, ...]],
 ) -> Situation | None:
     """The situation at ``time`` of an unattacked run's tracks; None if the ego is gone by then or nobody is left."""
     ego_track = tracks[ego_id].between(time, math.inf)
@@ -98,6 +99,7 @@ def survey(
     return Situation(
         time, dt, horizon, Frame(ego.x, ego.y, ego.heading), ego, path, stations, ego_track.speed,
         ego_track.acceleration, dict(ego_model), targets, others, width,
+        {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
     )  # fmt: skip
 
 

@@ -157,6 +157,7 @@ class Worker:
         self._trigger_step = len(drive.recording.snapshots)
         time = drive.now
         model, route = self._ego_model(), drive.simulation.route(drive.ego)[0]
+        signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
         raw = self._branch([self._unattacked])[0]
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
         sizes, roles = raw[1], {drive.ego: Role.EGO}
@@ -169,7 +170,7 @@ class Worker:
         for delay in self._delays(ranking, tracks, time):
             situation = survey(
                 self._map, tracks, drive.ego, ranking, time + delay, dt=settings.step_length,
-                horizon=settings.horizon, ego_model=model, route=route,
+                horizon=settings.horizon, ego_model=model, route=route, signals=signals,
             )  # fmt: skip
             if situation is not None:
                 situations[delay] = situation

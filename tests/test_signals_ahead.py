@@ -1,0 +1,34 @@
+"""What a situation knows of the traffic lights, from a real run of a signalised crossing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sumo_adv.config import load_settings
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import Found
+from sumo_adv.episode.worker import body
+from sumo_adv.planning.ground import road_of
+from sumo_adv.world.engine import Engine
+from sumo_adv.world.inputs import load_input
+
+
+def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Path) -> None:
+    """The ego has green and the vehicle from the right red, as the scenario says."""
+    given = load_input(Path("signals_red_light"))
+    settings = load_settings(None, horizon=given.horizon, ego=given.ego_controller)
+    with Engine(body) as engine:
+        engine.request("open", make_task(given, settings, tmp_path))
+        found = engine.request("seek", "")
+    assert isinstance(found, Found)
+    bv = found.ranking[0][0]
+    for situation in found.situations.values():
+        ego_light, bv_light = situation.signals["ego"][0], situation.signals[bv][0]
+        assert (ego_light[0], bv_light[0]) == ("centre", "centre")
+        assert (ego_light[2].lower(), bv_light[2]) == ("g", "r")
+        assert situation.signals.keys() <= {"ego", *situation.targets}
+        assert road_of(situation, bv)["signals"]["bv"][0] == {"id": "centre", "distance": bv_light[1], "state": "r"}
+    first = found.first
+    ways = [w for w in first.targets[bv].ways if w.conflict is not None]
+    stop_line = first.signals[bv][0][1]  # from the bumper; the conflict lies beyond it
+    assert 0.0 < stop_line < ways[0].conflict.bv_s  # type: ignore[union-attr]
