@@ -1,0 +1,139 @@
+"""TFRecord framing: ``u64le length | u32le masked CRC of the length | data | u32le masked CRC of the data``.
+
+The checksum is CRC-32C (Castagnoli, reflected polynomial 0x82F63B78). It is linear, so long data are cut into strips
+that numpy runs through the table side by side and that are joined by the operator "append so many zero bytes".
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.errors import UsageError
+
+POLYNOMIAL = 0x82F63B78
+MASK_DELTA = 0xA282EAD8
+MAX_LENGTH = 1 << 30  # bytes of one record; real ones have about 1 MB
+_HEAD = struct.Struct("<QI")
+_STRIPS = 1024  # strips that are computed side by side
+_LONG = 4096  # bytes from which strips are worth it
+_ALL_ONES = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One record's bytes; ``number`` counts from 0; ``data`` is None where they were skipped."""
+
+    number: int
+    data: bytes | None
+    intact: bool
+
+
+def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
+    """The records of ``file`` one at a time; the first ``skip`` ones without their bytes.
+
+    A frame whose data do not match their checksum is given with ``intact`` False.
+
+    Raises:
+        UsageError: the file ends inside a record, or a length does not match its checksum (nothing can be found
+            after that).
+    """
+    number = 0
+    while head := file.read(_HEAD.size):
+        if len(head) < _HEAD.size:
+            raise UsageError(f"Record {number} of {name} is cut short: the file ends inside it; fetch the file again.")
+        length, check = _HEAD.unpack(head)
+        if masked_crc(head[:8]) != check:
+            raise UsageError(
+                f"Record {number} of {name} has a damaged length, so nothing after it can be read: fetch the file "
+                "again, or give a TFRecord file."
+            )
+        if length > MAX_LENGTH:
+            raise UsageError(f"Record {number} of {name} would be {length} bytes long: this is no file of scenarios.")
+        data = file.read(length + 4)
+        if len(data) < length + 4:
+            raise UsageError(f"Record {number} of {name} is cut short: the file ends inside it; fetch the file again.")
+        if number < skip:
+            yield Frame(number, None, intact=True)
+        else:
+            body = data[:length]
+            yield Frame(number, body, masked_crc(body) == int.from_bytes(data[length:], "little"))
+        number += 1
+
+
+def masked_crc(data: bytes) -> int:
+    """TFRecord's masked CRC-32C of ``data``."""
+    crc = crc32c(data)
+    return (((crc >> 15) | (crc << 17)) + MASK_DELTA) & _ALL_ONES
+
+
+def crc32c(data: bytes) -> int:
+    """CRC-32C of ``data``."""
+    crc, rest = _ALL_ONES, data
+    if len(data) >= _LONG:
+        size = len(data) // _STRIPS
+        strips = np.frombuffer(data, np.uint8, _STRIPS * size).reshape(_STRIPS, size)
+        crc, rest = _join(_strip_crcs(strips), size), data[_STRIPS * size :]
+    table = _table_list()
+    for byte in rest:
+        crc = table[(crc ^ byte) & 0xFF] ^ (crc >> 8)
+    return crc ^ _ALL_ONES
+
+
+def _strip_crcs(strips: NDArray[np.uint8]) -> list[int]:
+    """The register after each strip ``(k, n)``, begun with ones for the first and zeros for the others."""
+    table = _table()
+    register = np.zeros(len(strips), np.uint32)
+    register[0] = _ALL_ONES
+    for column in np.ascontiguousarray(strips.T):
+        register = table[(register ^ column) & 0xFF] ^ (register >> 8)
+    return [int(value) for value in register]
+
+
+def _join(registers: list[int], size: int) -> int:
+    """The register after all strips of ``size`` bytes: shift by a strip, add the next."""
+    a, b, c, d = _zero_bytes(size)
+    crc = registers[0]
+    for value in registers[1:]:
+        crc = a[crc & 0xFF] ^ b[crc >> 8 & 0xFF] ^ c[crc >> 16 & 0xFF] ^ d[crc >> 24] ^ value
+    return crc
+
+
+@lru_cache(maxsize=1)
+def _table() -> NDArray[np.uint32]:
+    """What one byte does to the register."""
+    table: NDArray[np.uint32] = np.arange(256, dtype=np.uint32)
+    for _ in range(8):
+        table = (table >> np.uint32(1)) ^ (table & np.uint32(1)) * np.uint32(POLYNOMIAL)
+    return table
+
+
+@lru_cache(maxsize=1)
+def _table_list() -> list[int]:
+    return [int(value) for value in _table()]
+
+
+@lru_cache(maxsize=64)
+def _zero_bytes(size: int) -> tuple[list[int], list[int], list[int], list[int]]:
+    """Tables of "append ``size`` zero bytes" for the register's four bytes, lowest first, by repeated squaring."""
+    bits = np.left_shift(np.uint32(1), np.arange(32, dtype=np.uint32))
+    result, power = bits, _table()[bits & 0xFF] ^ (bits >> 8)  # images of the 32 single bits
+    while size:
+        if size & 1:
+            result = _apply(power, result)
+        power, size = _apply(power, power), size >> 1
+    byte = np.arange(256, dtype=np.uint32)
+    tables = [[int(v) for v in _apply(result, byte << np.uint32(8 * i))] for i in range(4)]
+    return tables[0], tables[1], tables[2], tables[3]
+
+
+def _apply(matrix: NDArray[np.uint32], vectors: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """A linear map over bits, given by the images of the single bits ``(32,)``, of each vector ``(n,)``."""
+    chosen = (vectors[:, None] >> np.arange(32, dtype=np.uint32)) & 1
+    return np.bitwise_xor.reduce(np.where(chosen == 1, matrix, np.uint32(0)), axis=1)

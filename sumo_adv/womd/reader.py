@@ -1,0 +1,252 @@
+"""From a TFRecord file of Waymo scenarios to :class:`Record` values, one at a time.
+
+What is wrong with a file or a record is a UsageError of one sentence that names both; a reader that keeps going tells
+it and takes the next record. Needs the extra ``womd`` (protobuf).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.errors import UsageError
+from sumo_adv.womd.framing import Frame, read_frames
+from sumo_adv.womd.record import (
+    AreaFeature,
+    BoundaryPart,
+    LaneFeature,
+    LineFeature,
+    Neighbour,
+    ObjectTrack,
+    Record,
+    SignalState,
+    StopSign,
+)
+
+MPH = 0.44704  # m/s
+_SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
+_AREAS = ("crosswalk", "speed_bump", "driveway")
+_FIELDS = (
+    "center_x", "center_y", "center_z", "length", "width", "height", "heading", "velocity_x", "velocity_y",
+)  # fmt: skip
+
+Told = Callable[[UsageError], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which records of a file: the one of this ``id``, the one at ``index`` (from 0), the ``first`` so many; or all."""
+
+    id: str | None = None
+    index: int | None = None
+    first: int | None = None
+
+
+ALL = Choice()
+
+
+def read_records(path: Path, choice: Choice = ALL, told: Told | None = None) -> Iterator[Record]:
+    """The chosen records of the file at ``path``, read as they are asked for.
+
+    told: takes what is wrong with a record, which is then passed over; None = it is raised.
+
+    Raises:
+        UsageError: protobuf is not installed; the file cannot be read; it has no such record; a record is damaged or
+            is no scenario with a map and a current step (told of, if ``told`` is given).
+    """
+    parse = _parser()
+    try:
+        with path.open("rb") as file:
+            frames = read_frames(file, str(path), skip=choice.index or 0)
+            yield from _chosen(_patient(frames, told), path, choice, parse, told)
+    except OSError as error:
+        raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
+
+
+def _parser() -> Callable[[bytes], Any]:
+    """From bytes to a Scenario message."""
+    try:
+        from sumo_adv.womd.scenario_pb2 import Scenario
+    except ImportError as error:
+        raise UsageError(
+            "Waymo records need protobuf, which is not installed: pip install 'sumo-adv[womd]'."
+        ) from error
+    return Scenario.FromString
+
+
+def _patient(frames: Iterator[Frame], told: Told | None) -> Iterator[Frame]:
+    """``frames``, ending where their file is damaged; that is told, or raised."""
+    try:
+        yield from frames
+    except UsageError as error:
+        if told is None:
+            raise
+        told(error)
+
+
+def _chosen(
+    frames: Iterator[Frame], path: Path, choice: Choice, parse: Callable[[bytes], Any], told: Told | None
+) -> Iterator[Record]:
+    count = found = 0
+    for frame in islice(frames, choice.first):
+        count = frame.number + 1
+        if frame.data is None:
+            continue
+        try:
+            record = _read(frame, path, choice.id, parse)
+        except UsageError as error:
+            if told is None:
+                raise
+            told(error)
+            record = None
+        if record is not None:
+            found += 1
+            yield record
+        if choice.index is not None or (choice.id is not None and record is not None):
+            return
+    if choice.index is not None:
+        raise UsageError(f"{path} has no record {choice.index}: it has {count}, counted from 0.")
+    if choice.id is not None and not found:
+        raise UsageError(f"{path} has no record '{choice.id}' among its {count}.")
+    if count == 0 and told is None:
+        raise UsageError(f"{path} holds no record: it is empty.")
+
+
+def _read(frame: Frame, path: Path, wanted: str | None, parse: Callable[[bytes], Any]) -> Record | None:
+    """The record of ``frame``; None if it is not the ``wanted`` one."""
+    where = f"Record {frame.number} of {path}"
+    if not frame.intact or frame.data is None:
+        raise UsageError(f"{where} is damaged: its checksum is wrong; fetch the file again.")
+    try:
+        message = parse(frame.data)
+    except Exception as error:  # DecodeError, whose module differs between releases of protobuf
+        raise UsageError(f"{where} is no Scenario message of the Waymo Open Motion Dataset.") from error
+    if wanted is not None and message.scenario_id != wanted:
+        return None
+    return record_of(message, where)
+
+
+def record_of(message: Any, where: str) -> Record:
+    """A Scenario message as a record. ``where`` names it in errors.
+
+    Raises UsageError if it has no id, steps, current step, ego or map, or contradicts itself.
+    """
+    name, time = message.scenario_id, np.array(message.timestamps_seconds, dtype=np.float64)
+    if not name or not len(time):
+        raise UsageError(f"{where} is no scenario: it has no id or no time stamps (tf.Example files are not read).")
+    if _SAFE_ID.fullmatch(name) is None:
+        raise UsageError(f"{where} has the id {name[:40]!r}, which cannot be the name of a folder.")
+    where = f"{where} ('{name}')"
+    if not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
+        raise UsageError(f"{where} has time stamps that do not increase.")
+    if not message.HasField("current_time_index") or not 0 <= message.current_time_index < len(time):
+        raise UsageError(f"{where} has no current step: it does not say which of its {len(time)} steps is now.")
+    if not message.HasField("sdc_track_index") or not 0 <= message.sdc_track_index < len(message.tracks):
+        raise UsageError(f"{where} has no ego: its sdc_track_index points at no track.")
+    lanes = {f.id: _lane(f, where) for f in message.map_features if f.HasField("lane")}
+    if not lanes:
+        raise UsageError(f"{where} has no map: it holds no lane, so it cannot be driven.")
+    tracks = [_track(t, len(time), where) for t in message.tracks]
+    if len({t.id for t in tracks}) < len(tracks):
+        raise UsageError(f"{where} has two tracks of the same id.")
+    to_predict = tuple(p.track_index for p in message.tracks_to_predict if 0 <= p.track_index < len(tracks))
+    return Record(
+        scenario_id=name, time=time, current=message.current_time_index, sdc=message.sdc_track_index, tracks=tracks,
+        objects_of_interest=tuple(message.objects_of_interest), to_predict=to_predict, lanes=lanes,
+        lines=_lines(message, where), stop_signs=_stop_signs(message, where), areas=_areas(message, where),
+        signals=_signals(message, len(time), where),
+    )  # fmt: skip
+
+
+def _points(points: Sequence[Any], where: str) -> Floats:
+    """Map points as ``(n, 3)`` m."""
+    array = np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(array).all():
+        raise UsageError(f"{where} has a map point that is not a finite number.")
+    return array
+
+
+def _lane(feature: Any, where: str) -> LaneFeature:
+    lane = feature.lane
+    speed = lane.speed_limit_mph * MPH
+    return LaneFeature(
+        id=feature.id, points=_points(lane.polyline, where), kind=lane.type,
+        speed_limit=speed if np.isfinite(speed) and speed > 0.0 else 0.0, interpolating=lane.interpolating,
+        entries=tuple(lane.entry_lanes), exits=tuple(lane.exit_lanes), left=_neighbours(lane.left_neighbors),
+        right=_neighbours(lane.right_neighbors), left_boundaries=_boundaries(lane.left_boundaries),
+        right_boundaries=_boundaries(lane.right_boundaries),
+    )  # fmt: skip
+
+
+def _neighbours(neighbours: Iterable[Any]) -> tuple[Neighbour, ...]:
+    return tuple(
+        Neighbour(n.feature_id, n.self_start_index, n.self_end_index, n.neighbor_start_index, n.neighbor_end_index)
+        for n in neighbours
+    )
+
+
+def _boundaries(parts: Iterable[Any]) -> tuple[BoundaryPart, ...]:
+    return tuple(
+        BoundaryPart(p.lane_start_index, p.lane_end_index, p.boundary_feature_id, p.boundary_type) for p in parts
+    )
+
+
+def _lines(message: Any, where: str) -> dict[int, LineFeature]:
+    found = {}
+    for feature in message.map_features:
+        for field, edge in (("road_line", False), ("road_edge", True)):
+            if feature.HasField(field):
+                line = getattr(feature, field)
+                found[feature.id] = LineFeature(feature.id, edge, line.type, _points(line.polyline, where))
+    return found
+
+
+def _stop_signs(message: Any, where: str) -> list[StopSign]:
+    return [
+        StopSign(f.id, tuple(f.stop_sign.lane), _points([f.stop_sign.position], where)[0])
+        for f in message.map_features
+        if f.HasField("stop_sign")
+    ]
+
+
+def _areas(message: Any, where: str) -> list[AreaFeature]:
+    return [
+        AreaFeature(f.id, kind, _points(getattr(f, kind).polygon, where))
+        for f in message.map_features
+        for kind in _AREAS
+        if f.HasField(kind)
+    ]
+
+
+def _signals(message: Any, steps: int, where: str) -> list[tuple[SignalState, ...]]:
+    """The signal states of every step; steps that the record does not hold have none."""
+    found = [
+        tuple(
+            SignalState(s.lane, s.state, _points([s.stop_point], where)[0] if s.HasField("stop_point") else None)
+            for s in step.lane_states
+        )
+        for step in message.dynamic_map_states[:steps]
+    ]
+    return found + [()] * (steps - len(found))
+
+
+def _track(track: Any, steps: int, where: str) -> ObjectTrack:
+    if len(track.states) != steps:
+        raise UsageError(f"{where} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
+    columns = np.array(
+        [[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64
+    )  # fmt: skip
+    sound = np.isfinite(columns).all(axis=0) & (columns[3] > 0.0) & (columns[4] > 0.0)
+    valid = np.array([state.valid for state in track.states], dtype=bool) & sound
+    x, y, z, length, width, height, heading, vx, vy = columns
+    return ObjectTrack(
+        id=track.id, kind=track.object_type, valid=valid, x=x, y=y, z=z, length=length, width=width, height=height,
+        heading=heading, vx=vx, vy=vy,
+    )  # fmt: skip
