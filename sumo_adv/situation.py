@@ -87,7 +87,8 @@ class Situation:
     """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``.
 
     ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
-    situation is that much later than they.
+    situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
+    ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     """
 
     time: float
@@ -104,6 +105,8 @@ class Situation:
     others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
     lane_width: float
     signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
+    history: tuple[Track, ...] = ()
+    ego_sides: tuple[tuple[float, str], ...] = ()
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -152,7 +152,7 @@ class Sessions:
 def judge_all(
     situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable
 ) -> list[dict[str, Any]]:
-    """For each rollout: hit, min TTC, who could avoid it, and the score."""
+    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, and the score."""
     n, steps = rollouts.ego[0].shape
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
     widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
@@ -169,16 +169,16 @@ def judge_all(
     score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
     score = np.where(off_road, OFF_ROAD, score)
     score = np.where(third, THIRD, np.where(rear, REAR, score))
-    careful, manoeuvre = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool)
+    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
     if len(good):
-        careful[good], manoeuvre[good] = _avoidable(situation, ego, adversary, good, last[good], drivable)
+        careful[good], manoeuvre[good], hazard[good] = _avoidable(situation, ego, adversary, good, last[good], drivable)
         score[good] = _score(careful[good], manoeuvre[good])
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
             "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
             "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
-            "time": float(last[k] * situation.dt),
+            "time": float(last[k] * situation.dt), "warning": float((last[k] - hazard[k]) * situation.dt),
         }
         for k in range(n)
     ]  # fmt: skip
@@ -272,12 +272,12 @@ def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
 
 def _avoidable(
     situation: Situation, ego: Boxes, adversary: Boxes, good: Any, last: Any, drivable: Drivable
-) -> tuple[Bools, Bools]:
+) -> tuple[Bools, Bools, Any]:
     a, b = _rows(ego, good), _rows(adversary, good)
     start = np.zeros(len(good), np.intp)
     hazard, _ = hazard_index(a, b, start, last, situation.dt, lane_half_width=situation.lane_width / 2)
     found = avoidance(a, b, hazard, situation.dt, delays=DELAYS, on_road=drivable)
-    return found["careful"], found["manoeuvre"]
+    return found["careful"], found["manoeuvre"], hazard
 
 
 def _rows(b: Boxes, rows: Any) -> Boxes:

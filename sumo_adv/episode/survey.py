@@ -18,6 +18,7 @@ from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
+HISTORY = 1.1  # s of everybody's past that a situation keeps (the paper's)
 
 
 def state_at(track: Track, time: float) -> tuple[VehicleState, int] | None:
@@ -96,10 +97,14 @@ def survey(
         and closest(ego_track, part, time) < OTHERS_NEAR
     )  # fmt: skip
     width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
+    sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading))
+    near = {ego_id, *targets, *(t.id for t in others)}
+    history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
     return Situation(
         time, dt, horizon, Frame(ego.x, ego.y, ego.heading), ego, path, stations, ego_track.speed,
         ego_track.acceleration, dict(ego_model), targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
+        tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
     )  # fmt: skip
 
 
