@@ -141,7 +141,7 @@ def record_of(message: Any, where: str) -> Record:
     name, time = message.scenario_id, np.array(message.timestamps_seconds, dtype=np.float64)
     if not name or not len(time):
         raise UsageError(f"{where} is no scenario: it has no id or no time stamps (tf.Example files are not read).")
-    if _SAFE_ID.fullmatch(name) is None:
+    if isinstance(name, bytes) or _SAFE_ID.fullmatch(name) is None:  # protobuf gives what is no UTF-8 as bytes
         raise UsageError(f"{where} has the id {name[:40]!r}, which cannot be the name of a folder.")
     where = f"{where} ('{name}')"
     if not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
