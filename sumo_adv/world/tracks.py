@@ -1,0 +1,235 @@
+"""Recorded tracks: what a log says of vehicles, pedestrians, cyclists and others, on one even time grid.
+
+The file is a CSV, packed by gzip or not, with the header ``time,id,kind,valid,x,y,heading,speed,length,width``: a row
+an object and step; time [s] of the simulation; x, y box centre [m]; heading [rad]; speed [m/s].  A step that has no
+row, or one with ``valid`` 0 (whose numbers may be empty), says nothing of the object: it may come late, leave early
+and be unseen in between.  Sizes wander in recordings; an object has one here, the median of its valid rows.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import math
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Role, Track
+from sumo_adv.errors import UsageError
+
+COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
+KINDS = ("vehicle", "pedestrian", "cyclist", "other")
+SAME_TIME = 2e-3  # s: how far a row's time may be from the grid
+MOST_STEPS = 1_000_000
+
+Row = tuple[float, float, float, float, float, float]  # x, y, heading, speed, length, width
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedTrack:
+    """One object over the whole grid of its log, arrays ``(n,)``; where ``valid`` is False the rest means nothing.
+
+    x, y: box centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m].
+    """
+
+    id: str
+    kind: str
+    valid: Bools
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    length: float
+    width: float
+
+    def spans(self) -> tuple[tuple[int, int], ...]:
+        """First and last index of every stretch over which it is valid."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], self.valid, [False]]).astype(np.int8)))
+        return tuple((int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class TrackLog:
+    """All objects of a log on the grid ``time`` ``(n,)`` [s], evenly spaced."""
+
+    time: Floats
+    tracks: Mapping[str, LoggedTrack]
+
+    @property
+    def end(self) -> float:
+        """The last time [s]."""
+        return float(self.time[-1])
+
+    def first(self, name: str) -> float:
+        """When an object is first seen [s]."""
+        return float(self.time[self.tracks[name].spans()[0][0]])
+
+    def resampled(self, begin: float, step: float) -> TrackLog:
+        """The log at ``begin + k step`` up to its end: linear, headings the shorter way, valid where both sides are."""
+        count = int((self.end - begin) / step + 1e-6) + 1
+        time = np.asarray(begin + step * np.arange(max(count, 1)), float)
+        even = self.time[1] - self.time[0] if len(self.time) > 1 else step
+        u = (time - self.time[0]) / even
+        nearest = np.rint(u)
+        u = np.where(np.abs(u - nearest) * even < SAME_TIME, nearest, u)
+        inside = (u >= 0) & (u <= len(self.time) - 1)
+        low = np.clip(np.floor(u), 0, len(self.time) - 1).astype(np.intp)
+        high = np.clip(np.ceil(u), 0, len(self.time) - 1).astype(np.intp)
+        share = u - low
+        return TrackLog(time, {n: _between(t, low, high, share, inside) for n, t in self.tracks.items()})
+
+    def track(self, name: str, role: Role = Role.BACKGROUND) -> Track:
+        """The valid steps of an object as a track (with gaps in time where it was not seen); accelerations are 0."""
+        t = self.tracks[name]
+        keep = t.valid
+        time = self.time[keep]
+        return Track(
+            name, role, time, t.x[keep], t.y[keep], t.heading[keep], t.speed[keep], np.zeros(len(time)), t.length,
+            t.width,
+        )  # fmt: skip
+
+
+def _between(t: LoggedTrack, low: Floats, high: Floats, share: Floats, inside: Bools) -> LoggedTrack:
+    """A track at places between its samples ``low`` and ``high``."""
+
+    def linear(values: Floats) -> Floats:
+        return np.asarray(np.where(share == 0.0, values[low], values[low] * (1 - share) + values[high] * share))
+
+    turn = (t.heading[high] - t.heading[low] + np.pi) % (2 * np.pi) - np.pi
+    heading = np.where(share == 0.0, t.heading[low], t.heading[low] + share * turn)
+    valid = t.valid[low] & t.valid[high] & inside
+    return replace(t, valid=valid, x=linear(t.x), y=linear(t.y), heading=heading, speed=linear(t.speed))
+
+
+# -- reading --------------------------------------------------------------------------------------------------------
+
+
+def read_tracks(path: Path) -> TrackLog:
+    """The log in ``path``.
+
+    Raises:
+        UsageError: one sentence with file and line for whatever is wrong: unreadable, another header, no number where
+            one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid.
+    """
+    kinds: dict[str, str] = {}
+    rows: dict[str, dict[float, Row]] = {}
+    times: set[float] = set()
+    for line, fields in _lines(path):
+        time, name, kind, row = _row(path, line, fields)
+        if kinds.setdefault(name, kind) != kind:
+            raise _wrong(path, line, f"calls '{name}' a {kind}, which was a {kinds[name]} before")
+        times.add(time)
+        if row is not None and rows.setdefault(name, {}).setdefault(time, row) is not row:
+            raise _wrong(path, line, f"is the second for '{name}' at {time:g} s")
+    if not rows:
+        raise UsageError(f"The tracks {path} hold no valid row; give a log with at least one.")
+    grid = _grid(path, times)
+    return TrackLog(grid, {name: _logged(name, kinds[name], seen, grid) for name, seen in rows.items()})
+
+
+def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
+    """Line numbers and fields of the rows under the header."""
+    try:
+        data = path.read_bytes()
+        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+    except OSError as error:
+        raise UsageError(f"The tracks {path} cannot be read: {error.strerror or error}.") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise UsageError(f"The tracks {path} are a damaged or truncated gzip file: write them again.") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"The tracks {path} are not text: give a CSV file.") from error
+    reader = csv.reader(io.StringIO(text))
+    try:
+        header = next(reader, [])
+        if tuple(header) != COLUMNS:
+            raise UsageError(f"The tracks {path} begin with another header: line 1 must be '{','.join(COLUMNS)}'.")
+        for fields in reader:
+            yield reader.line_num, fields
+    except csv.Error as error:
+        raise _wrong(path, reader.line_num, f"is no CSV ({error})") from error
+
+
+def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row | None]:
+    """Time, id, kind and, where valid, the numbers of one row."""
+    if len(fields) != len(COLUMNS):
+        raise _wrong(path, line, f"has {len(fields)} fields, not {len(COLUMNS)}")
+    _, name, kind, valid, *numbers = fields
+    if not name or kind not in KINDS or valid not in ("0", "1"):
+        what = "id" if not name else "kind" if kind not in KINDS else "valid"
+        wanted = {"id": "one", "kind": f"one of {', '.join(KINDS)}", "valid": "0 or 1"}[what]
+        raise _wrong(path, line, f"has no usable {what}, which must be {wanted}")
+    time = round(_number(path, line, "time", fields[0]), 6)
+    if valid == "0":
+        return time, name, kind, None
+    x, y, heading, speed, length, width = (_number(path, line, c, n) for c, n in zip(COLUMNS[4:], numbers, strict=True))
+    if length <= 0 or width <= 0:
+        raise _wrong(path, line, f"gives '{name}' a size of {length:g} by {width:g} m")
+    return time, name, kind, (x, y, heading, speed, length, width)
+
+
+def _number(path: Path, line: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise _wrong(path, line, f"has '{text}' for {column}, which is no finite number")
+    return value
+
+
+def _wrong(path: Path, line: int, what: str) -> UsageError:
+    return UsageError(f"The tracks {path} cannot be used: line {line} {what}.")
+
+
+def _grid(path: Path, times: set[float]) -> Floats:
+    """The even grid that holds all times."""
+    found = np.array(sorted(times))
+    if len(found) == 1:
+        return found
+    step = float(np.median(np.diff(found)))
+    count = round(float(found[-1] - found[0]) / step) + 1 if step > 0 else MOST_STEPS + 1
+    if count > MOST_STEPS:
+        raise UsageError(
+            f"The tracks {path} have times too far apart for their step of {step:g} s; write an even grid."
+        )
+    grid = np.linspace(found[0], found[-1], count)
+    off = np.abs((found - grid[0]) / (grid[1] - grid[0]) - np.rint((found - grid[0]) / (grid[1] - grid[0])))
+    if float(off.max()) * step > SAME_TIME:
+        worst = float(found[int(off.argmax())])
+        raise UsageError(f"The tracks {path} are not on an even time grid: {worst:g} s is off the step of {step:g} s.")
+    return grid
+
+
+def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> LoggedTrack:
+    step = grid[1] - grid[0] if len(grid) > 1 else 1.0
+    at = np.rint((np.array(list(seen)) - grid[0]) / step).astype(np.intp)
+    values = np.array(list(seen.values()))
+    valid = np.zeros(len(grid), bool)
+    valid[at] = True
+    columns = np.zeros((4, len(grid)))
+    columns[:, at] = values[:, :4].T
+    x, y, heading, speed = columns
+    length, width = (float(np.median(values[:, k])) for k in (4, 5))
+    return LoggedTrack(name, kind, valid, x, y, heading, speed, length, width)
+
+
+# -- writing --------------------------------------------------------------------------------------------------------
+
+
+def write_tracks(path: Path, log: TrackLog) -> None:
+    """The log as a file that :func:`read_tracks` reads: valid steps, fixed decimals, equal bytes for equal logs."""
+    text = io.StringIO()
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(COLUMNS)
+    for k, time in enumerate(log.time.tolist()):
+        for t in log.tracks.values():
+            if t.valid[k]:
+                row = [f"{time:.2f}", t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
+                out.writerow([*row, f"{t.speed[k]:.4f}", f"{t.length:.3f}", f"{t.width:.3f}"])
+    data = text.getvalue().encode()
+    path.write_bytes(gzip.compress(data, mtime=0) if path.name.endswith(".gz") else data)
