@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_adv.cli.memory_probes import probes
 from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.geometry import make_path
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.recall import recall_scene
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, Source
+from sumo_adv.planning.probes import probes
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.trajectory import Goal, PathRow, Scalar, advance, start, steer
 

@@ -11,12 +11,12 @@ import pytest
 from bank_samples import evidence
 from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
-from sumo_adv.cli.memory_probes import CROSSING_ANGLES, LANE_PLACES, probes
-from sumo_adv.cli.memory_trial import trial
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
+from sumo_adv.planning.probes import CROSSING_ANGLES, LANE_PLACES, probes
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import make_planner
+from sumo_adv.planning.trial import trial
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 PARAPHRASES = ROOT / "tests" / "data" / "intents_paraphrases.toml"

@@ -56,7 +56,7 @@ def _remark(row: dict[str, Any]) -> str:
 
 
 def _verify(sandbox: Sandbox, source: Source, scenario: Path | None, attempts: int) -> list[dict[str, Any]]:
-    from sumo_adv.cli.memory_trial import trial
+    from sumo_adv.planning.trial import trial
 
     rows = []
     for planner in source.planners:

@@ -33,7 +33,7 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Add what the bank lacks of an export. If a planner fails in the sandbox, nothing is added."""
-    from sumo_adv.cli.memory_trial import trier
+    from sumo_adv.planning.trial import trier
     from sumo_adv.errors import UsageError
     from sumo_adv.memory.exchange import import_bank
     from sumo_adv.planning.sandbox import Sandbox

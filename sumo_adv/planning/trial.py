@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sumo_adv.cli.memory_probes import HORIZON, Probe, probes
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
+from sumo_adv.planning.probes import HORIZON, Probe, probes
 
 if TYPE_CHECKING:
     from sumo_adv.planning.sandbox import Call, PlannerSession, Sandbox
@@ -18,18 +18,19 @@ NEAR = 20.0  # m more
 ACCELERATIONS: tuple[Any, ...] = (0.0, [[0.0, -3.0], [2.0, -8.0]])
 
 
-def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str]) -> str | None:
+def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_check: bool = False) -> str | None:
     """None if the planner answers well in every situation of the relations, else one sentence on what it does not.
 
     It must load, pass the sandbox's checks of each endpoint with its parameters at their defaults, low and high ends,
     stay where a vehicle can get, answer alike in whatever order it is asked, and its own ``trajectory`` must work.
+    ``type_check``: have its text type checked too.
     """
     situations = [probe for relation in applies for probe in probes(relation)]
     roads = {probe.name: probe.road for probe in situations}
     named = list(_calls(planner, situations))
     calls = [call for _, call in named]
     try:
-        with sandbox.session(planner, roads) as session:
+        with sandbox.session(planner, roads, type_check=type_check) as session:
             first = _first(session, calls[0])  # one that never ends is found out here, and not in each of its calls
             if first is not None:
                 return f"In the situation {named[0][0]!r}: {first}"
