@@ -9,6 +9,7 @@ from pathlib import Path
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, apply_steer
 from sumo_adv.world.egos import Pose as EgoPose
+from sumo_adv.world.remote import Remote
 from sumo_adv.world.simulation import Pose, Recording, Simulation, SimulationSpec, Snapshot
 
 EGO_TYPE = "sumo_adv_ego"
@@ -28,8 +29,10 @@ def ego_type_file(controller: EgoController, folder: Path) -> Path:
 class Drive:
     """Steps SUMO, lets the ego's driver act, puts adversaries where they belong, and records everything."""
 
-    def __init__(self, spec: SimulationSpec, controller: EgoController, seed: int) -> None:
-        self.simulation = Simulation(spec)
+    def __init__(
+        self, spec: SimulationSpec, controller: EgoController, seed: int, remote: Remote | None = None
+    ) -> None:
+        self.simulation = Simulation(spec, remote)
         self.controller = controller
         self.seed = seed
         self.ego: str | None = None

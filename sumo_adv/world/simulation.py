@@ -1,4 +1,4 @@
-"""The one adapter over libsumo (traci has the same functions and is to fit here later).
+"""The one adapter over SUMO: libsumo in this process, or a SUMO of its own over TraCI (the functions are the same).
 
 SUMO's poses (front bumper, degrees clockwise from north) exist in this file alone; everybody else sees box centres and
 headings in rad counter-clockwise from +x.  Facts about SUMO that shape the calls are measured ones: a moved vehicle
@@ -8,7 +8,7 @@ needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this order and in eve
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import wrap_all
+from sumo_adv.world.remote import RawState, Remote
 
 BASE_FLAGS = (
     "--time-to-teleport", "-1", "--collision.action", "warn", "--collision.mingap-factor", "0",
@@ -30,8 +31,6 @@ HARD_BRAKING_MODE = 27  # SUMO's safe speed holds, its comfortable deceleration 
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
 
-RawState = tuple[float, float, float, float, str]  # bumper x, y [m], angle [deg], speed [m/s], lane id
-
 
 def heading_of(angle_deg: float) -> float:
     """SUMO's angle as a heading in (-pi, pi]."""
@@ -42,6 +41,12 @@ def heading_of(angle_deg: float) -> float:
 def angle_deg_of(heading: float) -> float:
     """A heading as SUMO's angle in [0, 360)."""
     return (90.0 - math.degrees(heading)) % 360.0
+
+
+def raw_of(x: float, y: float, heading: float, speed: float, length: float) -> RawState:
+    """A box that SUMO does not know, as SUMO would say it: off every lane."""
+    front = length / 2
+    return (x + front * math.cos(heading), y + front * math.sin(heading), angle_deg_of(heading), speed, "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,26 +91,47 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes of all vehicles ever seen (length, width in m), asked of SUMO once each."""
+    """Sizes (length, width in m) and vClasses of the vehicles seen, asked of SUMO once each."""
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
+    classes: dict[str, str] = field(default_factory=dict)
+
+    def forget(self, keep: Collection[str]) -> None:
+        """Drop all vehicles but these: what a simulation that goes on for hours needs."""
+        self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
+        self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
 
 
 class Simulation:
-    """Holds the only libsumo of this process; a second one at the same time is refused."""
+    """Holds the only libsumo of this process (a second one at the same time is refused), or one end of a ``remote``
+    SUMO, which was started from ``spec``."""
 
     _running: Simulation | None = None
 
-    def __init__(self, spec: SimulationSpec) -> None:
+    def __init__(self, spec: SimulationSpec, remote: Remote | None = None) -> None:
+        self.spec = spec
+        self.fleet = Fleet()
+        self._remote = remote
+        self._errors: tuple[type[Exception], ...]
+        self._sumo: Any
+        if remote is not None:
+            import traci
+
+            self._sumo = remote.connection
+            self._errors = (traci.TraCIException, traci.FatalTraCIError, OSError)
+        else:
+            self._start()
+
+    def _start(self) -> None:
+        """Start libsumo."""
         if Simulation._running is not None:
             raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
         import libsumo
 
-        self._sumo: Any = libsumo
-        self.spec = spec
-        self.fleet = Fleet()
+        self._sumo = libsumo
+        self._errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:
-            libsumo.start(["sumo", *spec.arguments()])
+            libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
         Simulation._running = self
@@ -117,23 +143,34 @@ class Simulation:
 
     def reload(self) -> None:
         """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
-        self.fleet.sizes.clear()
+        if self._remote is not None:
+            raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
+        self.fleet.forget(())
         try:
             self._sumo.load(self.spec.arguments())
-        except self._sumo.TraCIException as error:
+        except self._errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
 
     def close(self) -> None:
         """End the simulation; the process may start another."""
+        if self._remote is not None:
+            self._remote.close()
         if Simulation._running is self:
             Simulation._running = None
             self._sumo.close()
+
+    @property
+    def api(self) -> Any:
+        """libsumo itself, for what only ``stage.py`` asks of it."""
+        return self._sumo
 
     # -- reading ------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
         """Simulated time [s]."""
+        if self._remote is not None:
+            return self._remote.time
         return round(float(self._sumo.simulation.getTime()), 6)
 
     def step(self) -> None:
@@ -142,13 +179,18 @@ class Simulation:
         Raises:
             SimulationError: SUMO failed.
         """
+        if self._remote is not None:
+            self._remote.step()
+            return
         try:
             self._sumo.simulationStep()
-        except (self._sumo.TraCIException, self._sumo.FatalTraCIError) as error:
+        except self._errors as error:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def read(self) -> Snapshot:
         """The present states of all vehicles."""
+        if self._remote is not None:
+            return self._read_remote(self._remote)
         position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
         sizes = self.fleet.sizes
         raw: dict[str, RawState] = {}
@@ -159,6 +201,12 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         return Snapshot(self.time, raw)
+
+    def _read_remote(self, remote: Remote) -> Snapshot:
+        raw = {name: state for name, state in remote.read().items() if state[0] > INVALID}
+        for name in raw.keys() - self.fleet.sizes.keys():
+            self._measure(name)
+        return Snapshot(remote.time, raw)
 
     def _measure(self, vehicle: str) -> None:
         """Ask for a vehicle's size."""
@@ -184,11 +232,16 @@ class Simulation:
 
     def lane_position(self, vehicle: str) -> float:
         """Metres from the start of the present lane to the front bumper."""
+        if self._remote is not None and vehicle in self._remote.lane_positions:
+            return self._remote.lane_positions[vehicle]
         return float(self._sumo.vehicle.getLanePosition(vehicle))
 
     def vehicle_class(self, vehicle: str) -> str:
-        """SUMO's vClass."""
-        return str(self._sumo.vehicle.getVehicleClass(vehicle))
+        """SUMO's vClass; asked once a vehicle."""
+        known = self.fleet.classes.get(vehicle)
+        if known is None:
+            known = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
+        return known
 
     def model(self, vehicle: str) -> dict[str, float]:
         """Car-following numbers as SUMO has them: acceleration, deceleration [m/s2], tau [s], gap [m], speed [m/s]."""
@@ -220,7 +273,7 @@ class Simulation:
                 vehicle.setSpeedMode(name, FREE_SPEED_MODE)
                 vehicle.setSpeed(name, pose.speed)
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE)
-            except self._sumo.TraCIException as error:
+            except self._errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
@@ -249,7 +302,7 @@ class Simulation:
         try:
             self._sumo.route.add(f"{vehicle}.route", list(edges))
             self._sumo.vehicle.add(vehicle, f"{vehicle}.route", type_id, **depart)
-        except self._sumo.TraCIException as error:
+        except self._errors as error:
             raise SimulationError(f"SUMO could not insert vehicle '{vehicle}' ({error}).") from error
 
 
@@ -259,6 +312,10 @@ class Recording:
     def __init__(self, step_length: float) -> None:
         self.step_length = step_length
         self.snapshots: list[Snapshot] = []
+
+    def forget(self, keep: int) -> None:
+        """Drop all but the last ``keep`` snapshots."""
+        del self.snapshots[: max(0, len(self.snapshots) - keep)]
 
     def append(self, snapshot: Snapshot) -> None:
         """Keep one more snapshot."""
@@ -304,7 +361,7 @@ def _track(
     heading = wrap_all(np.radians(90.0 - angle_deg))
     back = size[0] / 2
     acceleration = np.zeros(len(time))
-    acceleration[1:] = np.diff(speed) / step_length
+    acceleration[1:] = np.where(np.diff(time) < 1.5 * step_length, np.diff(speed) / step_length, 0.0)
     return Track(
         name, role, time, x - back * np.cos(heading), y - back * np.sin(heading), heading, speed, acceleration,
         size[0], size[1], lane,

@@ -6,6 +6,7 @@ returns. A user's own driver is any class with ``reset(seed)`` and ``act(observa
 
 from sumo_adv.world.egos.bicycle import apply_steer
 from sumo_adv.world.egos.careful import CarefulEgo
+from sumo_adv.world.egos.external import ExternalEgo
 from sumo_adv.world.egos.factory import make_ego
 from sumo_adv.world.egos.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer
 from sumo_adv.world.egos.replay import ReplayEgo
@@ -16,6 +17,7 @@ __all__ = [
     "Action",
     "CarefulEgo",
     "EgoController",
+    "ExternalEgo",
     "LaneSpeed",
     "Observation",
     "Pose",

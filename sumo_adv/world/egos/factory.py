@@ -26,4 +26,6 @@ def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
         return CarefulEgo(parameters)
     if name == "replay":
         return ReplayEgo(parameters)
+    if name == "external":
+        raise UsageError("The ego 'external' is driven by a program of yours over TraCI: use sumo-adv serve.")
     raise UsageError(f"There is no ego {name!r}; choose krauss, idm, eidm, careful, replay or module:Class.")

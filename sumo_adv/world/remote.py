@@ -1,0 +1,152 @@
+"""A SUMO program of its own behind an open TraCI connection: stepped and read in as few bytes as it takes.
+
+Stock ``traci`` asks for one number a call.  Here the getters of all vehicles go out in one message and their answers
+are cut apart by place: measured at 62 vehicles 0.25 ms a read, where a context subscription read by ``traci`` costs
+0.5 to 0.9 ms; and nothing of it reaches the other clients of the same SUMO, as the results of a subscription would.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from sumo_adv.errors import SimulationError
+
+SIMSTEP, VEHICLE_GET, SIMULATION_GET = 0x02, 0xA4, 0xAB
+POSITION, ANGLE, SPEED, LANE_POSITION, LANE, ID_LIST, TIME = 0x42, 0x43, 0x40, 0x56, 0x51, 0x00, 0x66
+STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane, whose name may have any length, is the last
+STATUS = 7  # bytes of a status without words
+LENGTH = struct.Struct("!i")
+STEP = struct.pack("!BBd", 10, SIMSTEP, 0.0)
+
+RawState = tuple[float, float, float, float, str]  # bumper x, y [m], angle [deg], speed [m/s], lane id
+
+
+def getter(command: int, variable: int, name: str = "") -> bytes:
+    """One question as TraCI has it."""
+    data = name.encode()
+    short = 7 + len(data)
+    head = struct.pack("!B", short) if short <= 255 else struct.pack("!Bi", 0, short + 4)
+    return head + struct.pack("!BBi", command, variable, len(data)) + data
+
+
+class Remote:
+    """Steps and reads over a ``traci.connection.Connection``, which serves for all other calls as well.
+
+    After ``read`` the positions on lanes [m] of all vehicles are in ``lane_positions``.
+    """
+
+    def __init__(self, connection: Any) -> None:
+        self.connection = connection
+        self.time = 0.0
+        self.lane_positions: dict[str, float] = {}
+        self._questions: dict[str, bytes] = {}
+        self._places: dict[int, struct.Struct] = {}
+        self._overview = getter(SIMULATION_GET, TIME) + getter(VEHICLE_GET, ID_LIST)
+        self._names()
+
+    def step(self) -> None:
+        """One step. Raises SimulationError if SUMO ended."""
+        answer = self._exchange(STEP)
+        if answer[2] != 0:
+            raise SimulationError(f"SUMO failed in a step ({_words(answer)}).")
+
+    def read(self) -> dict[str, RawState]:
+        """All vehicles: bumper pose, speed, lane. Raises SimulationError if SUMO ended."""
+        names, questions = self._names(), self._questions
+        if len(questions) > 2 * len(names) + 100:  # vehicles that have left
+            questions.clear()
+        asked = []
+        for name in names:
+            question = questions.get(name)
+            if question is None:
+                question = questions[name] = b"".join(getter(VEHICLE_GET, v, name) for v in STATE)
+            asked.append(question)
+        return self._states(names, self._exchange(b"".join(asked))) if asked else {}
+
+    def close(self) -> None:
+        """Say goodbye to SUMO; it may be gone."""
+        try:
+            self.connection.close(wait=False)
+        except Exception:  # traci raises what its socket raises
+            self.connection._socket = None
+
+    def _names(self) -> list[str]:
+        """Ids of all vehicles; sets the time."""
+        answer = self._exchange(self._overview)
+        at = _value(answer, 0, 0)
+        self.time = round(struct.unpack_from("!d", answer, at)[0], 6)
+        at = _value(answer, at + 8, 0)
+        (count,) = LENGTH.unpack_from(answer, at)
+        at += 4
+        names = []
+        for _ in range(count):
+            (size,) = LENGTH.unpack_from(answer, at)
+            names.append(answer[at + 4 : at + 4 + size].decode())
+            at += 4 + size
+        return names
+
+    def _states(self, names: Sequence[str], answer: bytes) -> dict[str, RawState]:
+        states: dict[str, RawState] = {}
+        positions: dict[str, float] = {}
+        at = 0
+        try:
+            for name in names:
+                place = self._place(len(name.encode()))
+                x, y, angle, speed, positions[name] = place.unpack_from(answer, at)
+                at = _value(answer, at + place.size, len(name.encode()))
+                (size,) = LENGTH.unpack_from(answer, at)
+                at += 4 + size
+                states[name] = (x, y, angle, speed, answer[at - size : at].decode())
+        except (struct.error, IndexError, UnicodeDecodeError) as error:
+            raise SimulationError("SUMO's states could not be read; is it version 1.28?") from error
+        self.lane_positions = positions
+        return states
+
+    def _place(self, size: int) -> struct.Struct:
+        """Where the numbers of a vehicle lie whose id has ``size`` bytes."""
+        place = self._places.get(size)
+        if place is None:
+            two, one = (STATUS + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))
+            place = self._places[size] = struct.Struct(f"!{two}xdd{one}xd{one}xd{one}xd")
+        return place
+
+    def _exchange(self, commands: bytes) -> bytes:
+        socket = self.connection._socket
+        if socket is None:
+            raise SimulationError("The connection to SUMO is closed.")
+        try:
+            socket.sendall(LENGTH.pack(len(commands) + 4) + commands)
+            (size,) = LENGTH.unpack(_received(socket, 4))
+            return _received(socket, size - 4)
+        except (OSError, struct.error) as error:
+            raise SimulationError(f"SUMO ended or closed the connection ({error}).") from error
+
+
+def _head(size: int) -> int:
+    """Bytes of a block's length and command, where ``size`` bytes follow."""
+    return 2 if size < 253 else 6
+
+
+def _value(answer: bytes, at: int, name: int) -> int:
+    """Where the value of an answer lies that begins at ``at`` with its status; ``name``: bytes of the object's id."""
+    at += STATUS
+    return at + (6 if answer[at] == 0 else 2) + 1 + 4 + name + 1
+
+
+def _received(socket: Any, size: int) -> bytes:
+    """Exactly ``size`` bytes. Raises OSError at the end of the stream."""
+    data = bytearray()
+    while len(data) < size:
+        part = socket.recv(size - len(data))
+        if not part:
+            raise ConnectionError("end of stream")
+        data += part
+    return bytes(data)
+
+
+def _words(answer: bytes) -> str:
+    """What a status says."""
+    (size,) = LENGTH.unpack_from(answer, 3) if len(answer) >= 7 else (0,)
+    return answer[7 : 7 + size].decode(errors="replace") or "no words"
