@@ -1,0 +1,200 @@
+"""Which lanes a logged vehicle drove: the cheapest chain of lanes (Viterbi) through its positions.
+
+The same search runs on the record's own lane graph and on the SUMO network, so that their breaks can be compared. A
+break is where no lane near the vehicle can be reached from any lane it was near before.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.womd.record import LaneFeature, ObjectTrack, Record
+from sumo_adv.womd.segments import Ints, Segments, stations
+from sumo_adv.womd.sumonet import SumoNet
+
+NEAR = 2.5  # m from a lane's centre line at which a vehicle may still be on it
+TURNED = 0.9  # rad between vehicle and lane at most
+SIGMA = 0.8  # m, of a vehicle about its lane's centre line
+TURN_SIGMA = 0.35  # rad, of its heading about the lane's
+DETOUR_SIGMA = 3.0  # m, of the way along the lanes about the way driven
+CHANGE_COST = 1.0  # of a lane change
+SLACK = 12.0  # m that the way along the lanes may be longer than the way driven
+STEP = 3.0  # m between the positions that are matched
+REACH_STEP = 20.0  # m by which the search ahead grows
+MOST_CHANGES = 2  # lane changes between two positions
+
+BIKE = 3  # index of LANE_TYPES
+Lane = Any  # a SUMO lane's name or a WOMD lane's number
+
+
+@dataclass(frozen=True)
+class LaneGraph:
+    """Lanes as polylines, what follows each, and what lies beside it: the other lane, and the other's station minus
+    its own at the same height, m."""
+
+    lengths: Mapping[Lane, float]
+    following: Mapping[Lane, Sequence[Lane]]
+    beside: Mapping[Lane, Sequence[tuple[Lane, float]]]
+    segments: Segments = field(repr=False)
+    ways: dict[tuple[Lane, int], dict[Lane, Way]] = field(repr=False, default_factory=dict)  # kept between searches
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """From station 0 of one lane to station 0 of another: m along the lanes, lane changes, lanes passed (the first
+    left out)."""
+
+    length: float
+    changes: int
+    passed: tuple[Lane, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A part of a track without a break: the ``steps`` that were matched, the lane at each, and all lanes driven."""
+
+    steps: tuple[int, ...]
+    lanes: tuple[Lane, ...]
+    driven: tuple[Lane, ...]
+
+
+def record_graph(record: Record) -> LaneGraph:
+    """The dataset's own graph, bike lanes aside: exits, and neighbours over any part."""
+    kept = {i: lane for i, lane in record.lanes.items() if lane.kind != BIKE and len(lane.points) > 1}
+    at = {i: stations(lane.points) for i, lane in kept.items()}
+    return LaneGraph(
+        {i: float(at[i][-1]) for i in kept}, {i: tuple(e for e in lane.exits if e in kept) for i, lane in kept.items()},
+        {i: _neighbours(lane, at) for i, lane in kept.items()}, Segments({i: lane.points for i, lane in kept.items()}),
+    )  # fmt: skip
+
+
+def _neighbours(lane: LaneFeature, at: Mapping[int, Floats]) -> tuple[tuple[int, float], ...]:
+    found = []
+    for n in (*lane.left, *lane.right):
+        if n.lane in at and 0 <= n.own_start < len(at[lane.id]) and 0 <= n.other_start < len(at[n.lane]):
+            found.append((n.lane, float(at[n.lane][n.other_start] - at[lane.id][n.own_start])))
+    return tuple(found)
+
+
+def net_graph(net: SumoNet) -> LaneGraph:
+    """SUMO's graph for cars: connections, and the lanes of one edge."""
+    kept = {name: lane for name, lane in net.lanes.items() if lane.cars}
+    return LaneGraph(
+        {name: float(stations(lane.shape)[-1]) for name, lane in kept.items()},
+        {name: tuple(o for o in net.following.get(name, ()) if o in kept) for name in kept},
+        {n: tuple((o, 0.0) for o in net.edges[lane.edge] if o != n and o in kept) for n, lane in kept.items()},
+        Segments({name: lane.shape for name, lane in kept.items()}),
+    )  # fmt: skip
+
+
+def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
+    """The stretches of a track on the graph's lanes; more than one: it breaks in between; none: it is on no lane.
+
+    Positions with no lane near are passed over.
+    """
+    steps, way = _positions(track)
+    if not len(steps):
+        return ()
+    xy = np.stack([track.x[steps], track.y[steps]], axis=1)
+    hits = graph.segments.near(xy, NEAR, track.heading[steps])
+    hits = hits.where(hits.turned < TURNED).nearest_of_each_line()
+    cost = (hits.distance / SIGMA) ** 2 + (hits.turned / TURN_SIGMA) ** 2
+    found: list[Stretch] = []
+    rows: list[_Row] = []
+    for i in np.unique(hits.point):
+        own = np.flatnonzero(hits.point == i)
+        names = [graph.segments.names[k] for k in hits.line[own]]
+        row = _Row(int(steps[i]), float(way[i]), names, hits.station[own], cost[own])
+        if rows and not row.link(graph, rows[-1]):
+            found.append(_traced(rows))
+            rows = []
+        rows.append(row)
+    return (*found, _traced(rows)) if rows else ()
+
+
+def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
+    """Steps about ``STEP`` m apart, the first and the last one included, and the way driven until each, m."""
+    valid = np.flatnonzero(track.valid)
+    if not len(valid):
+        return valid, np.empty(0)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(track.x[valid]), np.diff(track.y[valid])))])
+    _, first = np.unique((way / STEP).astype(int), return_index=True)
+    chosen = np.unique([*first, len(valid) - 1])
+    return valid[chosen], way[chosen]
+
+
+class _Row:
+    """The candidates at one position: lanes, stations on them, costs so far, and where each came from."""
+
+    def __init__(self, step: int, way: float, lanes: list[Lane], at: Floats, cost: Floats) -> None:
+        self.step, self.way, self.lanes, self.at, self.cost = step, way, lanes, at, cost
+        self.origin: list[tuple[int, Way] | None] = [None] * len(lanes)
+
+    def link(self, graph: LaneGraph, before: _Row) -> bool:
+        """Join to the row ``before``; False (and unchanged) if nothing here can be reached from there."""
+        driven = self.way - before.way
+        best = np.full(len(self.lanes), np.inf)
+        origin: list[tuple[int, Way] | None] = [None] * len(self.lanes)
+        for k in np.flatnonzero(np.isfinite(before.cost)):
+            ways = _ways(graph, before.lanes[k], driven + SLACK)
+            for j in range(len(self.lanes)):
+                way = ways.get(self.lanes[j])
+                gone = math.inf if way is None else way.length + self.at[j] - before.at[k]
+                if way is None or not -SLACK / 2 < gone < driven + SLACK:
+                    continue
+                total = before.cost[k] + ((gone - driven) / DETOUR_SIGMA) ** 2 + CHANGE_COST * way.changes
+                if total < best[j]:
+                    best[j], origin[j] = total, (int(k), way)
+        if not np.isfinite(best).any():
+            return False
+        self.cost, self.origin = self.cost + best, origin
+        return True
+
+
+def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
+    """Ways to all lanes that begin less than ``reach`` m (rounded up) after the end of ``lane``: of fewest changes,
+    then shortest."""
+    rounds = math.ceil(reach / REACH_STEP)
+    known = graph.ways.get((lane, rounds))
+    if known is not None:
+        return known
+    found: dict[Lane, Way] = {}
+    farthest = graph.lengths[lane] + rounds * REACH_STEP
+    queue: list[tuple[int, float, int, Lane, tuple[Lane, ...]]] = [(0, 0.0, 0, lane, ())]
+    count = 0
+    while queue:
+        changes, length, _, here, passed = heapq.heappop(queue)
+        if here in found:
+            continue
+        found[here] = Way(length, changes, passed)
+        end = length + graph.lengths[here]
+        onward = [(changes, end, other) for other in graph.following[here] if end < farthest]
+        if changes < MOST_CHANGES:
+            onward += [(changes + 1, length - shift, other) for other, shift in graph.beside[here]]
+        for more, start, other in onward:
+            count += 1  # settles draws
+            heapq.heappush(queue, (more, start, count, other, (*passed, other)))
+    graph.ways[lane, rounds] = found
+    return found
+
+
+def _traced(rows: list[_Row]) -> Stretch:
+    """The cheapest chain through the rows."""
+    k = int(np.argmin(rows[-1].cost))
+    lanes, parts = [rows[-1].lanes[k]], []
+    for row, before in zip(rows[:0:-1], rows[-2::-1], strict=True):
+        origin = row.origin[k]
+        assert origin is not None
+        k = origin[0]
+        lanes.append(before.lanes[k])
+        parts.append(origin[1].passed)
+    lanes.reverse()
+    driven = [lanes[0]] + [lane for part in reversed(parts) for lane in part]
+    return Stretch(tuple(row.step for row in rows), tuple(lanes), tuple(driven))
