@@ -9,8 +9,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
+from sumo_adv.config_model import ModelSettings
 from sumo_adv.datatypes import Limits
 from sumo_adv.errors import UsageError
+
+SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
 
 
 class Until(StrEnum):
@@ -37,7 +40,7 @@ class LimitSettings(BaseModel):
         return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
 
 
-class Settings(BaseSettings):
+class Settings(ModelSettings, BaseSettings):
     """Everything that shapes a run, times in s."""
 
     model_config = SettingsConfigDict(
@@ -128,7 +131,9 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
             raise UsageError(
                 f"The settings do not fit together: {first['msg'].removeprefix('Value error, ')}."
             ) from error
-        raise UsageError(f"Setting '{name}' cannot be {first.get('input')!r}: {first['msg']}.") from error
+        given_as = "" if name in SECRET else f" {first.get('input')!r}"
+        message = first["msg"].removeprefix("Value error, ")
+        raise UsageError(f"Setting '{name}' cannot be{given_as or ' used'}: {message}.") from error
     except ValueError as error:
         raise UsageError(f"The settings could not be read ({error}).") from error
     finally:

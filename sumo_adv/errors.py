@@ -8,6 +8,8 @@ SumoAdvError                 one sentence: what is wrong and what to do; exit st
 │   ├── PlannerRuntimeError  raised while running
 │   ├── PlannerLimitError    time, memory, recursion or output limit
 │   └── PlannerResultError   returned something that is not an endpoint
+├── ModelError               a language model cannot be asked, or gives no usable answer; ending model_failed
+│   └── BudgetError          the run's calls, tokens or seconds are spent; ending budget_exhausted
 └── BankError                the memory bank cannot be opened, read or written
 """
 
@@ -48,6 +50,19 @@ class PlannerLimitError(SandboxError):
 
 class PlannerResultError(SandboxError):
     """The planner returned something that is not a usable endpoint."""
+
+
+class ModelError(SumoAdvError):
+    """A language model cannot be asked, or gives no usable answer. ``retries`` and ``seconds`` were spent on it."""
+
+    def __init__(self, message: str, *, retries: int = 0, seconds: float = 0.0) -> None:
+        super().__init__(message)
+        self.retries = retries
+        self.seconds = seconds
+
+
+class BudgetError(ModelError):
+    """The calls, tokens or seconds that a run may spend on models are spent."""
 
 
 class BankError(SumoAdvError):

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
     ("datatypes", "errors", "geometry", "situation"),
-    ("config",),
+    ("config", "config_model"),
     ("world", "metrics", "planning", "memory", "agents"),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report"),

@@ -1,0 +1,303 @@
+"""The client of language models against a real server on loopback, faults included."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from email.utils import format_datetime
+from typing import Any
+
+import pytest
+from model_server import KEY, Answer, Asked, Cut, Drip, Hang, Large, ModelServer, Raw, Say, StepClock, no_schema, status
+
+from sumo_adv.agents.chat import ChatReply, ChatRequest
+from sumo_adv.agents.ledger import Budget, Ledger
+from sumo_adv.agents.llm import connect, connect_embedder
+from sumo_adv.agents.presets import find_server
+from sumo_adv.config_model import ModelSettings
+from sumo_adv.errors import BudgetError, ModelError, UsageError
+
+SHAPE = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
+QUESTION = ChatRequest("analyzer", (("system", "Be brief."), ("user", "What?")))
+SHAPED = ChatRequest("analyzer", QUESTION.messages, SHAPE, "Thing")
+
+
+def answer(server: ModelServer, request: ChatRequest = QUESTION, **given: Any) -> tuple[ChatReply, Ledger, StepClock]:
+    ledger, clock = Ledger(), StepClock()
+    model = connect("test-model", server.settings(**given), ledger, clock=clock)
+    return model.complete(request), ledger, clock
+
+
+def failure(script: Any, **given: Any) -> tuple[str, Ledger, StepClock, ModelServer]:
+    """The message of a question that fails; the key is not in it."""
+    ledger, clock = Ledger(), StepClock()
+    with ModelServer(script) as server:
+        model = connect("test-model", server.settings(**given), ledger, clock=clock)
+        with pytest.raises(ModelError) as caught:
+            model.complete(QUESTION)
+    assert KEY not in str(caught.value) and KEY not in repr(caught.value)
+    assert f"127.0.0.1:{server.base_url.split(':')[2].split('/')[0]}" in str(caught.value)
+    return str(caught.value), ledger, clock, server
+
+
+def test_a_question_and_its_answer() -> None:
+    with ModelServer([Say("Braking.", reasoning="It is close.")]) as server:
+        reply, ledger, _ = answer(server, llm_temperature=0.5)
+    assert (reply.text, reply.reasoning, reply.retries, reply.mode) == ("Braking.", "It is close.", 0, "text")
+    (asked,) = server.asked
+    assert asked.headers["Authorization"] == f"Bearer {KEY}"
+    assert asked.body == {
+        "model": "test-model", "stream": False, "temperature": 0.5,
+        "messages": [{"role": "system", "content": "Be brief."}, {"role": "user", "content": "What?"}],
+    }  # fmt: skip
+    counts = {
+        "calls": 1, "prompt_tokens": 100, "completion_tokens": 10, "cached_tokens": 40, "seconds": 0.0, "retries": 0,
+        "re_asks": 0, "dropped": 0,
+    }  # fmt: skip
+    assert ledger.as_dict() == {**counts, "agents": {"analyzer": counts}}
+
+
+def test_reasoning_has_two_names_and_tokens_are_estimated_where_none_are_counted() -> None:
+    with ModelServer([Say("12345678", reasoning="why", reasoning_key="reasoning", usage=None)]) as server:
+        reply, _, _ = answer(server)
+    assert reply.reasoning == "why"
+    assert (reply.prompt_tokens, reply.completion_tokens) == (4, 3)  # 14 and 11 characters
+
+
+def test_a_shape_is_asked_for_strictly() -> None:
+    with ModelServer([Say({"a": 2})]) as server:
+        reply, _, _ = answer(server, SHAPED)
+    assert (reply.text, reply.mode) == ('{"a": 2}', "json_schema")
+    strict = {
+        "type": "object",
+        "properties": {"a": {"type": "integer"}},
+        "required": ["a"],
+        "additionalProperties": False,
+    }
+    assert server.asked[0].body["response_format"]["json_schema"] == {"name": "Thing", "strict": True, "schema": strict}
+    assert server.asked[0].system == "Be brief."
+    assert "default" in SHAPE["properties"]["a"]  # type: ignore[index]
+
+
+@pytest.mark.parametrize(
+    ("refused", "mode", "calls"), [(("json_schema",), "json_object", 2), (("json_schema", "json_object"), "text", 3)]
+)
+def test_what_a_server_understands_of_shapes_is_remembered(refused: tuple[str, ...], mode: str, calls: int) -> None:
+    with ModelServer(no_schema(Say({"a": 2}), refused)) as server:
+        model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
+        first, second = model.complete(SHAPED), model.complete(SHAPED)
+    assert (first.mode, first.retries, second.mode, second.retries) == (mode, calls - 1, mode, 0)
+    assert len(server.asked) == calls + 1
+    assert '"properties"' in server.asked[-1].system
+
+
+def test_a_400_for_other_reasons_says_so_and_changes_nothing() -> None:
+    with ModelServer([*[status(400, "the prompt is too long")] * 3, Say({"a": 1})]) as server:
+        model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
+        with pytest.raises(ModelError, match="too long"):
+            model.complete(SHAPED)
+        assert model.complete(SHAPED).mode == "json_schema"
+
+
+@pytest.mark.parametrize(
+    "fault", [status(500), status(503, "busy"), status(429), Cut(), Raw(200, b'{"choices": [{'), Raw(200, b"")]
+)
+def test_what_passes_is_asked_again(fault: Answer) -> None:
+    with ModelServer([fault, fault, Say("At last.")]) as server:
+        reply, ledger, clock = answer(server)
+    assert (reply.text, reply.retries, len(server.asked)) == ("At last.", 2, 3)
+    assert 0.25 <= clock.slept[0] <= 0.5 <= clock.slept[1] <= 1.0
+    assert ledger.as_dict()["retries"] == 2 and reply.seconds == round(sum(clock.slept), 3)
+
+
+def test_what_does_not_pass_ends_with_its_reason() -> None:
+    said, ledger, clock, server = failure(lambda asked: status(503, f"busy, {KEY}"))
+    assert "status 503: busy, ***, also after 3 retries" in said
+    assert len(server.asked) == 4 and ledger.as_dict()["calls"] == 1 and ledger.as_dict()["retries"] == 3
+    assert ledger.as_dict()["seconds"] == pytest.approx(sum(clock.slept), abs=0.001)
+
+
+def test_a_server_may_ask_for_patience() -> None:
+    later = format_datetime(datetime.now(UTC) + timedelta(seconds=90), usegmt=True)
+    faults = [status(429, Retry_After="7"), status(503, Retry_After=later), status(429, Retry_After="soon")]
+    with ModelServer([*faults, Say("Yes.")]) as server:
+        _, _, clock = answer(server)
+    assert clock.slept[0] == 7.0 and 80.0 < clock.slept[1] <= 90.0 and clock.slept[2] <= 2.0
+
+
+def test_but_not_for_more_than_a_question_has() -> None:
+    said, _, clock, server = failure([status(429, "slow down", Retry_After="60")], llm_question_seconds=30)
+    assert "slow down" in said and "60 s of patience; a question has 30 s" in said
+    assert clock.slept == [] and len(server.asked) == 1
+
+
+@pytest.mark.parametrize("fault", [Drip(), Drip(in_headers=True), Hang()])
+def test_a_deadline_is_over_everything(fault: Answer) -> None:
+    said, _, _, server = failure([fault], llm_question_seconds=0.3)
+    assert "did not answer within 0.3 s" in said and len(server.asked) == 1
+
+
+def test_a_silence_longer_than_the_read_timeout_is_tried_again() -> None:
+    with ModelServer([Hang(), Say("Here.")]) as server:
+        reply, _, _ = answer(server, llm_read_timeout=0.2)
+    assert (reply.text, reply.retries) == ("Here.", 1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        (Large(), "more than 2 MB"),
+        (Raw(200, b'{"hello": 1}'), "no choices"),
+        (Raw(200, b'{"choices": []}'), "no choices"),
+        (Raw(200, b'{"choices": [{"message": {"content": 5}}]}'), "no choices"),
+        (Raw(200, b'{"error": {"message": "model overloaded"}}'), "model overloaded"),
+        (Raw(200, b'{"choices": [{"message": {"content": null, "refusal": "I will not"}}]}'), "I will not"),
+        (status(401, f"bad key {KEY}"), r"set SUMO_ADV_LLM_API_KEY \(status 401: bad key \*\*\*"),
+        (status(403), "choose another model"),
+        (status(404, "no such model"), "check the name 'test-model'"),
+        (status(400, "no\n\x1b[31mgood"), "does not take the question .status 400: no .31mgood"),
+        (Raw(301, b"", {"Location": "http://elsewhere.invalid/"}), "sends us elsewhere"),
+        (Raw(418, b"<html>teapot</html>"), "teapot"),
+    ],
+)  # fmt: skip
+def test_what_will_not_change_is_not_asked_again(fault: Answer, says: str) -> None:
+    said, ledger, _, server = failure([fault])
+    assert re.search(says, said), said
+    assert len(server.asked) == 1 and "\n" not in said and "\x1b" not in said
+    assert ledger.as_dict()["calls"] == 1
+
+
+def test_no_server_is_said_at_once() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    clock = StepClock()
+    model = connect("ollama:llama3", ModelSettings(llm_base_url=f"http://localhost:{port}/v1"), Ledger(), clock=clock)
+    with pytest.raises(ModelError, match=f"localhost:{port} of model ollama:llama3 cannot be reached .*is it running"):
+        model.complete(QUESTION)
+    assert clock.slept == []
+
+
+def test_no_more_questions_at_once_than_allowed() -> None:
+    gate = threading.Barrier(2, timeout=20)
+
+    def script(asked: Asked) -> Answer:
+        gate.wait()
+        return "Yes."
+
+    with ModelServer(script) as server:
+        model = connect("test-model", server.settings(llm_concurrency=2), Ledger(), clock=StepClock())
+        threads = [threading.Thread(target=model.complete, args=(QUESTION,)) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert len(server.asked) == 6 and server.most_at_once == 2
+
+
+@pytest.mark.parametrize(
+    ("budget", "answered", "says"),
+    [
+        (Budget(calls=2), 2, "2 calls"),
+        (Budget(tokens=200), 1, r"200 tokens that a run may use \(110 are\)"),
+        (Budget(seconds=0), 0, "0 s"),
+    ],
+)
+def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answered: int, says: str) -> None:
+    long = ChatRequest("analyzer", (("user", "x" * 396),))  # 99 tokens
+    ledger = Ledger(budget)
+    with ModelServer(lambda asked: "Yes.") as server:
+        model = connect("test-model", server.settings(), ledger, clock=StepClock())
+        for _ in range(answered):
+            model.complete(long)
+        with pytest.raises(BudgetError, match=says):
+            model.complete(long)
+    assert len(server.asked) == ledger.as_dict()["calls"] == answered
+
+
+def test_the_runs_time_cuts_a_question_short() -> None:
+    with ModelServer([Hang()]) as server:
+        model = connect("test-model", server.settings(), Ledger(Budget(seconds=0.3)), clock=StepClock())
+        with pytest.raises(BudgetError, match="ended during a question"):
+            model.complete(QUESTION)
+
+
+def test_it_works_inside_a_running_event_loop() -> None:
+    async def ask() -> str:
+        return answer(server)[0].text
+
+    with ModelServer(["Yes."]) as server:
+        assert asyncio.run(ask()) == "Yes."
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "environment", "url", "authorized"),
+    [
+        ("deepseek-chat", {}, {"DEEPSEEK_API_KEY": "k1"}, "https://api.deepseek.com/v1", "k1"),
+        ("deepseek-reasoner", {"llm_api_key": "k2"}, {"DEEPSEEK_API_KEY": "k1"}, "https://api.deepseek.com/v1", "k2"),
+        ("gpt-5-mini", {}, {"OPENAI_API_KEY": " k3\n"}, "https://api.openai.com/v1", "k3"),
+        ("gpt-5-mini", {"llm_base_url": "http://h/v1/"}, {"OPENAI_API_KEY": "k3"}, "http://h/v1", None),
+        ("ollama:llama3:8b", {}, {"OPENAI_API_KEY": "k3"}, "http://localhost:11434/v1", None),
+        ("vllm:qwen/qwen3", {}, {}, "http://localhost:8000/v1", None),
+        ("llamacpp:any", {"llm_base_url": "http://gpu:9/v1"}, {}, "http://gpu:9/v1", None),
+        ("my-own", {"llm_base_url": "http://gpu:9/v1"}, {}, "http://gpu:9/v1", None),
+    ],
+)
+def test_names_lead_to_servers(
+    name: str, settings: dict[str, Any], environment: dict[str, str], url: str, authorized: str | None
+) -> None:
+    server = find_server(name, ModelSettings(**settings), environment)
+    assert server.base_url == url
+    assert (server.key.get_secret_value() if server.key else None) == authorized
+    assert server.model == name.split(":", 1)[-1]
+    assert authorized is None or authorized not in repr(server)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("gpt-5", "SUMO_ADV_LLM_API_KEY or OPENAI_API_KEY"),
+        ("something", "SUMO_ADV_LLM_BASE_URL"),
+        ("ollama:", "needs a name"),
+        ("replay:none.jsonl", "cannot be read"),
+    ],
+)
+def test_names_that_lead_nowhere_say_what_is_missing(name: str, says: str) -> None:
+    with pytest.raises(UsageError, match=says):
+        connect(name, ModelSettings(), Ledger(), environment={})
+
+
+def test_embeddings_come_in_the_order_of_the_texts() -> None:
+    with ModelServer(vectors=lambda text: [len(text), 1.0]) as server:
+        embedder = connect_embedder("embed", server.settings())
+        vectors = embedder.embed(["a" * n for n in range(1, 201)])
+    assert vectors.shape == (200, 2) and vectors[:, 0].tolist() == list(range(1, 201))
+    assert [len(asked.body["input"]) for asked in server.asked] == [128, 72]
+
+
+@pytest.mark.parametrize(
+    "vectors", [lambda text: [], lambda text: ["x"], lambda text: [1.0] * len(text)], ids=["empty", "words", "uneven"]
+)
+def test_embeddings_of_another_shape_are_refused(vectors: Callable[[str], Any]) -> None:
+    with ModelServer(vectors=vectors) as server:
+        embedder = connect_embedder("embed", server.settings(), clock=StepClock())
+        with pytest.raises(ModelError, match="no usable answer: its"):
+            embedder.embed(["a", "bb"])
+
+
+def test_the_wait_can_be_interrupted() -> None:
+    def press() -> None:
+        while not server.asked:
+            time.sleep(0.01)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+
+    with ModelServer([Hang()]) as server:
+        threading.Thread(target=press, daemon=True).start()
+        with pytest.raises(KeyboardInterrupt):
+            answer(server)
