@@ -178,7 +178,7 @@ def at_time(track: Track, when: float) -> Boxes:
 def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
     """Tracks on a common regular grid, as boxes ``(len(tracks), len(time))``; NaN where a vehicle is not there.
 
-    Tracks must lie on the same regular grid (any start, any end).
+    Tracks must lie on the same regular grid (any start, any end, steps left out between).
     """
     step = time[1] - time[0] if len(time) > 1 else 1.0
     state = np.full((4, len(tracks), len(time)), np.nan)
@@ -186,9 +186,16 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
         if not len(track.time):
             continue
         first = int(np.rint((track.time[0] - time[0]) / step))
+        sources = (track.x, track.y, track.heading, track.speed)
+        if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # it was away in between
+            at = np.rint((track.time - time[0]) / step).astype(np.intp)
+            there = (at >= 0) & (at < len(time))
+            for values, source in zip(state, sources, strict=True):
+                values[row, at[there]] = source[there]
+            continue
         low, high = max(first, 0), min(first + len(track.time), len(time))
         if high > low:
-            for values, source in zip(state, (track.x, track.y, track.heading, track.speed), strict=True):
+            for values, source in zip(state, sources, strict=True):
                 values[row, low:high] = source[low - first : high - first]
     sizes: list[NDArray[np.float64]] = [np.array([[getattr(t, n)] for t in tracks]) for n in ("length", "width")]
     return Boxes(state[0], state[1], state[2], state[3], sizes[0].reshape(-1, 1), sizes[1].reshape(-1, 1))

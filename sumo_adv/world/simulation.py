@@ -161,8 +161,13 @@ class Simulation:
 
     @property
     def api(self) -> Any:
-        """libsumo itself, for what only ``stage.py`` asks of it."""
+        """libsumo or the connection itself, for what only ``stage.py`` asks of it."""
         return self._sumo
+
+    @property
+    def errors(self) -> tuple[type[Exception], ...]:
+        """What ``api`` raises."""
+        return self._errors
 
     # -- reading ------------------------------------------------------------------------------------------------
 
