@@ -26,7 +26,8 @@ from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import make_planner
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import RunInput, first_departure, scan_demand
+from sumo_adv.world.inputs import RunInput
+from sumo_adv.world.scan import first_departure, scan_demand
 from sumo_adv.world.simulation import SimulationSpec
 
 MOST_SKIPS = 6  # encounters passed over for being out of reach

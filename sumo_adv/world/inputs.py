@@ -1,21 +1,18 @@
 """What a run may start from: a network, a SUMO configuration, a scenario, or the name of a shipped one.
 
-``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. SUMO's
-files are read as a stream (expat, gzip or not, no tree): 5 MB take about 0.1 s.
+``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. What is
+wrong with the files it names is found by ``scan.py``.
 """
 
 from __future__ import annotations
 
-import contextlib
-import gzip
-import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO, Literal, cast
-from xml.parsers import expat
+from typing import Literal
 
 from sumo_adv.errors import UsageError
+from sumo_adv.world.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.world.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
 
 _OPTIONS = {
@@ -25,8 +22,6 @@ _OPTIONS = {
     "begin": "begin", "b": "begin", "end": "end", "e": "end",
 }  # fmt: skip
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
-_Handler = Callable[[str, dict[str, str]], None]
-_DRIVING = ("vehicle", "trip", "flow")
 _SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
 
 
@@ -149,7 +144,7 @@ def _from_configuration(path: Path) -> RunInput:
     network = networks[0]
     routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
     _scan_all(path, network, (*routes, *additional))
-    begin, end = (_seconds(path, key, options.get(key)) for key in ("begin", "end"))
+    begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
     if end is not None and end <= (begin or 0.0):
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
     return RunInput(
@@ -167,7 +162,7 @@ def _configuration_options(path: Path) -> dict[str, str]:
         if tag in _OPTIONS and value:
             found[_OPTIONS[tag]] = value
 
-    _parse(path, start)
+    parse(path, start)
     return found
 
 
@@ -178,19 +173,6 @@ def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
         whole = configuration.parent / name.strip()
         found += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
     return tuple(found)
-
-
-def _seconds(path: Path, key: str, value: str | None) -> float | None:
-    """A time of a .sumocfg in s: a number, ``h:m:s`` or ``d:h:m:s``; negative means not given."""
-    if value is None:
-        return None
-    try:
-        seconds = 0.0
-        for part, factor in zip(reversed(value.split(":")), (1.0, 60.0, 3600.0, 86400.0), strict=False):
-            seconds += float(part) * factor
-    except ValueError as error:
-        raise UsageError(f"{path} has a bad {key} time '{value}': give seconds.") from error
-    return seconds if seconds >= 0.0 else None
 
 
 def _from_scenario(path: Path) -> RunInput:
@@ -245,118 +227,3 @@ def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...]) ->
         for vehicle in ids:
             if vehicle is not None and not any(scan.has(vehicle) for scan in scans):
                 raise UsageError(f"The scenario {path} names the {role} '{vehicle}', which is not in its demand files.")
-
-
-@dataclass(frozen=True, slots=True)
-class NetworkScan:
-    """Edges that are no part of a junction, and those of them with a lane for passenger cars."""
-
-    edges: frozenset[str]
-    drivable: frozenset[str]
-
-
-@dataclass(frozen=True, slots=True)
-class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (whose vehicles are ``flow.0``, ...)."""
-
-    edges: tuple[str, ...]
-    vehicles: frozenset[str]
-    flows: frozenset[str]
-
-    def has(self, vehicle: str) -> bool:
-        """Whether a vehicle of this id can come from the file."""
-        return vehicle in self.vehicles or vehicle.rpartition(".")[0] in self.flows
-
-
-def scan_network(path: Path) -> NetworkScan:
-    """The edges of the SUMO network ``path``.
-
-    Raises UsageError if it is damaged, is no SUMO network, or has no lane for passenger cars.
-    """
-    edges: set[str] = set()
-    drivable: set[str] = set()
-    root: list[str] = []
-    current = ""
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal current
-        if not root:
-            root.append(tag)
-            if tag != "net":
-                raise UsageError(f"{path} is not a SUMO network: its root element is <{tag}>, not <net>.")
-        if tag == "edge":
-            current = attributes.get("id", "") if attributes.get("function", "normal") == "normal" else ""
-            if current:
-                edges.add(current)
-        elif tag == "lane" and current and allows_passenger(attributes):
-            drivable.add(current)
-
-    _parse(path, start)
-    if not drivable:
-        raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
-    return NetworkScan(frozenset(edges), frozenset(drivable))
-
-
-def allows_passenger(lane: dict[str, str]) -> bool:
-    """Whether SUMO's ``allow``/``disallow`` attributes of a lane let a passenger car in."""
-    allow, disallow = lane.get("allow"), lane.get("disallow", "").split()
-    if allow is not None and allow.split() != ["all"]:
-        return "passenger" in allow.split()
-    return "passenger" not in disallow and "all" not in disallow
-
-
-def scan_demand(path: Path) -> DemandScan:
-    """The edges and vehicles of a SUMO route or additional file. Raises UsageError if it is damaged."""
-    edges: dict[str, None] = {}
-    vehicles: set[str] = set()
-    flows: set[str] = set()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        if tag == "route":
-            edges.update(dict.fromkeys(attributes.get("edges", "").split()))
-        elif tag in _DRIVING:
-            (flows if tag == "flow" else vehicles).add(attributes.get("id", ""))
-            for key in ("from", "via", "to"):
-                if key in attributes:
-                    edges.update(dict.fromkeys(attributes[key].split()))
-
-    _parse(path, start)
-    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows))
-
-
-def first_departure(files: Sequence[Path]) -> float:
-    """The earliest time [s] at which anything departs; 0 where no file says a time."""
-    times: list[float] = []
-
-    def see(tag: str, attributes: dict[str, str]) -> None:
-        if tag in _DRIVING:
-            said = attributes.get("depart", attributes.get("begin", ""))
-            with contextlib.suppress(UsageError):  # "triggered" and the like are no times
-                time = _seconds(files[0], "departure", said)
-                times.extend([] if time is None else [time])
-
-    for file in files:
-        _parse(file, see)
-    return min(times, default=0.0)
-
-
-def _parse(path: Path, start: _Handler) -> None:
-    """Feeds every element's start to ``start``; a damaged file is a UsageError."""
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = start
-    try:
-        with _open(path) as file:
-            parser.ParseFile(file)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise UsageError(f"{path} is a damaged or truncated gzip file: fetch or write it again.") from error
-    except expat.ExpatError as error:
-        raise UsageError(f"{path} is not valid XML (damaged or cut short): {error}.") from error
-    except OSError as error:
-        raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
-
-
-def _open(path: Path) -> BinaryIO:
-    """The file for reading, unpacked if it ends in .gz."""
-    if path.name.lower().endswith(".gz"):
-        return cast(BinaryIO, gzip.open(path, "rb"))
-    return path.open("rb")
