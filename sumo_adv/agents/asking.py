@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -23,6 +23,7 @@ ECHO = 6000  # characters of a refused answer that are sent back
 
 _THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
 _END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
+_OBJECT = re.compile(r'\{(?=\s*["}])')
 _FENCE = re.compile(r"```[a-zA-Z]*[ \t]*\n(.*?)```", re.DOTALL)
 
 
@@ -116,59 +117,49 @@ def without_thought(text: str) -> str:
 def read_answer(text: str, shape: type[T]) -> tuple[T | None, str | None]:
     """(answer, None), or (None, what is wrong): of the JSON objects in ``text`` the first that is of the shape, looked
     for in the whole text, in fences and in prose, the last ones first."""
-    fault: str | None = None
-    for value in _objects(text):
+    decoder = json.JSONDecoder(parse_constant=_no_number)
+    found, broken = _in_prose(text, decoder)
+    fault = broken
+    for value in (*_whole([text, *reversed(_FENCE.findall(text))], decoder), *reversed(found)):
         try:
             return shape.model_validate(value), None
         except ValidationError as error:
             fault = fault or _faults(error)
-    return None, fault or _no_object(text)
+    return None, fault or ("There is no JSON object in it." if text else "It is empty.")
 
 
-def _objects(text: str) -> Iterator[Any]:
-    for part in (text, *reversed(_FENCE.findall(text))):
+def _whole(parts: Iterable[str], decoder: json.JSONDecoder) -> Iterator[Any]:
+    for part in parts:
         try:
-            yield _decode(part)
+            yield decoder.decode(part)
         except (ValueError, RecursionError):
             continue
-    yield from reversed(list(_in_prose(text)))
 
 
-def _in_prose(text: str) -> Iterator[Any]:
-    decoder = json.JSONDecoder(parse_constant=_no_number)
-    at = text.find("{")
+def _in_prose(text: str, decoder: json.JSONDecoder) -> tuple[list[Any], str | None]:
+    """The objects between other words, and what is wrong with the first that begins like one and is none."""
+    found: list[Any] = []
+    broken: str | None = None
+    at = 0
     for _ in range(OBJECTS):
-        if at < 0:
-            return
+        begin = _OBJECT.search(text, at)
+        if begin is None:
+            break
         try:
-            value, end = decoder.raw_decode(text, at)
-            yield value
-        except (ValueError, RecursionError):
-            end = at + 1
-        at = text.find("{", end)
-
-
-def _decode(text: str) -> Any:
-    return json.loads(text, parse_constant=_no_number)
+            value, at = decoder.raw_decode(text, begin.start())
+            found.append(value)
+        except json.JSONDecodeError as error:
+            broken = broken or f"Its JSON cannot be read: {error}."
+            at = max(error.pos, begin.end())
+        except (ValueError, RecursionError) as error:
+            why = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
+            broken = broken or f"Its JSON cannot be read: {why}."
+            break
+    return found, broken
 
 
 def _no_number(word: str) -> float:
     raise ValueError(f"{word} is no number of JSON")
-
-
-def _no_object(text: str) -> str:
-    if not text:
-        return "It is empty."
-    if "{" not in text:
-        return "There is no JSON object in it."
-    start_at = text.find("{")
-    try:
-        _decode(text[start_at : text.rfind("}") + 1] or text[start_at:])
-    except RecursionError:
-        return "Its JSON is nested too deep."
-    except ValueError as error:
-        return f"Its JSON cannot be read: {error}."
-    return "Its JSON cannot be read."
 
 
 def _faults(error: ValidationError) -> str:

@@ -182,7 +182,7 @@ class Replay:
         if there == asked:
             return f"{said} {nearest.number}, is sample {nearest.sample} instead of {request.sample}."
         old, new = (repr(text[max(0, at - AROUND) : at + AROUND]) for text in (there, asked))
-        return f"{said} {nearest.number}, differs from character {at} on: {old} there, {new} asked."
+        return f"{said} {nearest.number}, differs from character {at + 1} on: {old} there, {new} asked."
 
 
 def _exchange(path: Path, number: int, line: str) -> Exchange:
