@@ -16,6 +16,9 @@ from sumo_adv.errors import UsageError
 SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
 
 
+BUILTIN = "builtin"
+
+
 class Until(StrEnum):
     """When an episode has succeeded."""
 
@@ -58,6 +61,15 @@ class Settings(ModelSettings, BaseSettings):
     attempts: int = Field(25, ge=1, le=10_000)
     ttc: float = Field(1.0, gt=0, le=20)
     tuner: Literal["builtin", "off"] = "builtin"
+    llm: str | None = None  # who plays analyzer, generator and modifier, but for those named below
+    analyzer: str | None = None
+    generator: str | None = None
+    modifier: str | None = None
+    fallback: Literal["builtin", "off"] = "off"
+    samples: int = Field(1, ge=1, le=50)
+    evidence: Literal["on", "off"] = "on"
+    generations: int = Field(3, ge=0, le=20)
+    instruction: str | None = None
     learn: Literal["on", "off"] = "on"
     recall: Literal["intent", "scene"] = "intent"
     memory: Path | None = None
@@ -100,6 +112,11 @@ class Settings(ModelSettings, BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Command line, environment, file."""
         return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _settings_file())
+
+    def player(self, role: str) -> str | None:
+        """The model named for analyzer, generator or modifier; None = the built-in expert."""
+        name: str | None = getattr(self, role) or self.llm
+        return None if name in (None, "", BUILTIN) else name
 
     def steps(self, seconds: float) -> int:
         """How many simulation steps a time is."""

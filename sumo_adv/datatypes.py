@@ -232,6 +232,28 @@ class Proposal:
 
 
 @dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What an attempt showed, for whoever changes the planner. Times in s after its start.
+
+    time: of the nearest approach; ego_frame, bv_frame: the other's centre ahead and to the left of the one named [m];
+    early: by how much the BV was there before the ego where their paths come together (negative: late), None if the
+    paths never do; ego_reaction: when the ego began to brake, None = never; ego_braking [m/s2, positive] and ego_shift
+    [m sideways]: the most it did; bound: names of the limits that the BV reached.
+    """
+
+    time: float
+    ego_frame: tuple[float, float]
+    bv_frame: tuple[float, float]
+    ego_speed: float
+    bv_speed: float
+    early: float | None
+    ego_reaction: float | None
+    ego_braking: float
+    ego_shift: float
+    bound: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Attempt:
     """One closed-loop run against the real ego."""
 
@@ -241,8 +263,8 @@ class Attempt:
     trigger_time: float
     verdict: Verdict
     ending: str  # contact | passed | time_limit | ego_left | planner_failed
-    tracks: Sequence[Track] = ()
     message: str = ""
+    diagnosis: Diagnosis | None = None
 
 
 @dataclass(frozen=True, slots=True)

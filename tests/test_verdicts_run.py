@@ -18,6 +18,7 @@ from shapely import box
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Track
+from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.loop import Episode, make_task, replay_episode, run_episode
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
@@ -72,7 +73,7 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         Sandbox() as sandbox,
         Engine(body) as engine,
     ):
-        episode = run_episode(given, settings, task, engine, sandbox, bank, lambda *_: None)
+        episode = run_episode(given, settings, task, engine, Cast(settings, sandbox), bank, lambda *_: None)
     yield write(episode, folder / "run")
 
 

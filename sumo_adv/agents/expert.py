@@ -95,8 +95,16 @@ class Expert:
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents, most dangerous first; where none of the library reaches the ego, new ones come first."""
+        """Predict, then rank."""
+        self.predict(situations, library)
+        return self.ranking(situations, library)
+
+    def predict(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
+        """Fill the pool: every way that applies, drawn and scored."""
         self.pool = self.draw(families(situations, library, self._allowed), self._count)
+
+    def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+        """The intents of the pool, most dangerous first; where none reaches the ego, new ones come first."""
         ranked = self._ranked(library)
         if not any(p.score < REACHES for p in self.pool) and not self._allowed:
             return compose(situations, library) + ranked
@@ -161,7 +169,7 @@ class ExpertGenerator:
     def __init__(self, make: MakePlanner) -> None:
         self._make = make
 
-    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> Planner | None:
+    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner | None:
         """A planner for one of ``NEW_INTENTS``; None for anything else or without an example to start from."""
         movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
         pattern = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
@@ -187,7 +195,7 @@ class ExpertModifier:
     def __init__(self, make: MakePlanner) -> None:
         self._make = make
 
-    def modify(self, planner: Planner, attempts: Sequence[Attempt]) -> Planner | None:
+    def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
         """Defaults become the nearest attempt's, changed by its diagnosis; bounds follow. None if nothing changed."""
         mine = [a for a in attempts if a.proposal.planner.hash == planner.hash]
         if not mine:

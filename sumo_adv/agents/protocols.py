@@ -32,7 +32,7 @@ class Generator(Protocol):
 
     name: str
 
-    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> Planner | None:
+    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner | None:
         """A planner, or None if it cannot write one."""
         ...
 
@@ -42,6 +42,9 @@ class Modifier(Protocol):
 
     name: str
 
-    def modify(self, planner: Planner, attempts: Sequence[Attempt]) -> Planner | None:
-        """A changed planner whose ``parent`` is the old one's hash, or None if there is nothing to change."""
+    def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
+        """A changed planner whose ``parent`` is the old one's hash, or None if there is nothing to change.
+
+        ``description``: of the planner's intent.
+        """
         ...

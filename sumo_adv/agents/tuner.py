@@ -7,22 +7,32 @@ when all that is promising is used up, new proposals are drawn.  At most ``share
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sumo_adv.agents.expert import REACHES, Expert, Family
 from sumo_adv.datatypes import Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
+RANK_PRICE = 0.3  # score a place in a model's ranking costs: a good candidate further down comes after a fair one above
 REDRAW, MOST_DRAWN = 60, 720
 DIVERSE_EVERY = 3
 
 
 class Tuner:
-    """Orders the pool of an expert's proposals."""
+    """Orders the pool of an expert's proposals. ``ranks``: (BV, label) -> place in an analyzer's ranking, where that is
+    not the pool's own; a later place, or none, has its price."""
 
     name = "builtin"
 
-    def __init__(self, expert: Expert, ways: Sequence[Family], *, share: int) -> None:
+    def __init__(
+        self,
+        expert: Expert,
+        ways: Sequence[Family],
+        *,
+        share: int,
+        ranks: Mapping[tuple[str, str], int] | None = None,
+    ) -> None:
+        self._ranks = dict(ranks or {})
         self._expert = expert
         self._ways = list(ways)
         self._share = share
@@ -37,6 +47,14 @@ class Tuner:
         self._ways += ways
         self.pool += self._expert.draw(ways, count)
 
+    def first_of(self, bv: str, label: str) -> Proposal | None:
+        """The best predicted way of an intent with its author's numbers, taken out of the pool, or None."""
+        planners = {w.planner.hash: w.planner.defaults() for w in self._ways}
+        mine = [
+            p for p in self.pool if (p.bv, p.label) == (bv, label) and dict(p.parameters) == planners[p.planner.hash]
+        ]
+        return self._take(min(mine, key=lambda p: p.score)) if mine else None
+
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
         open_ = self._open()
@@ -48,7 +66,9 @@ class Tuner:
             open_ = self._open()
         if not open_:
             return None
-        chosen = self._chosen(open_)
+        return self._take(self._chosen(open_))
+
+    def _take(self, chosen: Proposal) -> Proposal:
         self.pool.remove(chosen)
         self._count += 1
         self._tries[chosen.family] += 1
@@ -66,5 +86,9 @@ class Tuner:
         if self._count % DIVERSE_EVERY == DIVERSE_EVERY - 1:
             promising = [p for p in open_ if p.score < REACHES] or list(open_)
             least = min(self._tries[p.family] for p in promising)
-            return min((p for p in promising if self._tries[p.family] == least), key=lambda p: p.score)
-        return min(open_, key=lambda p: p.score + TRIED_PRICE * self._tries[p.family])
+            return min((p for p in promising if self._tries[p.family] == least), key=self._price)
+        return min(open_, key=lambda p: self._price(p) + TRIED_PRICE * self._tries[p.family])
+
+    def _price(self, p: Proposal) -> float:
+        """The predicted score, and what the analyzer's order adds to it."""
+        return p.score + RANK_PRICE * self._ranks.get((p.bv, p.label), len(self._ranks))

@@ -33,10 +33,10 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Add what the bank lacks of an export. If a planner fails in the sandbox, nothing is added."""
-    from sumo_adv.planning.trial import trier
     from sumo_adv.errors import UsageError
     from sumo_adv.memory.exchange import import_bank
     from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planning.trial import trier
 
     with open_bank(memory) as bank, Sandbox() as sandbox:
         added, refused = import_bank(bank, folder, parse_parameters, trier(sandbox), skip_refused=skip)

@@ -38,6 +38,24 @@ def run(
     attempts: Annotated[int | None, typer.Option(help="At most so many attempts [default: 25].")] = None,
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
+    llm: Annotated[
+        str | None,
+        typer.Option(help="A language model for all three parts: deepseek-chat, ollama:NAME, replay:FILE .."),
+    ] = None,
+    analyzer: Annotated[str | None, typer.Option(help="builtin or a model, for this part alone.")] = None,
+    generator: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
+    modifier: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
+    fallback: Annotated[
+        str | None, typer.Option(help="builtin: the expert goes on where a model fails [default: off].")
+    ] = None,
+    samples: Annotated[int | None, typer.Option(help="Ask the analyzer's model so many times [default: 1].")] = None,
+    evidence: Annotated[str | None, typer.Option(help="on or off: show a model the predictor's figures.")] = None,
+    instruction: Annotated[
+        str | None, typer.Option(help="In words, how generated planners are to shape their trajectories.")
+    ] = None,
+    show_prompts: Annotated[
+        bool, typer.Option("--show-prompts", help="Print what a model would be asked here, and ask nothing.")
+    ] = False,
     learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
     recall: Annotated[
         str | None, typer.Option(help="intent, or scene: try first what worked in a like scene, asking nobody.")
@@ -70,15 +88,22 @@ def run(
     settings = load_settings(
         settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
-        memory=memory, seed=seed,
-        density=density, horizon=given.horizon, fork=False if no_fork else None,
+        memory=memory, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
+        fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
+        horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
+    if show_prompts:
+        from sumo_adv.cli.prompts import show
+
+        show(given, settings, as_json=as_json)
+        return
     target = out or Path("runs") / f"{given.name}-{settings.seed}"
     _run(given, settings, target, force=force, as_json=as_json)
 
 
 def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
+    from sumo_adv.cli.models import cast_of
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.episode.loop import make_task, run_episode
     from sumo_adv.episode.worker import body
@@ -86,6 +111,7 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
     from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.folder import staged
+    from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.world.engine import Engine
     from sumo_adv.world.inputs import data_folder
 
@@ -100,11 +126,12 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
         with (
             MemoryBank.open(bank_path, seed_from=data_folder("memory_bank.sqlite")) as bank,
             Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
+            cast_of(settings, sandbox, folder.stage / MODEL_FILE) as cast,
             Engine(body) as engine,
             reporter,
         ):
             tell = interrupts.checked(reporter.tell)
-            episode = run_episode(given, settings, task, engine, sandbox, bank, tell)
+            episode = run_episode(given, settings, task, engine, cast, bank, tell)
             interrupts.hold()
         _finish(folder, episode, force=force, as_json=as_json)
 

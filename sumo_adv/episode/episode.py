@@ -8,6 +8,7 @@ from typing import Any
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent
+from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.refine import Refinement
 from sumo_adv.episode.task import Found, Prefix, Task
 from sumo_adv.world.inputs import RunInput
@@ -32,7 +33,7 @@ class Episode:
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
     isolation: str = ""
     bank_hash: str = ""
-    calls: dict[str, int] = field(default_factory=lambda: {"analyzer": 0, "generator": 0, "modifier": 0})
+    cast: Cast | None = None  # None in a replay: nobody was asked
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
     notes: list[str] = field(default_factory=list)

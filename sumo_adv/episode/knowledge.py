@@ -9,8 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.expert import ExpertGenerator, applies_of
+from sumo_adv.agents.expert import applies_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.refine import rank
 from sumo_adv.episode.task import Found
@@ -19,9 +20,9 @@ from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.recall import recall_scene, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
-from sumo_adv.planning.source import make_planner
 from sumo_adv.situation import Situation
 
+CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
 EVIDENCE = 0.3  # score: what evidence can add to or take from a prediction
 
 
@@ -84,29 +85,50 @@ def _remembered(library: Sequence[LibraryEntry], evidence: Evidence) -> tuple[Li
 
 
 def retrieve(
-    episode: Episode, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
+    episode: Episode, cast: Cast, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> list[LibraryEntry]:
-    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner."""
+    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner; an intent
+    that is known by another label gets that one.
+
+    Raises:
+        ModelError: a model plays the analyzer or the generator and failed.
+    """
     entries, known = list(library), {e.label: e for e in library}
-    began = time.perf_counter()
-    for intent in episode.intents:
+    for intent in tuple(episode.intents):
         if intent.label in known:
             continue
-        hit = bank.retrieve(intent.label, intent.description).hit
-        words = applies_of(intent.label)
+        began = time.perf_counter()
+        found = bank.retrieve(intent.label, intent.description)
+        episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
+        near = [known[label] for label, _ in found.nearest if label in known]
+        hit = found.hit
+        if found.band and near and cast.by_model("analyzer"):
+            hit = cast.confirm(intent, near[:CONFIRMED])
+        words = situation.targets[intent.bv].applies()
         if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
             entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
             entries = [entry if e.label == hit else e for e in entries]
-            known[hit] = known[intent.label] = entry
+            known[hit] = entry
+            episode.intents = [replace(i, label=hit) if i.label == intent.label else i for i in episode.intents]
             continue
-        episode.calls["generator"] += 1
-        planner = ExpertGenerator(make_planner).generate(intent, situation, library)
+        planner = cast.generate(intent, situation, near or library)
         if planner is not None:
-            entry = LibraryEntry(intent.label, intent.description, words, (planner,), "generated")
+            own = applies_of(intent.label) or words
+            entry = LibraryEntry(intent.label, intent.description, own, (planner,), "generated")
             known[intent.label] = entry
             entries.append(entry)
-    episode.timing["retrieval"] = time.perf_counter() - began
     return entries
+
+
+def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:
+    """What the bank knows of each intent in encounters of this geometry against this driver, in words."""
+    found, key = {}, (now.geometry, now.controller)
+    for entry in library:
+        like = [e for e in bank.evidence(entry.label) if (e.scene.geometry, e.scene.controller) == key]
+        if like:
+            good, valid = sum(e.success for e in like), sum(e.valid is True for e in like)
+            found[entry.label] = f"{len(like)} times tried, {good} times critical, {valid} times an avoidable collision"
+    return found
 
 
 def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:

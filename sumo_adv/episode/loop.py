@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.expert import REACHES, Expert, ExpertModifier
+from sumo_adv.agents.expert import REACHES, Expert
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import evidence_bias, learn, read_library, recall, retrieve, signature
+from sumo_adv.episode.knowledge import evidence_bias, learn, read_library, recall, remembered, retrieve, signature
 from sumo_adv.episode.refine import NOTHING, Refiner, succeeded
 from sumo_adv.episode.task import Found, NotFound, Task
-from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import RunInput
@@ -65,19 +66,21 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
 
 
 def run_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell
+    source: RunInput, settings: Settings, task: Task, engine: Engine, cast: Cast, bank: MemoryBank, tell: Tell
 ) -> Episode:
     """The whole loop. Only wrong use is raised; everything else is an ending.
 
     Raises:
         UsageError, BankError: found to be wrong use once the simulation ran (an unknown ego, a broken driver class).
     """
-    episode = Episode(source, settings, task, bank_hash=bank.content_hash())
+    episode = Episode(source, settings, task, bank_hash=bank.content_hash(), cast=cast)
     began = time.perf_counter()
     try:
-        _run(episode, engine, sandbox, bank, tell)
+        _run(episode, engine, cast, bank, tell)
     except KeyboardInterrupt:
         episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
+    except ModelError as error:
+        episode.ending, episode.reason = _model_ending(error), str(error)
     except SumoAdvError as error:
         if error.exit_status == 2:
             raise
@@ -92,64 +95,106 @@ def run_episode(
     return episode
 
 
-def _run(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> None:
-    settings, timing = episode.settings, episode.timing
-    while True:
-        found = seek(episode, engine, tell)
-        if found is None:
-            return
-        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-        now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
-        library, episode.bandit = read_library(bank, now, settings.seed)
-        expert, entries = analyze(episode, found, foresight, library, bank)
-        if any(p.score < REACHES for p in expert.pool) or episode.task.trigger is not None:
-            break
-        if episode.skips == MOST_SKIPS:
-            break
-        episode.skips += 1
+def _model_ending(error: ModelError) -> Ending:
+    return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
+
+
+def _run(episode: Episode, engine: Engine, cast: Cast, bank: MemoryBank, tell: Tell) -> None:
+    settings, timing, sandbox = episode.settings, episode.timing, cast.sandbox
+    met = meet(episode, engine, sandbox, bank, tell)
+    if met is None:
+        return
+    found, expert, library = met.found, met.expert, met.library
+    entries: Sequence[LibraryEntry] = library
+    if met.known is not None:  # a like scene has evidence: nobody is asked
+        episode.intents = [met.known]
+    else:
+        entries = analyze(episode, met, cast, bank)
     if not expert.pool:
         episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
         return
     tell("intents", episode.intents)
     brain = Brain(engine, sandbox, found, settings.seed)
-    refiner = Refiner(
-        brain, found, expert, ExpertModifier(make_planner), entries, settings, lambda a: tell("attempt", a)
-    )
+    refiner = Refiner(brain, found, expert, cast, entries, settings, lambda a: tell("attempt", a))
     try:
         refiner.run(episode.intents, episode.refinement)
+        episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
+    except ModelError as error:  # what was tried until then counts
+        episode.ending, episode.reason = _model_ending(error), str(error)
     finally:  # also of what was interrupted or failed
         _keep_intent(episode, library)
-        episode.calls["modifier"] = refiner.modifier_calls
         episode.isolation = sandbox.isolation
-        timing["prediction"] = timing.get("prediction", 0.0) + foresight.seconds
+        timing["prediction"] = timing.get("prediction", 0.0) + met.foresight.seconds
         timing["attempts"] = episode.refinement.seconds
-        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in foresight.failures.items())
-    episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
+        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in met.foresight.failures.items())
     learn(episode, bank, entries)
 
 
-def analyze(
+@dataclass(frozen=True, slots=True)
+class Met:
+    """An encounter with its predictions. ``known``: the intent that worked in a like scene, where that is recalled."""
+
+    found: Found
+    foresight: Foresight
+    library: Sequence[LibraryEntry]
+    scene: SceneSignature
+    expert: Expert
+    known: Intent | None
+
+
+def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> Met | None:
+    """The first encounter that an intent reaches, by prediction; None if there is none (the episode says why)."""
+    settings = episode.settings
+    while True:
+        found = seek(episode, engine, tell)
+        if found is None:
+            return None
+        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+        now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
+        library, episode.bandit = read_library(bank, now, settings.seed)
+        expert, known = foresee(episode, found, foresight, library, bank)
+        reached = known is not None or any(p.score < REACHES for p in expert.pool)
+        if reached or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
+            return Met(found, foresight, library, now, expert, known)
+        episode.skips += 1
+
+
+def foresee(
     episode: Episode, found: Found, foresight: Foresight, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> tuple[Expert, Sequence[LibraryEntry]]:
-    """The intents of an encounter, and the library with what was retrieved or generated for new ones."""
-    began = time.perf_counter()
+) -> tuple[Expert, Intent | None]:
+    """The expert with its predictions of an encounter; or, with ``recall = scene``, what worked in a like scene."""
     settings = episode.settings
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
         bias=evidence_bias(episode.bandit),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
-    if known is not None:  # a like scene has evidence: nobody is asked
-        episode.intents, expert.pool = [known[0]], [known[1]]
-        entries = library
-    else:
-        episode.calls["analyzer"] += 1
-        episode.intents = expert.analyze(found.situations, library)
-        entries = retrieve(episode, found.first, library, bank)
-        if entries != library:
-            expert.analyze(found.situations, entries)
-    episode.timing["analyzer"] = episode.timing.get("analyzer", 0.0) + time.perf_counter() - began
-    return expert, entries
+    if known is not None:
+        expert.pool = [known[1]]
+        return expert, known[0]
+    expert.predict(found.situations, library)
+    return expert, None
+
+
+def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence[LibraryEntry]:
+    """Fill in the intents of an encounter; the library with what was retrieved or generated for new ones.
+
+    Raises:
+        ModelError: a model plays a part and failed.
+    """
+    began = time.perf_counter()
+    situations, library = met.found.situations, met.library
+    try:
+        episode.intents = cast.analyze(
+            met.expert, situations, library, allowed=episode.source.intents,
+            remembered=remembered(bank, library, met.scene),
+        )  # fmt: skip
+        entries = retrieve(episode, cast, met.found.first, library, bank)
+    finally:
+        episode.timing["analyzer"] = time.perf_counter() - began
+    if entries != library:
+        met.expert.predict(situations, entries)
+    return entries
 
 
 def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
@@ -189,7 +234,7 @@ def replay_episode(
         )
     result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
     verdict = result.verdict or NOTHING
-    attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, (), result.driven.message)
+    attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
     ok = succeeded(verdict, settings.until)

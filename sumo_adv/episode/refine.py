@@ -10,11 +10,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from sumo_adv.agents.expert import Expert, ExpertModifier, Family, families
+from sumo_adv.agents.expert import Expert, Family, families
 from sumo_adv.agents.tuner import Tuner
 from sumo_adv.config import Settings, Until
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
 from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.cast import Cast
+from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult, Found
 
 AT_ONCE = 2  # attempts that run at the same time after the first; the same whether or not they can be forked
@@ -68,17 +70,17 @@ class Refiner:
         brain: Brain,
         found: Found,
         expert: Expert,
-        modifier: ExpertModifier,
+        cast: Cast,
         library: Sequence[LibraryEntry],
         settings: Settings,
         tell: Callable[[Attempt], None],
     ) -> None:
-        self._brain, self._found, self._expert, self._modifier = brain, found, expert, modifier
+        self._brain, self._found, self._expert, self._cast = brain, found, expert, cast
         self._library, self._settings, self._tell = library, settings, tell
         self._versions: dict[str, int] = {}  # planner hash -> how often it was modified on the way to it
         self._asked: set[str] = set()
-        self.modifier_calls = 0
         self._new: dict[str, Planner] = {}
+        self._proposed: list[Proposal] = []  # a model's own, tried first
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Attempts until success, kept in ``found`` as they come; ``intents`` as ranked by the analyzer."""
@@ -88,7 +90,7 @@ class Refiner:
             remembered = [p for p in self._expert.pool if p.by == "memory"]
             source: Tuner | list[Proposal] = _untuned(intents, ways, remembered)
         else:
-            source = Tuner(self._expert, ways, share=self._settings.per_planner)
+            source = self._tuner(intents, ways)
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(source, ways, found)
             if not plans:
@@ -100,13 +102,26 @@ class Refiner:
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         found.seconds = time.perf_counter() - began
 
+    def _tuner(self, intents: Sequence[Intent], ways: Sequence[Family]) -> Tuner:
+        """The inner loop; where a model ranked the intents, in its order, its first ones as it proposed them."""
+        modelled = self._cast.by_model("analyzer") and not any(p.by == "memory" for p in self._expert.pool)
+        ranks = {(i.bv, i.label): k for k, i in enumerate(intents)} if modelled else {}
+        tuner = Tuner(self._expert, ways, share=self._settings.per_planner, ranks=ranks)
+        for intent in intents[: AT_ONCE if self._cast.undecided else 1] if modelled else ():
+            proposal = tuner.first_of(intent.bv, intent.label)
+            if proposal is not None:
+                self._proposed.append(replace(proposal, acceleration=_number(intent.acceleration)))
+        return tuner
+
     def _next(self, source: Tuner | list[Proposal], ways: Sequence[Family], found: Refinement) -> list[Proposal]:
         left = self._settings.attempts - len(found.attempts)
-        count = min(1 if not found.attempts else AT_ONCE, left)
+        count = min(AT_ONCE if found.attempts or self._cast.undecided else 1, left)
         if isinstance(source, list):
             if not source:
                 source += self._rewritten(ways, found)
             return [source.pop(0) for _ in range(min(count, len(source)))]
+        if not found.attempts and self._proposed:
+            return self._proposed[: min(AT_ONCE, left)]
         plans: list[Proposal] = []
         self._modify(source, ways, found)
         while len(plans) < count and (proposal := source.next()) is not None:
@@ -127,25 +142,31 @@ class Refiner:
         return False
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
-        modified = self._versions.get(proposal.planner.hash, 0) > 0
-        untuned = index == 0 or self._settings.tuner == "off"
-        phase = "modifier" if modified else ("analyzer" if untuned else "tuner")
-        by = "tuner" if phase == "tuner" else "expert"
-        if proposal.by == "memory":
-            phase = by = "memory"
+        phase, by = self._credit(index, proposal)
         verdict = result.verdict or NOTHING
         if result.driven.ending == "planner_failed":
             verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
-        return Attempt(
-            index,
-            phase,
-            replace(proposal, by=by),
-            result.start,
-            verdict,
-            result.driven.ending,
-            (),
-            result.driven.message,
+        situation, settings = self._found.situations[proposal.delay], self._settings
+        diagnosis = diagnose(
+            result, self._found.ego, proposal.bv, situation.ego_path, settings.limits.limits(), settings.step_length
         )
+        return Attempt(
+            index, phase, replace(proposal, by=by), result.start, verdict, result.driven.ending,
+            result.driven.message, diagnosis,
+        )  # fmt: skip
+
+    def _credit(self, index: int, proposal: Proposal) -> tuple[str, str]:
+        """The phase of an attempt and who proposed it; what the tuner drew is never credited to a model."""
+        if proposal.by == "memory":
+            return "memory", "memory"
+        own = dict(proposal.parameters) == proposal.planner.defaults()
+        if self._versions.get(proposal.planner.hash, 0) > 0:
+            return "modifier", proposal.planner.origin if own else "tuner"
+        proposed = any(proposal is p for p in self._proposed)
+        by_expert = index == 0 and not self._cast.by_model("analyzer")
+        if proposed or by_expert or self._settings.tuner == "off":
+            return "analyzer", self._cast.player("analyzer")
+        return "tuner", "tuner"
 
     def _modify(self, tuner: Tuner, ways: Sequence[Family], found: Refinement) -> None:
         """Have planners whose share is used up rewritten, at most ``modifications`` times in a line."""
@@ -161,7 +182,7 @@ class Refiner:
         for tried in {a.proposal.planner.hash: a.proposal for a in found.attempts}.values():
             changed = self._changed(tried.planner.hash, ways, found)
             if changed is not None:
-                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by="expert"))
+                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by=changed.origin))
         return plans
 
     def _changed(self, name: str, ways: Sequence[Family], found: Refinement) -> Planner | None:
@@ -171,8 +192,8 @@ class Refiner:
         if name in self._asked or depth >= self._settings.modifications or name not in known:
             return None
         self._asked.add(name)
-        self.modifier_calls += 1
-        changed = self._modifier.modify(known[name], found.attempts)
+        entry = next(e for e in self._library if e.label == known[name].label)
+        changed = self._cast.modify(known[name], found.attempts, entry)
         if changed is not None:
             self._versions[changed.hash] = depth + 1
             self._new[changed.hash] = changed
@@ -194,9 +215,13 @@ def _untuned(intents: Sequence[Intent], ways: Sequence[Family], remembered: Sequ
     order, at the earliest moment there is."""
     plans = list(remembered)
     for intent in intents:
-        knots = intent.acceleration
-        acceleration = float(knots[0][1]) if isinstance(knots, tuple) else float(knots)
+        acceleration = _number(intent.acceleration)
         mine = [w for w in ways if w.entry.label == intent.label and w.target.state.id == intent.bv]
         earliest = min((w.delay for w in mine), default=0.0)
         plans += [replace(w.proposal(None), acceleration=acceleration) for w in mine if w.delay == earliest]
     return plans
+
+
+def _number(acceleration: float | tuple[tuple[float, float], ...]) -> float:
+    """The first knot's, where there are several."""
+    return float(acceleration[0][1]) if isinstance(acceleration, tuple) else float(acceleration)

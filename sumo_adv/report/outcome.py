@@ -5,15 +5,20 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
+from sumo_adv.agents.expert import NAME
+from sumo_adv.agents.ledger import Ledger
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict
+from sumo_adv.episode.cast import ROLES
 from sumo_adv.episode.episode import Episode
 
 SCHEMA = 1
+MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
 
 
@@ -39,19 +44,39 @@ def outcome(
             "time": number(found.time), "passed_over": list(found.passed_over),
             "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
         },
-        "agents": {
-            "analyzer": "expert", "generator": "expert", "modifier": "expert", "tuner": settings.tuner,
-            "note": EXPERT_NOTE, "calls": episode.calls,
-        },
+        "agents": _agents(episode),
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "best": episode.refinement.best, "until": str(settings.until),
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "realism": dict(realism or {}), "timing": _timing(episode),
-        "llm": {"model": None, "calls": 0, "prompt_tokens": 0, "completion_tokens": 0, "seconds": 0.0},
+        "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
     }  # fmt: skip
+
+
+def _agents(episode: Episode) -> dict[str, Any]:
+    """Who played which part. The built-in expert is never presented as a language model."""
+    cast = episode.cast
+    players = {role: NAME if cast is None else cast.player(role) for role in ROLES}
+    models = sorted({m.name for m in cast.models.values()}) if cast is not None else []
+    note = EXPERT_NOTE
+    if models:
+        parts = ", ".join(f"{role} {player}" for role, player in players.items())
+        note = f"Parts played at the end: {parts}; predictions and tuner are built in."
+    return {
+        **players, "tuner": episode.settings.tuner, "note": note,
+        "calls": dict.fromkeys(ROLES, 0) if cast is None else cast.calls,
+        "failed": {} if cast is None else cast.failed, "analysis": {} if cast is None else cast.analysis,
+    }  # fmt: skip
+
+
+def _llm(episode: Episode) -> dict[str, Any]:
+    """The ledger; ``model`` names those that took part, null for none."""
+    cast = episode.cast
+    names = sorted({m.name for m in cast.models.values()}) if cast is not None else []
+    return {"model": ", ".join(names) or None, **(Ledger() if cast is None else cast.ledger).as_dict()}
 
 
 def episode_ego(episode: Episode) -> str | None:
@@ -96,6 +121,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
         "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
+        "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
 
 
@@ -114,6 +140,7 @@ def versions() -> dict[str, str]:
 def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
     task, best = episode.task, episode.best
+    asked = episode.cast if episode.cast is not None and episode.cast.models else None
     used = {a.proposal.planner.hash: a.proposal.planner for a in episode.refinement.attempts}
     spec = task.spec
     return {
@@ -125,7 +152,9 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "skips": episode.skips,
         "intents_allowed": list(episode.source.intents),
-        "bank_hash": episode.bank_hash, "bandit": episode.bandit, "model_answers": [],
+        "bank_hash": episode.bank_hash, "bandit": episode.bandit,
+        "model_answers": None if asked is None else MODEL_FILE,
+        "prompts": None if asked is None else asked.prompts.versions,
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
     }  # fmt: skip

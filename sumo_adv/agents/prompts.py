@@ -1,0 +1,102 @@
+"""The prompts: one file an agent in ``prompts/``, filled in strictly, versioned.
+
+A file begins with ``version: N``; ``=== system`` and ``=== user`` begin its two parts (a file without them is a piece
+that others use).  ``$name`` is a variable; one that is missing or left over is an error, never an empty place.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+
+from sumo_adv.agents.chat import estimate_tokens
+from sumo_adv.errors import UsageError
+
+NAMES = ("analyzer", "confirm", "generator", "modifier", "planner")
+MOST_TEXT = 400  # characters of a label or description that stands in a prompt
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """What one agent is sent."""
+
+    agent: str
+    system: str
+    user: str
+
+    @property
+    def tokens(self) -> int:
+        """About how many tokens both parts are."""
+        return estimate_tokens((("system", self.system), ("user", self.user)))
+
+
+def tame(text: str) -> str:
+    """A text from a bank, a file or a person as one line of data: no control characters, no fences, not too long."""
+    line = re.sub(r"\s+", " ", "".join(c if c.isprintable() else " " for c in text))
+    return line.replace("```", "'''").strip()[:MOST_TEXT]
+
+
+class Prompts:
+    """All prompt files of a folder.
+
+    Raises:
+        UsageError: a file is missing, has no version or lacks a part.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._parts: dict[str, tuple[str, str]] = {}
+        self._versions: dict[str, dict[str, str]] = {}
+        for name in NAMES:
+            file = folder / f"{name}.md"
+            try:
+                text = file.read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise UsageError(f"The prompt {file} cannot be read ({error}); reinstall the package.") from error
+            head, _, body = text.partition("\n")
+            if not re.fullmatch(r"version: \d+", head):
+                raise UsageError(f"The prompt {file} must begin with 'version: N'.")
+            digest = hashlib.sha256(text.encode()).hexdigest()
+            self._versions[name] = {"version": head.removeprefix("version: "), "sha256": digest}
+            self._parts[name] = _split(file, body)
+
+    @property
+    def versions(self) -> Mapping[str, Mapping[str, str]]:
+        """Version and SHA-256 of each file, for the manifest."""
+        return self._versions
+
+    def piece(self, name: str, **variables: str) -> str:
+        """A file without parts, filled in."""
+        return _filled(name, self._parts[name][0], variables, set(variables))
+
+    def render(self, name: str, **variables: str) -> Prompt:
+        """Both parts of a file, filled in. Raises KeyError for a variable that is missing or used nowhere."""
+        system, user = self._parts[name]
+        return Prompt(name, *(_filled(name, part, variables, _used(system) | _used(user)) for part in (system, user)))
+
+
+def _split(file: Path, body: str) -> tuple[str, str]:
+    if "=== system\n" not in body:
+        return body.strip(), ""
+    _, _, rest = body.partition("=== system\n")
+    system, found, user = rest.partition("=== user\n")
+    if not found:
+        raise UsageError(f"The prompt {file} lacks its part '=== user'.")
+    return system.strip(), user.strip()
+
+
+def _used(text: str) -> set[str]:
+    return set(Template(text).get_identifiers())
+
+
+def _filled(name: str, text: str, variables: Mapping[str, str], known: set[str]) -> str:
+    unknown = sorted(set(variables) - known)
+    if unknown:
+        raise KeyError(f"The prompt '{name}' has no variable {', '.join(unknown)}.")
+    missing = sorted(_used(text) - set(variables))
+    if missing:
+        raise KeyError(f"The prompt '{name}' lacks a value for {', '.join(missing)}.")
+    return Template(text).substitute(variables)

@@ -1,0 +1,100 @@
+"""``run --show-prompts``: what a model would be asked about an encounter, without asking anybody."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from sumo_adv.config import Settings
+
+if TYPE_CHECKING:
+    from sumo_adv.agents.prompts import Prompt
+    from sumo_adv.episode.loop import Met
+    from sumo_adv.world.engine import Engine
+    from sumo_adv.world.inputs import RunInput
+
+
+def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
+    """Print the analyzer's prompt, the generator's as if the first intent were new, and the modifier's after one
+    attempt of the expert's."""
+    prompts = _prompts(given, settings)
+    if as_json:
+        told = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
+        typer.echo(json.dumps({"prompts": told}))
+        return
+    for p in prompts:
+        typer.echo(f"==== {p.agent}: system\n{p.system}\n\n==== {p.agent}: user\n{p.user}\n")
+    typer.echo("About (a quarter of the characters): " + ", ".join(f"{p.agent} {p.tokens} tokens" for p in prompts))
+
+
+def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
+    from sumo_adv.episode.cast import Cast
+    from sumo_adv.episode.episode import Episode
+    from sumo_adv.episode.loop import make_task, meet
+    from sumo_adv.episode.worker import body
+    from sumo_adv.errors import UsageError
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.world.engine import Engine
+    from sumo_adv.world.inputs import data_folder
+
+    path = settings.memory or default_bank_path()
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
+        with (
+            MemoryBank.open(path, seed_from=data_folder("memory_bank.sqlite")) as bank,
+            Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
+            Engine(body) as engine,
+        ):
+            met = meet(episode, engine, sandbox, bank, lambda *_: None)
+            if met is None or not met.expert.pool:
+                raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
+            return [_analyzer(episode, met, bank), *_writers(met, settings, Cast(settings, sandbox), engine)]
+
+
+def _analyzer(episode: Any, met: Met, bank: Any) -> Prompt:
+    from sumo_adv.agents.analyzer import analyzer_prompt
+    from sumo_adv.agents.evidence import evidence_words
+    from sumo_adv.cli.models import shipped_prompts
+    from sumo_adv.episode.knowledge import remembered
+
+    settings, allowed = episode.settings, episode.source.intents
+    known = remembered(bank, met.library, met.scene)
+    evidence = partial(evidence_words, met.expert.pool, library=met.library, remembered=known)
+    library = [e for e in met.library if not allowed or e.label in allowed]
+    return analyzer_prompt(
+        shipped_prompts(), met.found.first, library, settings.limits.limits(),
+        evidence if settings.evidence == "on" else None,
+    )  # fmt: skip
+
+
+def _writers(met: Met, settings: Settings, cast: Any, engine: Engine) -> list[Prompt]:
+    from sumo_adv.agents.generator import generator_prompt
+    from sumo_adv.agents.modifier import modifier_prompt
+    from sumo_adv.cli.models import shipped_prompts
+    from sumo_adv.episode.brain import Brain
+    from sumo_adv.episode.refine import Refinement, Refiner
+    from sumo_adv.planning.source import HELPERS_TEXT
+
+    prompts, limits = shipped_prompts(), settings.limits.limits()
+    intent = met.expert.ranking(met.found.situations, met.library)[0]
+    near = sorted(met.library, key=lambda e: e.label != intent.label)
+    generator = generator_prompt(prompts, intent, met.found.first, near, limits, HELPERS_TEXT, settings.instruction)
+    once = settings.model_copy(update={"attempts": 1})
+    found = Refinement()
+    brain = Brain(engine, cast.sandbox, met.found, settings.seed)
+    Refiner(brain, met.found, met.expert, cast, met.library, once, lambda _: None).run([intent], found)
+    if not found.attempts:
+        return [generator]
+    planner = found.attempts[0].proposal.planner
+    described = {e.label: e.description for e in met.library}
+    modifier = modifier_prompt(
+        prompts, planner, described.get(planner.label, ""), found.attempts, limits, HELPERS_TEXT, settings.ttc
+    )
+    return [generator, modifier]
