@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
@@ -18,7 +19,56 @@ from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
+ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
+FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
+MOST_SHIFT = 8.0  # s
 HISTORY = 1.1  # s of everybody's past that a situation keeps (the paper's)
+
+
+def surveys(
+    road: RoadMap,
+    tracks: Mapping[str, Track],
+    ego_id: str,
+    candidates: Sequence[Candidate],
+    time: float,
+    *,
+    settings: Settings,
+    ego_model: Mapping[str, Any],
+    route: tuple[str, ...],
+    signals: Mapping[str, tuple[Signal, ...]],
+) -> dict[float, Situation]:
+    """A situation for every delay [s after ``time``] that may be tried; empty if the vehicles near leave at once."""
+    found = {}
+    for delay in _delays(candidates, tracks[ego_id].between(time, math.inf), settings):
+        situation = survey(
+            road, tracks, ego_id, candidates, time + delay, dt=settings.step_length, horizon=settings.horizon,
+            ego_model=ego_model, route=route, signals=signals,
+        )  # fmt: skip
+        if situation is not None:
+            found[delay] = situation
+    return found
+
+
+def _delays(candidates: Sequence[Candidate], ego: Track, settings: Settings) -> list[float]:
+    """Seconds after the trigger at which attacks may begin: later where the ways meet only far ahead."""
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))])
+    soonest = min((_meeting_time(c, travelled, settings.step_length) for c in candidates), default=0.0)
+    shift = min(max(0.0, math.floor(soonest - FORESEEN)), MOST_SHIFT)
+    return [shift + d for d in settings.delays]
+
+
+def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
+    """When the unattacked ego is where it can meet a candidate [s]: at once in its own lanes, else at the conflict."""
+    if candidate.relation not in ("crossing", "merging"):
+        return 0.0
+    stations = [w.conflict.ego_s for w in candidate.ways if w.conflict is not None]
+    return float(min(np.searchsorted(travelled, s) * dt for s in stations)) if stations else 0.0
+
+
+def area_of(ego: Track) -> tuple[float, float, float]:
+    """A circle (x, y, radius) [m] around where the unattacked ego comes, with a margin."""
+    x, y = float(ego.x.min() + ego.x.max()) / 2, float(ego.y.min() + ego.y.max()) / 2
+    return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN
 
 
 def state_at(track: Track, time: float) -> tuple[VehicleState, int] | None:

@@ -17,18 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Ending, Limits, Proposal, Role, Track, Verdict
-from sumo_adv.episode.attack import Driven, attack
+from sumo_adv.datatypes import Ending, Proposal, Role, Track
+from sumo_adv.episode.attack import attack
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
 from sumo_adv.episode.scout import Scout
-from sumo_adv.episode.survey import survey
+from sumo_adv.episode.survey import MOST_SHIFT, area_of, surveys
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
+from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.boxes import first_contact, on_grid
-from sumo_adv.metrics.case import closest, make_case
+from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.validity import judge
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
 from sumo_adv.world.egos import make_ego
@@ -37,9 +37,6 @@ from sumo_adv.world.network import RoadMap, read_network
 from sumo_adv.world.simulation import Snapshot, tracks_of
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
-ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
-FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
-MOST_SHIFT = 8.0  # s
 
 
 class Worker:
@@ -166,28 +163,16 @@ class Worker:
         if why:
             return None, why
         self._raw_ego = tracks[drive.ego]
-        situations = {}
-        for delay in self._delays(ranking, tracks, time):
-            situation = survey(
-                self._map, tracks, drive.ego, ranking, time + delay, dt=settings.step_length,
-                horizon=settings.horizon, ego_model=model, route=route, signals=signals,
-            )  # fmt: skip
-            if situation is not None:
-                situations[delay] = situation
+        situations = surveys(
+            self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
+            signals=signals,
+        )  # fmt: skip
         if not situations:
             return None, "the vehicles near it leave at once"
         order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
-        area = _area(self._raw_ego.between(time, math.inf))
+        area = area_of(self._raw_ego.between(time, math.inf))
         drivable = self._map.drivable(*area)
         return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
-
-    def _delays(self, ranking: Sequence[Candidate], tracks: Mapping[str, Track], time: float) -> list[float]:
-        """Seconds after the trigger at which attacks may begin: later where the ways meet only far ahead."""
-        ego = tracks[str(self._drive.ego)].between(time, math.inf)
-        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))])
-        soonest = min((_meeting_time(c, travelled, self._settings.step_length) for c in ranking), default=0.0)
-        shift = min(max(0.0, math.floor(soonest - FORESEEN)), MOST_SHIFT)
-        return [shift + d for d in self._settings.delays]
 
     def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive, settings = self._drive, self._settings
@@ -243,7 +228,7 @@ class Worker:
             replan=settings.steps(settings.replan),
         )  # fmt: skip
         return AttemptResult(
-            driven, self._verdict(proposal.bv, start, driven, limits), start,
+            driven, gate_verdict(drive, self._found, settings, self._trigger_step, proposal.bv, start, driven), start,
             drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes),
         )  # fmt: skip
 
@@ -252,32 +237,6 @@ class Worker:
         if situation is None or proposal.bv not in situation.targets:
             raise SimulationError(f"Vehicle '{proposal.bv}' cannot attack {proposal.delay:g} s after the trigger.")
         return situation
-
-    def _verdict(self, bv: str, start: float, driven: Driven, limits: Limits) -> Verdict | None:
-        drive, settings = self._drive, self._settings
-        assert drive.ego is not None
-        first = self._trigger_step + settings.steps(start - self._found.time) - settings.steps(settings.history)
-        case = make_case(drive.tracks(bv, max(0, first)), drive.ego, bv, start, driven.beyond)
-        if case is None:
-            return None
-        return judge(
-            case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc, limits=limits,
-            on_road=self._found.drivable, lane_half_width=self._found.first.lane_width / 2,
-        )  # fmt: skip
-
-
-def _area(ego: Track) -> tuple[float, float, float]:
-    """A circle (x, y, radius) [m] around where the unattacked ego comes, with a margin."""
-    x, y = float(ego.x.min() + ego.x.max()) / 2, float(ego.y.min() + ego.y.max()) / 2
-    return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN
-
-
-def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
-    """When the unattacked ego is where it can meet a candidate [s]: at once in its own lanes, else at the conflict."""
-    if candidate.relation not in ("crossing", "merging"):
-        return 0.0
-    stations = [w.conflict.ego_s for w in candidate.ways if w.conflict is not None]
-    return float(min(np.searchsorted(travelled, s) * dt for s in stations)) if stations else 0.0
 
 
 def _copied(files: Sequence[Path], folder: Path) -> list[Path]:

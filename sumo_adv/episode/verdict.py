@@ -1,0 +1,29 @@
+"""The gate verdict on an attempt that was just driven: what the search goes by."""
+
+from __future__ import annotations
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Verdict
+from sumo_adv.episode.attack import Driven
+from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.task import Found
+from sumo_adv.metrics.case import make_case
+from sumo_adv.metrics.validity import judge
+
+
+def gate_verdict(
+    drive: Drive, found: Found, settings: Settings, trigger_step: int, bv: str, start: float, driven: Driven
+) -> Verdict | None:
+    """The verdict on the attempt that began at ``start`` [s]; None where one of the two was gone before it moved.
+
+    ``trigger_step``: how many snapshots the recording had at the trigger.
+    """
+    assert drive.ego is not None
+    first = trigger_step + settings.steps(start - found.time) - settings.steps(settings.history)
+    case = make_case(drive.tracks(bv, max(0, first)), drive.ego, bv, start, driven.beyond)
+    if case is None:
+        return None
+    return judge(
+        case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc,
+        limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=found.first.lane_width / 2,
+    )  # fmt: skip
