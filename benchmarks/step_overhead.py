@@ -29,7 +29,7 @@ from sumo_adv.episode.foresight import Sessions
 from sumo_adv.episode.task import Found, Task
 from sumo_adv.episode.worker import Worker
 from sumo_adv.planning.ground import road_of
-from sumo_adv.planning.predict import Told, world_endpoint
+from sumo_adv.planning.predict import Answer, Told, world_endpoint
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import HELPERS_CODE, make_planner
 from sumo_adv.world.engine import Engine
@@ -108,7 +108,7 @@ def _local(found: Found, proposal: Proposal) -> Callable[[Told], Any]:
 
     def ask(told: Told) -> Any:
         answer = planner(*told, road, proposal.parameters, proposal.acceleration, situation.horizon)
-        return world_endpoint(situation, answer)
+        return Answer(world_endpoint(situation, answer))
 
     return ask
 
@@ -201,7 +201,7 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
                     "loop",
                     proposal,
                     remote,
-                    answer=lambda told: world_endpoint(situation, sessions.one(proposal, told)),
+                    answer=lambda told: sessions.one(proposal, told),
                 )
                 return answer
 

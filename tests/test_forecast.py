@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 
-from sumo_adv.datatypes import Endpoint, Floats, Limits, Planner, Proposal
+from sumo_adv.datatypes import Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
 from sumo_adv.planning.forecast import arrivals, profile_at, stations
-from sumo_adv.planning.predict import Ask, Rollouts, Told, local_endpoint, predict, world_endpoint
+from sumo_adv.planning.predict import Answer, Ask, Rollouts, Told, local_endpoint, predict, world_endpoint
 from sumo_adv.situation import NO_ARRIVAL, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
@@ -64,21 +64,21 @@ def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a
 
 
 PLANNER = Planner("any", "plain", "", (), "seed")
-Answer = Mapping[str, float]
+End = Mapping[str, float]
 
 
 def proposals(n: int) -> list[Proposal]:
     return [Proposal("bv", "any", PLANNER, {}, 0.0, 0.0) for _ in range(n)]
 
 
-def roll(sit: Situation, answers: Sequence[Answer | None], steps: int = 50) -> tuple[Rollouts, list[Told]]:
+def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tuple[Rollouts, list[Told]]:
     """Rollouts of planners that always answer the same, in the ego's frame; and what row 0 was told."""
     heard: list[Told] = []
 
-    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Endpoint | None]:
+    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
         heard.append(told[0])
         given = [answers[k] for k in rows]
-        return [None if a is None else world_endpoint(sit, a) for a in given]
+        return [None if a is None else Answer(world_endpoint(sit, a)) for a in given]
 
     fixed: Ask = ask
     return predict(sit, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), heard

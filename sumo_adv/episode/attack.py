@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Endpoint, Limits, Role, Track, VehicleState
+from sumo_adv.datatypes import Boxes, Limits, Role, Track, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.boxes import overlaps
+from sumo_adv.planning.follow import Follower
 from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.predict import Told, local_endpoint
-from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance, pose, steer
+from sumo_adv.planning.predict import Answer, Told, local_endpoint
+from sumo_adv.planning.trajectory import Goal, Motion, PathRow, Scalar, advance, one_of, pose, release, steer
 from sumo_adv.situation import Situation
 from sumo_adv.world.simulation import Pose
 
@@ -27,12 +29,15 @@ PARTED = 90.0  # m between bumpers: nothing will come of it any more
 CLEAR = 1e-3  # m: further apart along an axis, boxes need no exact test
 CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
 
-AskOne = Callable[[Told], Endpoint | str]  # an endpoint in the world, or a sentence why there is none
+LEFT_LINE = 1.0  # m: further off a planner's trajectory is worth a word to the modifier
+
+AskOne = Callable[[Told], Answer | str]  # an answer, or a sentence why there is none
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """How an attempt went. ``beyond``: the adversary's planned motion after the contact."""
+    """How an attempt went. ``message``: why the planner failed, or what was done to its trajectories; ``beyond``: the
+    adversary's planned motion after the contact."""
 
     ending: str  # contact | passed | time_limit | ego_left | planner_failed
     message: str
@@ -40,26 +45,31 @@ class Driven:
 
 
 class Adversary:
-    """One BV that is led along its ways by a planner's endpoints."""
+    """One BV that is led along its ways by a planner's endpoints, or by its own trajectories to them."""
 
     def __init__(self, situation: Situation, name: str, limits: Limits) -> None:
         self.situation, self.name, self.limits = situation, name, limits
         self.ground = Ground(situation, [name])
         many = self.ground.begin()
-        self.motion = _one(many)
+        self.motion = one_of(many, 0)
         self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
         self.last: Mapping[str, float] | None = None
-        self._roads: dict[int, PathRow] = {}
+        self._follower: Follower | None = None
+        self._remarks: dict[str, str] = {}
+        self._farthest = 0.0
         self._cap = situation.targets[name].fastest
         self._ego_station = 0.0
 
     @property
     def road(self) -> PathRow:
         """The way it is on."""
-        row = int(self.ground.rows.row[0])
-        if row not in self._roads:
-            self._roads[row] = PathRow(self.ground.lines[row].path)
-        return self._roads[row]
+        return self.ground.road(0)
+
+    @property
+    def message(self) -> str:
+        """What was done to the planner's own trajectories, the first time of each kind; empty if nothing was."""
+        self._note_distance()
+        return " ".join(self._remarks.values())
 
     def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
         """Ask the planner; ``now`` s since the trigger, ``ego``: x, y, speed, acceleration. A sentence if it failed."""
@@ -68,28 +78,56 @@ class Adversary:
         array = tuple(np.array([q]) for q in (s, d, ego[2], ego[3]))
         many = _many(self.motion)
         told = self.ground.tell(many, now, array, [self.last])[0]  # type: ignore[arg-type]
-        end = ask(told)
-        if isinstance(end, str):
-            return end
-        self.last = local_endpoint(self.situation, end)
+        answer = ask(told)
+        if isinstance(answer, str):
+            return answer
+        self.last = local_endpoint(self.situation, answer.endpoint)
         before = Goal(*(np.array([q]) for q in self.goal))
-        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(many, [end], before)))
-        self.motion = steer(Scalar, self.motion, self.goal, self.road.at(self.motion.s)[3])
+        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(many, [answer.endpoint], before)))
+        self._built_in()
+        self._own(answer, many, now)
         return None
+
+    def _built_in(self) -> None:
+        """Towards the goal by the built-in f_traj."""
+        self._note_distance()
+        motion = release(self.motion) if self._follower is not None else self.motion
+        self._follower = None
+        self.motion = steer(Scalar, motion, self.goal, self.road.at(motion.s)[3])
+
+    def _own(self, answer: Answer, many: Motion, now: float) -> None:
+        """Led by the planner's own trajectory from now on, where there is a usable one."""
+        remark, kind = answer.remark, "refused"
+        if answer.trajectory is not None:
+            try:
+                self._follower = self.ground.follower(0, many, answer.trajectory)
+                self.motion = self._follower.begin(self.motion)
+                kind, beyond = "limited", self._follower.line.beyond(self.limits, self._cap)
+                remark = f"trajectory() was brought within the limits: it has {beyond}" if beyond else ""
+            except PlannerResultError as error:
+                remark = f"{error}, and the built-in one was driven"
+        if remark:
+            self._remarks.setdefault(kind, f"{now:.1f} s after the takeover: {remark}.")
+
+    def _note_distance(self) -> None:
+        if self._follower is not None:
+            self._farthest = max(self._farthest, self._follower.farthest)
+        if self._farthest > LEFT_LINE:
+            self._remarks["left"] = f"It was up to {self._farthest:.1f} m from where trajectory() had it."
 
     def advance(self) -> Pose:
         """One step on; where it is then."""
         dt = self.situation.dt
-        self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
+        if self._follower is not None and self._follower.over:
+            self._built_in()
+        if self._follower is not None:
+            self.motion = self._follower.advance(self.motion, self.road, self.limits, self._cap)
+        else:
+            self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
         goal = self.goal
         self.goal = Goal(goal.s, goal.d, goal.v, goal.time - dt)
         x, y, h = pose(Scalar, self.motion, self.road)
         return Pose(x, y, h, self.motion.v)
-
-
-def _one(motion: Motion) -> Motion:
-    fields: list[Any] = [tuple(float(q[0]) for q in f) if isinstance(f, tuple) else float(f[0]) for f in motion]
-    return Motion(*fields)
 
 
 def _many(motion: Motion) -> Motion:
@@ -106,7 +144,7 @@ def attack(
     adversary, apart = Adversary(situation, bv, limits), math.inf
     for k in range(steps):
         if ego_id not in drive.snapshot.raw or bv not in drive.snapshot.raw:
-            return Driven("ego_left" if ego_id not in drive.snapshot.raw else "passed", "", None)
+            return Driven("ego_left" if ego_id not in drive.snapshot.raw else "passed", adversary.message, None)
         if k % replan == 0:
             ego = drive.state(ego_id)
             failure = adversary.replan(k * situation.dt, (ego.x, ego.y, ego.speed, ego.acceleration), ask)
@@ -115,10 +153,10 @@ def attack(
         drive.tick({bv: adversary.advance()})
         before, apart = apart, _apart(drive, ego_id, bv)
         if apart == 0.0:
-            return Driven("contact", "", _beyond(drive, adversary, bv))
+            return Driven("contact", adversary.message, _beyond(drive, adversary, bv))
         if apart > PARTED and apart > before:
-            return Driven("passed", "", None)
-    return Driven("time_limit", "", None)
+            return Driven("passed", adversary.message, None)
+    return Driven("time_limit", adversary.message, None)
 
 
 def _apart(drive: Drive, ego: str, bv: str) -> float:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from sumo_adv.datatypes import Endpoint, Proposal
+from sumo_adv.datatypes import Proposal
 from sumo_adv.episode.foresight import Sessions
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.errors import SandboxError
-from sumo_adv.planning.predict import world_endpoint
+from sumo_adv.planning.predict import Answer
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.engine import Engine
 
@@ -26,12 +26,14 @@ class Brain:
         try:
             for proposal in proposals:
                 situation = self._found.situations[proposal.delay]
-                sessions = Sessions(self._sandbox, situation, [proposal.planner], self._seed)
+                sessions = Sessions(
+                    self._sandbox, situation, [proposal.planner], self._seed, drivable=self._found.drivable
+                )
                 opened.append((proposal, sessions.__enter__()))
 
-            def answer(question: tuple[int, Any]) -> Endpoint | str:
+            def answer(question: tuple[int, Any]) -> Answer | str:
                 k, told = question
-                return _endpoint(*opened[k], self._found, told)
+                return _answer(*opened[k], told)
 
             results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)
             return results
@@ -40,10 +42,8 @@ class Brain:
                 sessions.__exit__(None, None, None)
 
 
-def _endpoint(proposal: Proposal, sessions: Sessions, found: Found, told: Any) -> Endpoint | str:
-    situation = found.situations[proposal.delay]
+def _answer(proposal: Proposal, sessions: Sessions, told: Any) -> Answer | str:
     try:
-        end = sessions.one(proposal, told)
+        return sessions.one(proposal, told)
     except SandboxError as error:
         return str(error)
-    return world_endpoint(situation, end)

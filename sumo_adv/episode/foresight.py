@@ -14,15 +14,16 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Bools, Boxes, Endpoint, Floats, Planner, Proposal
-from sumo_adv.errors import SandboxError
+from sumo_adv.datatypes import Bools, Boxes, Floats, Planner, Proposal
+from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import avoidance
 from sumo_adv.metrics.boxes import gap, on_grid, overlaps
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
-from sumo_adv.planning.predict import Rollouts, Told, predict, world_endpoint
+from sumo_adv.planning.predict import Answer, Rollouts, Told, predict, world_endpoint
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
@@ -31,6 +32,7 @@ NONE, MISS, OFF_ROAD, THIRD, REAR, FAILED = 1.2, 1.5, 3.0, 4.0, 5.0, 9.0
 DELAYS = (0.6, 0.8, 1.0)  # s after the hazard shows at which a manoeuvre begins
 LEAST_STEPS = 3
 TOGETHER = 12  # planners with a sandbox session open at once
+TRAJECTORY_SECONDS = 20.0  # s all calls of one planner's own trajectory() may take in the predictions of one batch
 
 
 class Foresight:
@@ -59,7 +61,9 @@ class Foresight:
     def _together(self, delay: float, proposals: list[Proposal]) -> list[Proposal]:
         situation, settings = self._situations[delay], self._settings
         planners = [p.planner for p in proposals]
-        with Sessions(self._sandbox, situation, planners, settings.seed, self.failures) as sessions:
+        with Sessions(
+            self._sandbox, situation, planners, settings.seed, self.failures, drivable=self._drivable
+        ) as sessions:
             rollouts = predict(
                 situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
@@ -95,8 +99,11 @@ class Sessions:
         planners: Sequence[Planner],
         seed: int,
         failed: Mapping[str, str] | None = None,
+        *,
+        drivable: Drivable | None = None,
     ) -> None:
-        self._situation = situation
+        self._situation, self._drivable = situation, drivable
+        self._spent: dict[str, float] = {}  # planner hash -> s in its trajectory()
         self._roads = {n: road_of(situation, n) for n in situation.targets}
         self._sandbox, self._seed = sandbox, seed
         self._open: dict[str, Any] = {}
@@ -115,19 +122,35 @@ class Sessions:
         for session in self._open.values():
             session.__exit__(None, None, None)
 
-    def one(self, proposal: Proposal, told: Told) -> dict[str, float]:
-        """The answer to one question, in the frame of the ego at the trigger. Raises SandboxError."""
+    def one(self, proposal: Proposal, told: Told) -> Answer:
+        """The answer to one question. Raises SandboxError."""
         name = proposal.planner.hash
         if name in self.failures:
             raise SandboxError(self.failures[name])
-        answer: dict[str, float] = self._open[name].endpoint(
+        end: dict[str, float] = self._open[name].endpoint(
             proposal.bv, *told, proposal.parameters, proposal.acceleration, self._situation.horizon
         )
-        return answer
+        return self._answer(proposal, told, end)
 
-    def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Endpoint | None]:
-        """Endpoints in the world for the proposals ``rows``; None where the planner failed."""
-        answers: list[Endpoint | None] = [None] * len(rows)
+    def _answer(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
+        """An endpoint in the world, with the planner's own trajectory to it if it defines one and it is on the road."""
+        situation, session = self._situation, self._open[proposal.planner.hash]
+        endpoint = world_endpoint(situation, end)
+        if not session.has_trajectory:
+            return Answer(endpoint)
+        own = session.trajectory(proposal.bv, told[0], end, situation.dt)
+        states = np.array([(*situation.frame.to_world(x, y, h), v) for x, y, h, v in own])
+        bv = situation.targets[proposal.bv].state
+        if self._drivable is not None:
+            leaves = off_road(states, bv.length, bv.width, situation.dt, self._drivable)
+            if leaves is not None:
+                what = f"trajectory() leaves the road {leaves:.1f} s later, and the built-in one was driven"
+                return Answer(endpoint, None, what)
+        return Answer(endpoint, states)
+
+    def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+        """Answers for the proposals ``rows``; None where the planner failed."""
+        answers: list[Answer | None] = [None] * len(rows)
         for name, session in self._open.items():
             mine = [k for k in rows if proposals[k].planner.hash == name]
             if not mine or name in self.failures:
@@ -142,11 +165,24 @@ class Sessions:
                 self.failures[name] = str(error)
                 continue
             for k, answer in zip(mine, found, strict=True):
-                if isinstance(answer, SandboxError):
-                    self.failures.setdefault(name, str(answer))
-                else:
-                    answers[k] = world_endpoint(self._situation, answer)
+                try:
+                    if isinstance(answer, SandboxError):
+                        raise answer
+                    answers[k] = self._timed(proposals[k], told[k], answer)
+                except SandboxError as error:
+                    self.failures.setdefault(name, str(error))
         return answers
+
+    def _timed(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
+        """``_answer`` within what all predictions of a batch may take. Raises SandboxError."""
+        name = proposal.planner.hash
+        if self._spent.get(name, 0.0) > TRAJECTORY_SECONDS:
+            who = f"Planner {proposal.label}/{proposal.planner.mode}"
+            raise PlannerLimitError(f"{who}: trajectory() is too slow for predictions: make it faster.")
+        began = time.perf_counter()
+        answer = self._answer(proposal, told, end)
+        self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - began
+        return answer
 
 
 def judge_all(

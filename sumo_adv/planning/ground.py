@@ -13,8 +13,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
-from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRows, pose, start
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.situation import NO_ARRIVAL, Situation, Target
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
@@ -39,6 +40,7 @@ class Ground:
         self._ego = np.stack(
             [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
         )
+        self._roads: dict[int, PathRow] = {}
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -60,6 +62,13 @@ class Ground:
         near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
+
+    def road(self, k: int) -> PathRow:
+        """The way vehicle ``k`` is on, for floats."""
+        row = int(self.rows.row[k])
+        if row not in self._roads:
+            self._roads[row] = PathRow(self.lines[row].path)
+        return self._roads[row]
 
     # -- endpoints ----------------------------------------------------------------------------------------------
 
@@ -104,6 +113,17 @@ class Ground:
         along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
         turned = np.abs(wrap_all(h - heading))
         return np.minimum(i, last) * PATH_STEP + along, aside, turned
+
+    def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
+        """What leads vehicle ``k`` after a planner's states (n, 4) on the way it is on.
+
+        Raises:
+            PlannerResultError: too few states, or they go where this way does not.
+        """
+        x, y, h = pose(Batch, motion, self.rows)
+        dt = self.situation.dt
+        line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
+        return Follower(line, self.lines[int(self.rows.row[k])].path)
 
     # -- what planners are told ---------------------------------------------------------------------------------
 

@@ -14,13 +14,27 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Endpoint, Floats, Limits, Proposal
+from sumo_adv.errors import PlannerResultError
+from sumo_adv.planning.follow import Follower
 from sumo_adv.planning.forecast import profile_at
 from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
 from sumo_adv.situation import Situation
 
 Told = tuple[dict[str, Any], dict[str, Any]]
-Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Endpoint | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a planner answers, in the world: ``trajectory`` (n, 4: x, y, heading, speed, a step apart, the first a step
+    from now) or None where the built-in f_traj is to be used; ``remark``: why a trajectory was refused."""
+
+    endpoint: Endpoint
+    trajectory: Floats | None = None
+    remark: str = ""
+
+
+Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
 
 LEADER_HALF_WIDTH = 1.6  # m: a front centre further aside is not seen by SUMO's drivers (ALGORITHM)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
@@ -105,7 +119,7 @@ def predict(
 ) -> Rollouts:
     """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
 
-    ``ask(rows, told)`` answers for the proposals ``rows`` with endpoints in the world, None where a planner fails.
+    ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails.
     """
     n, dt = len(proposals), situation.dt
     ground = Ground(situation, [p.bv for p in proposals])
@@ -113,29 +127,62 @@ def predict(
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
+    followers: dict[int, Follower] = {}
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
-            goal, motion = _replan(ground, motion, egos, goal, last, now, ask)
+            goal, motion = _replan(ground, motion, egos, goal, last, followers, now, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         ego[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
         egos.step(now, ground.relative(motion), motion.v, ground.length)
-        motion = advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt)
+        motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     x, y, h, v = ego
     return Rollouts(np.arange(steps) * dt, (x, y, h, v), tuple(adversary), egos.disturbed)  # type: ignore[arg-type]
 
 
 def _replan(
-    ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None], now: float,
-    ask: Ask,
+    ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None],
+    followers: dict[int, Follower], now: float, ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
     told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last)
-    ends = ask(range(len(told)), told)
-    for k, end in enumerate(ends):
-        last[k] = None if end is None else local_endpoint(ground.situation, end)
-    goal = ground.aim(motion, ends, goal)
-    return goal, steer(Batch, motion, goal, ground.rows.at(motion.s)[3])
+    answers = ask(range(len(told)), told)
+    for k, answer in enumerate(answers):
+        last[k] = None if answer is None else local_endpoint(ground.situation, answer.endpoint)
+    goal = ground.aim(motion, [None if a is None else a.endpoint for a in answers], goal)
+    before = motion
+    motion = _steer(ground, motion, goal, [k for k in followers if answers[k] is not None])
+    for k, answer in enumerate(answers):
+        if answer is not None:
+            followers.pop(k, None)
+        if answer is not None and answer.trajectory is not None:
+            try:
+                followers[k] = ground.follower(k, before, answer.trajectory)
+            except PlannerResultError:  # said in the attempt; here as there the built-in f_traj leads it
+                continue
+            motion = put_back(motion, [k], [followers[k].begin(one_of(motion, k))])
+    return goal, motion
+
+
+def _steer(ground: Ground, motion: Motion, goal: Goal, released: Sequence[int]) -> Motion:
+    """Aim all at their goals; those of ``released`` were led by a trajectory until now."""
+    if released:
+        motion = put_back(motion, released, [release(one_of(motion, k)) for k in released])
+    return steer(Batch, motion, goal, ground.rows.at(motion.s)[3])
+
+
+def _advance(ground: Ground, motion: Motion, goal: Goal, followers: dict[int, Follower], limits: Limits) -> Motion:
+    """One step on, by the built-in f_traj or after the planner's own trajectory."""
+    over = [k for k, f in followers.items() if f.over]
+    if over:
+        motion = _steer(ground, motion, goal, over)
+        for k in over:
+            del followers[k]
+    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.situation.dt)
+    if not followers:
+        return moved
+    ones = [f.advance(one_of(motion, k), ground.road(k), limits, float(ground.cap[k])) for k, f in followers.items()]
+    return put_back(moved, list(followers), ones)
 
 
 def local_endpoint(situation: Situation, end: Endpoint) -> dict[str, float]:

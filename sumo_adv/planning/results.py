@@ -9,6 +9,8 @@ trusting none of that: exact type, count, finiteness and range.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sumo_adv.errors import PlannerResultError
@@ -16,6 +18,8 @@ from sumo_adv.errors import PlannerResultError
 ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
 MAX_TRAJECTORY = 400  # states
 MAX_MESSAGE = 500  # characters
+AWAY = 3.0  # m from the vehicle at which its trajectory begins at most
+JUMP = 150.0  # m/s2: a change from one step to the next that is none of a motion
 RANGES = {"x": (-1e5, 1e5), "y": (-1e5, 1e5), "heading": (-1e3, 1e3), "speed": (0.0, 100.0), "time": (0.0, 60.0)}
 """Metres, radians, m/s and s; ``time`` must also be more than 0."""
 
@@ -93,6 +97,26 @@ def check_trajectory(who: str, value: Any) -> list[tuple[float, float, float, fl
         raise _bad(who, value)
     n = [_number(who, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
     return [(n[i], n[i + 1], n[i + 2], n[i + 3]) for i in range(0, len(n), 4)]
+
+
+def check_motion(
+    who: str, states: Sequence[tuple[float, float, float, float]], bv: Mapping[str, Any], dt: float
+) -> None:
+    """Whether states ``dt`` [s] apart are one motion that begins at the vehicle; what it cannot do is no error here.
+
+    Raises:
+        PlannerResultError: it begins elsewhere, or jumps.
+    """
+    away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
+    if away > AWAY + 1.5 * bv["speed"] * dt:
+        raise PlannerResultError(f"{who}: its trajectory begins {away:.1f} m from where the vehicle is.")
+    for k in range(1, len(states) - 1):
+        (ax, ay, *_), (bx, by, *_), (cx, cy, *_) = states[k - 1 : k + 2]
+        change = math.hypot(cx - 2 * bx + ax, cy - 2 * by + ay)
+        if change > JUMP * dt * dt:
+            raise PlannerResultError(
+                f"{who}: its trajectory jumps between states {k} and {k + 1}, {change:.1f} m from where it was going."
+            )
 
 
 def clean(text: str) -> str:

@@ -17,7 +17,7 @@ from sumo_adv.errors import (
     PlannerSyntaxError,
     SandboxError,
 )
-from sumo_adv.planning.results import REDUCERS, check_endpoint, check_trajectory, clean
+from sumo_adv.planning.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean
 from sumo_adv.planning.source import HELPERS_CODE, read_source
 
 if TYPE_CHECKING:
@@ -123,17 +123,20 @@ class PlannerSession:
     def trajectory(
         self, key: str, bv: Mapping[str, Any], endpoint: Mapping[str, float], dt: float
     ) -> list[tuple[float, float, float, float]]:
-        """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart.
+        """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart, the
+        first one ``dt`` from now (one that begins now is known by its place).
 
         Raises:
-            PlannerResultError: it has none, or what it returned is not one.
+            PlannerResultError: it has none, what it returned is not one, begins elsewhere or jumps.
             PlannerRuntimeError, PlannerLimitError: as their names say.
         """
         if not self.has_trajectory:
             raise PlannerResultError(f"{self._who} defines no trajectory(): use the built-in one.")
         self._known(key)
         value = self._feed(f"path_{self._id}(call_{self._id})", {f"call_{self._id}": (bv, dict(endpoint), key, dt)})
-        return check_trajectory(self._who, value)
+        states = check_trajectory(self._who, value)
+        check_motion(self._who, states, bv, dt)
+        return states
 
     def _start(self, type_check: bool) -> None:
         """A fresh interpreter: helpers and roads, then the planner."""

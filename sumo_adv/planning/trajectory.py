@@ -25,6 +25,7 @@ FULL_CLOCK_SPEED = 6.0  # m/s: a move begun slower is planned as if at this spee
 FASTEST_CLOCK = 1.15  # a vehicle that speeds up hastens its lateral move by so much at most
 LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
 SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
+ELSEWHERE = 1e6  # m: a lateral target that any goal is different from
 STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
 LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: where the bend speed is looked up
 SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
@@ -225,8 +226,28 @@ def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
     return Motion(*(_put(f, rows, g) for f, g in zip(motion, fresh, strict=True)))
 
 
+def release(motion: Motion) -> Motion:
+    """A motion whose sideways move is not one of ours any more: the next ``steer`` begins a new one."""
+    return motion._replace(target=motion.target * 0.0 + ELSEWHERE)
+
+
 def _take(values: Any, rows: Any) -> Any:
     return tuple(v[rows] for v in values) if isinstance(values, tuple) else values[rows]
+
+
+def one_of(motion: Motion, k: int) -> Motion:
+    """Vehicle ``k`` of many, in floats."""
+    fields: list[Any] = [tuple(float(q[k]) for q in f) if isinstance(f, tuple) else float(f[k]) for f in motion]
+    return Motion(*fields)
+
+
+def put_back(motion: Motion, rows: Sequence[int], ones: Sequence[Motion]) -> Motion:
+    """Many vehicles with those of ``rows`` as they are in ``ones`` (floats)."""
+    columns = [
+        tuple(np.array(q) for q in zip(*f, strict=True)) if isinstance(f[0], tuple) else np.array(f)
+        for f in zip(*ones, strict=True)
+    ]
+    return Motion(*(_put(f, list(rows), g) for f, g in zip(motion, columns, strict=True)))
 
 
 def _put(values: Any, rows: Any, new: Any) -> Any:
@@ -240,7 +261,6 @@ def _put(values: Any, rows: Any, new: Any) -> Any:
 def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float) -> Motion:
     """One step of ``dt`` s towards a goal; ``cap`` is the highest speed [m/s] the vehicle goes for."""
     s, v, a = motion.s, motion.v, motion.a
-    jerk = limits.jerk * JERK_RESERVE
     time = m.maximum(goal.time, LEAST_TIME)
     left = goal.s - s + goal.v * (time - goal.time)  # nearer than LEAST_TIME, or past: the goal goes on at its speed
     want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
@@ -249,20 +269,29 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
         fastest = road.bend_speed(s + ahead, motion.d)
         bound = (fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0)
         want = m.minimum(want, bound)
+    _, _, _, curvature = road.at(s)
+    lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
+    speed, a = faster(m, v, a, want, lateral, limits, cap, dt)
+    clock, d, dd, ddd, slope = _sideways(m, motion, speed, dt)
+    along = m.sqrt(m.maximum(speed * speed - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
+    here, span, coefficients, target = s + along * dt, motion.span, motion.c, motion.target
+    return Motion(here, d, dd, ddd, speed, a, slope, motion.pace, clock, span, coefficients, target)
+
+
+def faster(m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap: Any, dt: float) -> tuple[Any, Any]:
+    """Speed and acceleration after ``dt`` of a vehicle that wants the acceleration ``want`` [m/s2], within the limits.
+
+    ``lateral`` [m/s2] is what it pulls sideways and takes from its grip; ``cap`` the highest speed it goes for.
+    """
+    jerk = limits.jerk * JERK_RESERVE
     room = cap - v
     want = m.minimum(want, m.where(room > 0.0, m.sqrt(1.6 * jerk * m.maximum(room, 0.0)), room))
     want = m.maximum(want, -m.sqrt(0.8 * jerk * m.maximum(v, 0.0)))
-    _, _, _, curvature = road.at(s)
-    lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
     grip = m.sqrt(m.maximum(limits.braking * limits.braking - lateral * lateral, 4.0))  # the friction circle
     want = m.minimum(m.maximum(want, -grip), limits.acceleration)
     a = m.minimum(m.maximum(want, a - jerk * dt), a + jerk * dt)
-    faster = m.maximum(v + a * dt, 0.0)
-    a = (faster - v) / dt
-    clock, d, dd, ddd, slope = _sideways(m, motion, faster, dt)
-    along = m.sqrt(m.maximum(faster * faster - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
-    here, span, coefficients, target = s + along * dt, motion.span, motion.c, motion.target
-    return Motion(here, d, dd, ddd, faster, a, slope, motion.pace, clock, span, coefficients, target)
+    speed = m.maximum(v + a * dt, 0.0)
+    return speed, (speed - v) / dt
 
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
