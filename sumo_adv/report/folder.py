@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Role, Track
+from sumo_adv.datatypes import Track
 from sumo_adv.episode.episode import Episode
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid
@@ -42,16 +42,17 @@ class RunFolder:
 
 
 @contextmanager
-def staged(target: Path, *, force: bool) -> Iterator[RunFolder]:
-    """A folder to write into; removed again unless it was kept.
+def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Iterator[RunFolder]:
+    """A folder to write into; removed again unless it was kept. ``force`` replaces one that holds the file ``marker``.
 
     Raises:
         UsageError: the place is taken (without ``force``), or cannot be written.
     """
     if target.exists() and not force:
         raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")
-    if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / "manifest.json").exists())):
-        raise UsageError(f"{target} is not the folder of a run, so --force does not replace it; give another --out.")
+    if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / marker).exists())):
+        what = f"{target} is not the folder of a run or a conversion"
+        raise UsageError(f"{what}, so --force does not replace it; give another --out.")
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
     stage: Path | None = None
     try:
@@ -103,11 +104,12 @@ def _json(target: Path, value: Any) -> None:
 
 
 def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
-    """Content-addressed copies of network, demand and additional files."""
+    """Content-addressed copies of network, demand, additional files and what is played back."""
     spec = episode.task.spec
     folder.mkdir()
     names = {}
-    for file in (spec.network, *spec.routes, *spec.additional):
+    played = () if episode.task.playback is None else episode.task.playback.files
+    for file in (spec.network, *spec.routes, *spec.additional, *played):
         data = file.read_bytes()
         content = hashlib.sha256(data).hexdigest()[:12]
         names[file] = f"{content}-{file.name.removeprefix(f'{content}-')}"  # a replay copies copies
@@ -124,11 +126,12 @@ def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
 
 def _tables(stage: Path, episode: Episode) -> None:
     assert episode.found is not None and episode.prefix is not None
-    roles = {episode.found.ego: Role.EGO}
+    best = episode.best
+    roles = episode.task.roles(episode.found.ego)
     sizes, step = all_sizes(episode), episode.settings.step_length
     write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.raw], sizes, roles, step)
-    if episode.best is not None:
-        roles[episode.best.proposal.bv] = Role.ADVERSARY
+    if best is not None:
+        roles = episode.task.roles(episode.found.ego, best.proposal.bv)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
 
 
@@ -181,13 +184,14 @@ def _figure(target: Path, episode: Episode) -> None:
 
     best, found, prefix = episode.best, episode.found, episode.prefix
     assert best is not None and found is not None and prefix is not None
-    names = {found.ego: Role.EGO, best.proposal.bv: Role.ADVERSARY}
+    names = (found.ego, best.proposal.bv)
+    roles = episode.task.roles(*names)
     sizes, step = all_sizes(episode), episode.settings.step_length
     history = episode.settings.steps(episode.settings.history)
     attacked = {
-        t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, names, step)
+        t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, roles, step)
     }
-    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.raw], sizes, names, step, tuple(names))}
+    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.raw], sizes, roles, step, names)}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal
     draw_encounter(

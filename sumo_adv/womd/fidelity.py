@@ -1,7 +1,7 @@
-"""How faithful a converted network is to its record: lengths, deviations, connectivity, signals, logged vehicles, routes.
+"""How faithful a converted network is to its record: lengths, deviations, connections, signals, vehicles, routes.
 
-Everything is measured on the finished net.xml. Bike lanes are compared with lanes that bicycles may use, all others with
-lanes that cars may use.
+Everything is measured on the finished net.xml. Bike lanes are compared with lanes that bicycles may use, all others
+with lanes that cars may use.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ VEHICLE = 1  # index of TRACK_KINDS
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at most
-    ``FAR``; own ``(n,)`` m to the SUMO lane that is said to stand for it, ``FAR`` where none is."""
+    """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at
+    most ``FAR``; own ``(n,)`` m to the SUMO lane that is said to stand for it, ``FAR`` where none is."""
 
     xy: Floats
     distance: Floats

@@ -6,9 +6,10 @@ it and takes the next record. Needs the extra ``womd`` (protobuf).
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -130,7 +131,7 @@ def _read(frame: Frame, path: Path, wanted: str | None, parse: Callable[[bytes],
         raise UsageError(f"{where} is no Scenario message of the Waymo Open Motion Dataset.") from error
     if wanted is not None and message.scenario_id != wanted:
         return None
-    return record_of(message, where)
+    return replace(record_of(message, where), content=hashlib.sha256(frame.data).hexdigest())
 
 
 def record_of(message: Any, where: str) -> Record:

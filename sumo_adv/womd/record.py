@@ -117,7 +117,8 @@ class ObjectTrack:
 @dataclass(frozen=True, slots=True)
 class Record:
     """One scenario. time ``(n,)`` s; ``current``: index of the step up to which it is history; ``sdc``: index of the
-    ego among ``tracks``; ``signals``: for each step the states of all signal lanes."""
+    ego among ``tracks``; ``signals``: for each step the states of all signal lanes; ``content``: SHA-256 of the bytes
+    it was read from, in hex."""
 
     scenario_id: str
     time: Floats
@@ -131,3 +132,4 @@ class Record:
     stop_signs: Sequence[StopSign]
     areas: Sequence[AreaFeature]
     signals: Sequence[tuple[SignalState, ...]]
+    content: str = ""

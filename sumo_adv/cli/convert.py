@@ -1,0 +1,87 @@
+"""``convert``: Waymo records to folders that ``run`` takes, each with a report on how faithful it is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.errors import SumoAdvError, UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.womd.record import Record
+
+EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out scenarios/waymo"
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="TFRecord file of Waymo motion scenarios.")],
+    out: Annotated[Path, typer.Option(help="Folder to write into: a folder a record, by its id.")],
+    record_id: Annotated[str | None, typer.Option("--id", help="Only the record of this id.")] = None,
+    index: Annotated[int | None, typer.Option(min=0, help="Only the record at this place, from 0.")] = None,
+    first: Annotated[int | None, typer.Option(min=1, help="Only the first so many records.")] = None,
+    keep_going: Annotated[
+        bool, typer.Option("--keep-going", help="Tell what is wrong with a record and take the next one.")
+    ] = False,
+    traffic: Annotated[bool, typer.Option(help="Try random traffic in each network for 120 s.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Replace folders of earlier conversions.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Convert Waymo records to SUMO scenarios: network, tracks, routes, and a report on fidelity."""
+    from sumo_adv.womd.reader import Choice, read_records
+
+    if sum(given is not None for given in (record_id, index, first)) > 1:
+        raise UsageError("Give one of --id, --index and --first, not several.")
+    failed: list[str] = []
+
+    def tell(error: SumoAdvError) -> None:
+        failed.append(str(error))
+        typer.echo(f"sumo-adv: {error}", err=True)
+
+    reports = []
+    choice = Choice(record_id, index, first)
+    for record in read_records(source, choice, tell if keep_going else None):
+        try:
+            reports.append(_one(record, out, traffic=traffic, force=force))
+        except SumoAdvError as error:
+            if not keep_going:
+                raise
+            tell(error)
+        else:
+            if not as_json:
+                typer.echo(f"{record.scenario_id}: {reports[-1]['folder']}")
+    if as_json:
+        typer.echo(json.dumps({"records": reports, "failed": failed}, allow_nan=False))
+    elif reports:
+        show(reports)
+    if failed and not reports:
+        raise typer.Exit(1)
+
+
+def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:
+    """Put one record's folder in its place; its report and folder."""
+    from sumo_adv.report.folder import staged
+    from sumo_adv.womd.convert import REPORT, conversion
+
+    with staged(out / record.scenario_id, force=force, marker=REPORT) as folder:
+        with conversion(record, traffic=traffic) as made:
+            shutil.copytree(made.folder, folder.stage, dirs_exist_ok=True)
+            report = {**made.report, "cached": made.cached, "folder": str(folder.target)}
+        folder.keep(force=force)
+    return report
+
+
+def show(reports: list[dict[str, Any]]) -> None:
+    """The reports as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from sumo_adv.womd.table import COLUMNS, row
+
+    table = Table(*COLUMNS, title="Fidelity (traffic: vehicles, collisions, teleports)")
+    for report in reports:
+        table.add_row(*row(report))
+    Console(soft_wrap=False).print(table)

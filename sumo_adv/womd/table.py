@@ -1,0 +1,73 @@
+"""Fidelity reports as a table: a row a record, and what they come to together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+COLUMNS = (
+    "record", "lane km", "represented %", "in 0.1 m %", "in 0.5 m %", "p99 m", "connections", "signals", "inside %",
+    "by centre %", "broken / own / driven", "junctions %", "traffic", "s",
+)  # fmt: skip
+
+Report = Mapping[str, Any]
+
+
+def row(report: Report) -> tuple[str, ...]:
+    """One record's cells. Traffic: vehicles, collisions, teleports."""
+    d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
+    t = report["traffic"]
+    return (
+        report["scenario_id"], f"{report['lane_length'] / 1000:.2f}", _percent(report["represented"]),
+        _percent(d["within_0.1"]), _percent(d["within_0.5"]), f"{d['p99']:.3f}", f"{c['kept']}/{c['wanted']}",
+        f"{s['mapped']}/{s['lanes']}", _percent(v["inside"]), _percent(v["near_centre"]),
+        f"{len(r['broken'])}/{len(r['own_broken'])}/{r['driven']}", _percent(report["in_junctions"]),
+        "-" if t is None else f"{t['vehicles']}, {t['collisions']} c, {t['teleports']} t",
+        f"{report['seconds']['network']:.2f}",
+    )  # fmt: skip
+
+
+def totals(reports: Sequence[Report]) -> dict[str, float]:
+    """All records together: shares weighted by what they are shares of, counts summed, the median time.
+
+    disturbed: share of the networks tried whose random traffic had a collision or a teleport.
+    """
+    km = np.array([r["lane_length"] for r in reports]) / 1000.0
+    samples = [r["deviation"]["samples"] for r in reports]
+    states = [r["vehicles"]["states"] for r in reports]
+    tried = [r["traffic"] for r in reports if r["traffic"] is not None]
+    wanted = sum(r["connectivity"]["wanted"] for r in reports)
+    return {
+        "records": len(reports), "km": float(km.sum()),
+        "represented": _mean([r["represented"] for r in reports], km),
+        **{
+            f"{own}within_{d}": _mean([r["deviation"][f"{own}within_{d}"] for r in reports], samples)
+            for own in ("", "own_")
+            for d in ("0.1", "0.5")
+        },
+        "median_p99": float(np.median([r["deviation"]["p99"] for r in reports])),
+        "connectivity": sum(r["connectivity"]["kept"] for r in reports) / wanted if wanted else 1.0,
+        "signal_lanes": sum(r["signals"]["lanes"] for r in reports),
+        "signals_mapped": sum(r["signals"]["mapped"] for r in reports),
+        "inside": _mean([r["vehicles"]["inside"] for r in reports], states),
+        "near_centre": _mean([r["vehicles"]["near_centre"] for r in reports], states),
+        "driven": sum(r["routes"]["driven"] for r in reports),
+        "broken": sum(len(r["routes"]["broken"]) for r in reports),
+        "own_broken": sum(len(r["routes"]["own_broken"]) for r in reports),
+        "in_junctions": _mean([r["in_junctions"] for r in reports], km),
+        "median_seconds": float(np.median([r["seconds"]["network"] for r in reports])),
+        "traffic_tried": len(tried), "collisions": sum(t["collisions"] for t in tried),
+        "teleports": sum(t["teleports"] for t in tried),
+        "disturbed": sum(t["collisions"] + t["teleports"] > 0 for t in tried) / len(tried) if tried else 0.0,
+    }  # fmt: skip
+
+
+def _mean(values: Sequence[float], weights: Any) -> float:
+    weights = np.asarray(weights, float)
+    return float(np.average(values, weights=weights)) if weights.sum() > 0 else 1.0
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f}"
