@@ -1,0 +1,123 @@
+"""From a record to a scenario: routes, tracks, parked vehicles, and the file that says it all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from womd_nets import edge, junction, net
+from womd_samples import four_way, line, straight, track
+
+from sumo_adv.errors import UsageError
+from sumo_adv.womd.matching import Stretch, match, net_graph
+from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.record import Record
+from sumo_adv.womd.routes import Router
+from sumo_adv.womd.scene import parked_vehicles, write_scene
+from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.world.scan import scan_demand
+from sumo_adv.world.scenario import load_scenario
+from sumo_adv.world.tracks import read_tracks
+
+
+def record(message: Any) -> Record:
+    return record_of(message, "a record")
+
+
+def stretch(*lanes: str, steps: tuple[int, ...] = (0, 90)) -> Stretch:
+    return Stretch(steps, lanes, lanes)
+
+
+def test_a_route_runs_on_to_an_end(tmp_path: Path) -> None:
+    """From "in" straight on: "out" and "far", where nothing follows."""
+    router = Router(junction(tmp_path))
+    assert router.route([stretch("in_0")], 10) == ("in", "out", "far")
+    assert router.route([stretch("in_1")], 10) == ("in", "up")  # its lane turns left
+    assert router.route([stretch("in_1", "in_0", ":J_0_0", "out_0")], 10) == ("in", "out", "far")
+
+
+def test_a_route_that_begins_or_ends_inside_a_junction(tmp_path: Path) -> None:
+    router = Router(junction(tmp_path))
+    assert router.route([stretch(":J_2_0")], 10) == ("in", "up")
+    assert router.route([stretch("in_1", ":J_1_0")], 10) == ("in", "up")
+    assert router.route([stretch(":J_0_0", "out_0")], 10) == ("in", "out", "far")
+
+
+def test_of_a_broken_track_the_part_from_the_current_step_on_counts(tmp_path: Path) -> None:
+    router = Router(junction(tmp_path))
+    parts = [stretch("in_0", steps=(0, 8)), stretch("up_0", steps=(12, 60))]
+    assert router.route(parts, 10) == ("up",)
+    assert router.route(parts, 5)[0] == "in"
+    assert router.route(parts, 80) == ("up",)
+    assert router.route([], 10) == ()
+
+
+def two_lanes(folder: Path) -> SumoNet:
+    return net(folder, edge("e", [(0, 0), (300, 0)], [(0, 3.5), (300, 3.5)]))
+
+
+def test_parked_is_what_stands_on_no_lane(tmp_path: Path) -> None:
+    """Beside the road, or across it; one that queues in the lane, and the ego itself, are not parked."""
+    message = straight()
+    track(message, 10, line((200.0, 0.4), (210.0, 0.4)), start=0.0, speed=0.0)  # queues
+    track(message, 11, line((220.0, -1.0), (220.0, 8.0)), start=0.5, speed=0.0)  # stands across the lane
+    assert [t.id for t in parked_vehicles(record(message), two_lanes(tmp_path))] == [4, 11]
+    message.sdc_track_index = 3
+    assert [t.id for t in parked_vehicles(record(message), two_lanes(tmp_path))] == [11]
+
+
+def test_the_scenario_of_the_straight_road(tmp_path: Path) -> None:
+    found, roads = record(straight()), two_lanes(tmp_path)
+    graph = net_graph(roads)
+    write_scene(found, roads, {t.id: match(graph, t) for t in found.tracks if t.kind == 1}, tmp_path)
+    scenario = load_scenario(tmp_path / "scenario.toml")
+    assert scenario.network == tmp_path / "network.net.xml" and scenario.background == "sumo"
+    assert scenario.ego.id == "1" and scenario.window.warm_up == pytest.approx(1.0)
+    (box,) = scenario.parked
+    assert (box.x, box.y, box.heading, box.length, box.width) == (100.0, -3.2, 0.0, 4.6, 1.9)
+    assert scan_demand(tmp_path / "routes.rou.xml").edges == ("e",)
+    text = (tmp_path / "routes.rou.xml").read_text()
+    assert text.count("<route ") == 3 and '<route id="3" edges="e"/>' in text
+    assert "Objects of interest: 1, 3. Tracks to predict: 3." in (tmp_path / "scenario.toml").read_text()
+
+
+def test_the_tracks_of_the_straight_road(tmp_path: Path) -> None:
+    """The clock begins with the record; the vehicle beside comes at 1.5 s; the parked one is no track."""
+    write_scene(record(straight()), two_lanes(tmp_path), {}, tmp_path)
+    log = read_tracks(tmp_path / "tracks.csv.gz")
+    assert sorted(log.tracks) == ["1", "2", "3", "5"]
+    assert log.time[0] == 0.0 and log.end == pytest.approx(9.0)
+    assert log.first("3") == pytest.approx(1.5)
+    assert [log.tracks[n].kind for n in ("1", "5")] == ["vehicle", "pedestrian"]
+    ego = log.tracks["1"]
+    assert (ego.x[10], ego.y[10], ego.speed[10]) == pytest.approx((32.0, 0.0, 12.0))  # 20 m + 12 m/s for 1 s
+    assert (ego.length, ego.width) == (4.6, 1.9)
+
+
+def test_the_same_record_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        write_scene(record(four_way()), junction(tmp_path), {}, tmp_path / name)
+    for file in ("scenario.toml", "tracks.csv.gz", "routes.rou.xml"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_an_ego_that_comes_late_has_less_to_warm_up(tmp_path: Path) -> None:
+    message = straight()
+    message.sdc_track_index = 2  # first seen at step 15, the current one is 10
+    write_scene(record(message), two_lanes(tmp_path), {}, tmp_path)
+    assert load_scenario(tmp_path / "scenario.toml").window.warm_up == 0.0
+
+
+def test_records_that_make_no_scene(tmp_path: Path) -> None:
+    slow = straight()
+    for i in range(91):
+        slow.timestamps_seconds[i] = 0.2 * i
+    with pytest.raises(UsageError, match="'straight' is not sampled at 10 Hz"):
+        write_scene(record(slow), two_lanes(tmp_path), {}, tmp_path)
+    unseen = straight()
+    for state in unseen.tracks[0].states:
+        state.valid = False
+    with pytest.raises(UsageError, match="never sees its ego, track 1"):
+        write_scene(record(unseen), two_lanes(tmp_path), {}, tmp_path)
