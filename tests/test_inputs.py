@@ -128,11 +128,9 @@ def test_a_scenarios_own_ego_has_sumos_defaults_filled_in(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("extra", "part"),
     [
-        ('tracks = "log.csv"\n', "'tracks', which is not supported yet"),
-        ('background = "log"\n', "not supported yet"),
-        ("[[parked]]\nx=0\ny=0\nheading=0\nlength=4\nwidth=2\n", "'parked', which is not supported yet"),
-        ("[[cyclists]]\nx=0\ny=0\nheading=0\nlength=2\nwidth=1\n", "'cyclists', which is not supported yet"),
-        ('[signals]\nlog = "l.csv"\n', "'signals.log', which is not supported yet"),
+        ('tracks = "log.csv"\n', "log.csv cannot be read: No such file"),
+        ('background = "log"\n', "background 'log' needs recorded tracks"),
+        ('[signals]\nlog = "l.csv"\n', "l.csv cannot be read: No such file"),
         ('[demand]\nfiles = ["one.rou.xml"]\n[ego]\nid = "nobody"\n', "the ego 'nobody'"),
         ('[demand]\nfiles = ["one.rou.xml"]\n[adversary]\ncandidates = ["g.1"]\n', "adversary candidate 'g.1'"),
         ('[ego]\nroute = ["a", "z"]\ndepart = 0\n', "edge 'z'"),

@@ -107,17 +107,11 @@ def test_a_minimal_scenario_has_the_documented_defaults(tmp_path: Path) -> None:
     scenario = load_scenario(written(tmp_path, MINIMAL))
     assert (scenario.background, scenario.window.trigger, scenario.window.warm_up) == ("sumo", "auto", 3.0)
     assert scenario.label is None
-    assert scenario.unsupported() == ()
 
 
 def test_an_absolute_path_stays(tmp_path: Path) -> None:
     absolute = tmp_path / "elsewhere" / "x.net.xml"
     assert load_scenario(written(tmp_path, f"schema = 1\nnetwork = '{absolute}'\n")).network == absolute
-
-
-def test_what_a_later_release_honours_is_listed(tmp_path: Path) -> None:
-    used = load_scenario(written(tmp_path, FULL)).unsupported()
-    assert used == ("tracks", 'background = "log"', "parked", "pedestrians", "signals.log")
 
 
 @pytest.mark.parametrize(

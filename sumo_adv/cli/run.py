@@ -64,6 +64,9 @@ def run(
         Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
     ] = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
+    background: Annotated[
+        str | None, typer.Option(help="log or sumo: who drives recorded vehicles [default: as the scenario says].")
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/<input>-<seed>].")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
@@ -90,7 +93,7 @@ def run(
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
         memory=memory, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
         fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
-        horizon=given.horizon, fork=False if no_fork else None,
+        background=background, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
     if show_prompts:
         from sumo_adv.cli.prompts import show

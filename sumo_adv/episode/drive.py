@@ -9,8 +9,10 @@ from pathlib import Path
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, apply_steer
 from sumo_adv.world.egos import Pose as EgoPose
+from sumo_adv.world.playback import Playback
 from sumo_adv.world.remote import Remote
 from sumo_adv.world.simulation import Pose, Recording, Simulation, SimulationSpec, Snapshot
+from sumo_adv.world.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
 LineAhead = Callable[[VehicleState], Sequence[tuple[float, float]] | None]
@@ -18,11 +20,11 @@ OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
 def ego_type_file(controller: EgoController, folder: Path) -> Path:
-    """An additional file with the vType of the ego's driver."""
+    """An additional file with the vTypes of the ego's driver and of recorded vehicles."""
     attributes = {"vClass": "passenger", "speedDev": "0", **controller.sumo_type}
     text = " ".join(f'{k}="{v}"' for k, v in attributes.items())
     target = folder / "ego_type.add.xml"
-    target.write_text(f'<additional>\n  <vType id="{EGO_TYPE}" {text}/>\n</additional>\n')
+    target.write_text(f'<additional>\n  <vType id="{EGO_TYPE}" {text}/>\n  {LOGGED_TYPE_XML}\n</additional>\n')
     return target
 
 
@@ -30,7 +32,12 @@ class Drive:
     """Steps SUMO, lets the ego's driver act, puts adversaries where they belong, and records everything."""
 
     def __init__(
-        self, spec: SimulationSpec, controller: EgoController, seed: int, remote: Remote | None = None
+        self,
+        spec: SimulationSpec,
+        controller: EgoController,
+        seed: int,
+        remote: Remote | None = None,
+        playback: Playback | None = None,
     ) -> None:
         self.simulation = Simulation(spec, remote)
         self.controller = controller
@@ -41,6 +48,9 @@ class Drive:
         self._playing = False
         self.line_ahead: LineAhead | None = None
         self.on_load: Callable[[], None] | None = None  # what is done to a simulation that was just loaded
+        self.playback = playback
+        if playback is not None:
+            playback.start(self.simulation)
 
     @property
     def now(self) -> float:
@@ -52,10 +62,33 @@ class Drive:
         """The newest states."""
         return self.recording.snapshots[-1]
 
+    def left(self) -> int | None:
+        """Steps until what is played back means nothing any more; None = never."""
+        last = math.inf if self.playback is None else self.playback.last(self.ego)
+        return None if math.isinf(last) else max(0, round((last - self.now) / self.recording.step_length))
+
+    def within(self, steps: int) -> int:
+        """``steps``, or as many as are left."""
+        left = self.left()
+        return steps if left is None else min(steps, left)
+
+    def to_come(self) -> bool:
+        """Whether anybody is on the road or still to come."""
+        more = self.playback is not None and self.playback.log is not None and self.now < self.playback.spec.end
+        return more or self.simulation.expected() > 0
+
+    def may_take_over(self, vehicle: str) -> bool:
+        """Whether the driver under test can have a vehicle that is there now."""
+        log, replayed = self.playback, isinstance(self.controller, ReplayEgo)
+        return log is None or log.may_take(vehicle, self.snapshot.raw, self.now, replayed=replayed)
+
     def take_over(self, vehicle: str) -> None:
         """Make a vehicle the ego: it gets the driver under test."""
         if self.controller.sumo_type:
             self.simulation.set_type(vehicle, EGO_TYPE)
+        if self.playback is not None:
+            factor = float(self.controller.sumo_type.get("speedFactor", 1.0))
+            self.playback.take(vehicle, factor, replayed=isinstance(self.controller, ReplayEgo))
         self.controller.reset(self.seed)
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
@@ -68,12 +101,17 @@ class Drive:
     def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
         """One step: the ego acts, ``poses`` are injected, SUMO steps, the states are kept."""
         driven = dict(poses or {})
+        if self.playback is not None:
+            raw = self.snapshot.raw if self.recording.snapshots else {}
+            self.playback.before_step(raw, self.now, driven)
         if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
             self._let_ego_act(driven)
         if driven:
             self.simulation.inject(driven)
         self.simulation.step()
         snapshot = self.simulation.read()
+        if self.playback is not None:
+            snapshot = Snapshot(snapshot.time, {**snapshot.raw, **self.playback.boxes(snapshot.time)})
         self.recording.append(snapshot)
         return snapshot
 
@@ -81,6 +119,8 @@ class Drive:
         """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
         takeovers = dict(self._takeovers)
         self.simulation.reload()
+        if self.playback is not None:
+            self.playback.start(self.simulation)
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing = None, [], False
@@ -101,12 +141,33 @@ class Drive:
 
     def tracks(self, adversary: str | None = None, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""
-        roles = {adversary: Role.ADVERSARY} if adversary else {}
-        if self.ego is not None:
-            roles[self.ego] = Role.EGO
         part = Recording(self.recording.step_length)
         part.snapshots = self.recording.snapshots[start:]
-        return part.tracks(self.simulation.fleet.sizes, roles)
+        return part.tracks(self.simulation.fleet.sizes, self.roles(adversary))
+
+    def roles(self, adversary: str | None = None) -> dict[str, Role]:
+        """What everybody is who is not a background vehicle."""
+        roles = dict.fromkeys(self.obstacles, Role.OBSTACLE)
+        if adversary:
+            roles[adversary] = Role.ADVERSARY
+        if self.ego is not None:
+            roles[self.ego] = Role.EGO
+        return roles
+
+    @property
+    def obstacles(self) -> frozenset[str]:
+        """Ids of what is played back and is no vehicle."""
+        return frozenset() if self.playback is None else self.playback.obstacles
+
+    def route(self) -> tuple[str, ...]:
+        """The edges of the ego's whole route."""
+        assert self.ego is not None
+        logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
+        return logged or self.simulation.route(self.ego)[0]
+
+    def replayed(self) -> bool:
+        """Whether a log moves the ego."""
+        return self.playback is not None and self.ego is not None and self.playback.replays(self.ego)
 
     def _let_ego_act(self, driven: dict[str, Pose]) -> None:
         assert self.ego is not None
@@ -136,6 +197,6 @@ class Drive:
 
     def replay(self, track: Track) -> None:
         """From now on the ego plays a recorded motion back, if it is one that does; others go on as they are."""
-        if isinstance(self.controller, ReplayEgo):
+        if isinstance(self.controller, ReplayEgo) and not self.replayed():
             self.controller.load(track)
             self._playing = True

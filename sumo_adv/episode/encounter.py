@@ -14,7 +14,7 @@ import numpy as np
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.geometry import Path, wrap
+from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.situation import WayLine, relate
 from sumo_adv.world.network import RoadMap
 from sumo_adv.world.simulation import heading_of
@@ -28,6 +28,7 @@ FASTEST_START = 3.0  # m/s2: what a BV may accelerate by to be at a conflict in 
 LATEST = 0.2  # s: how much later than the ego it may be there (ALGORITHM, lever 1)
 CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
 SAME_LANE = 1.2  # m
+LEAST_WAY = 1.0  # m: a log that goes less far shows no way
 BESIDE = 8.5  # m
 CLASSES = frozenset(
     {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
@@ -82,10 +83,10 @@ class Encounter:
         return found[: self.shortlist]
 
     def _near(self, drive: Drive, ego: VehicleState) -> list[str]:
-        names = []
+        names, obstacles = [], drive.obstacles
         c, s = math.cos(ego.heading), math.sin(ego.heading)
         for name, raw in drive.snapshot.raw.items():
-            if name == ego.id or (self.only and name not in self.only):
+            if name == ego.id or name in obstacles or (self.only and name not in self.only):
                 continue
             dx, dy = raw[0] - ego.x, raw[1] - ego.y
             distance = math.hypot(dx, dy)
@@ -157,15 +158,32 @@ def _meeting(way: WayLine, bv: VehicleState, ego: VehicleState) -> float:
 
 
 def ego_path(road: RoadMap, drive: Drive) -> Path | None:
-    """The path of the ego's lanes ahead along its route, from its box centre; None off the road."""
+    """The path of the ego's lanes ahead along its route, or the one that a log moves it along; None off the road."""
     assert drive.ego is not None
     ego = drive.state(drive.ego)
+    if drive.replayed():
+        return logged_path(road, drive)
     if ego.lane not in road.lanes:
         return None
     edges, at = drive.simulation.route(drive.ego)
     position = drive.simulation.lane_position(drive.ego) - ego.length / 2
     ways = road.ways(ego.lane, position, REACH, edges[max(at, 0) :])
     return ways[0].path if ways else None
+
+
+def logged_path(road: RoadMap, drive: Drive) -> Path | None:
+    """Where a log takes the ego, and on along its route; None where that is no way at all."""
+    assert drive.ego is not None and drive.playback is not None
+    points = drive.playback.ahead(drive.ego, drive.now)
+    if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
+        return None
+    path = make_path(points)
+    found = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
+    ways = road.ways(*found, REACH, drive.route()) if found is not None else []
+    if ways:
+        onward = np.column_stack([ways[0].path.x, ways[0].path.y])
+        path = make_path(np.vstack([points, onward[4:]]))  # 2 m on: no fold where the log is off the centre
+    return path if path.length > REACH else path.extended(REACH - path.length)
 
 
 def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[WayLine, ...]:

@@ -28,6 +28,7 @@ from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import RunInput
+from sumo_adv.world.playback_spec import with_background
 from sumo_adv.world.scan import first_departure, scan_demand
 from sumo_adv.world.simulation import SimulationSpec
 
@@ -37,7 +38,7 @@ Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", F
 
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task; demand is generated into ``folder`` where the input has none."""
-    routes = source.routes
+    routes, playback = source.routes, with_background(source.playback, settings.background)
     begin = settings.begin if settings.begin is not None else source.begin
     driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
     if begin is None:
@@ -45,7 +46,9 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     end = settings.end if settings.end is not None else source.end
     end = min(end, begin + settings.search) if end is not None and settings.end is None else end
     end = begin + settings.search if end is None else end
-    if not routes and not driven:
+    if playback is not None and (playback.background == "log" or settings.ego == "replay"):
+        end = min(end, playback.end)  # what comes after is not in the log
+    if not routes and not driven and (playback is None or playback.tracks is None):
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
         routes = (
@@ -61,7 +64,7 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
         {**dict(source.ego_parameters), **settings.ego_parameters},
         (settings.adversary,) if settings.adversary else source.candidates,
-        None if trigger == "auto" else float(trigger), source.warm_up, end,
+        None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
     )  # fmt: skip
 
 

@@ -71,12 +71,15 @@ class Scout:
             snapshot = drive.tick()
             step = len(drive.recording.snapshots)
             if drive.ego is None:
-                name = wanted if wanted in snapshot.raw else None
+                name = wanted
+                if wanted is not None and not (wanted in snapshot.raw and drive.may_take_over(wanted)):
+                    name = None
                 if wanted is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
                     name = self._choose_ego(tried)
                 if name is not None:
                     drive.take_over(name)
-                    since, encounter = drive.now, Encounter(self.road, self.task.settings.shortlist, task.only)
+                    since = drive.now if wanted is None else self._inserted(name)
+                    encounter = Encounter(self.road, self.task.settings.shortlist, task.only)
             elif drive.ego not in snapshot.raw:
                 if wanted is not None:
                     return NotFound(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
@@ -92,9 +95,13 @@ class Scout:
                 if wanted is None and drive.now - since > PATIENCE:
                     tried.add(drive.ego)
                     drive.release()
-            if drive.simulation.expected() == 0:
+            if not drive.to_come():
                 break
         return self._nothing(wanted, encounter.best)
+
+    def _inserted(self, name: str) -> float:
+        """When a vehicle was first seen [s]: a recorded one was there before its driver."""
+        return next(s.time for s in self.drive.recording.snapshots if name in s.raw)
 
     def _wait(self, wanted: str | None) -> float:
         """Seconds an ego is driven before the first look: the history, and a scenario's warm-up."""
@@ -104,6 +111,9 @@ class Scout:
         if wanted is not None and self.drive.ego is None and wanted not in self.drive.simulation.fleet.sizes:
             raise UsageError(f"No vehicle '{wanted}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
         self._refuse_unknown()
+        if wanted is not None and self.drive.ego is None:
+            why = f"The recorded vehicle '{wanted}' was on no lane where a driver could have taken it over."
+            return NotFound(Ending.NO_ENCOUNTER, why)
         return NotFound(
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
@@ -124,11 +134,14 @@ class Scout:
         """The moving car with most moving traffic within 60 m; a tie goes to the first id."""
         raw = self.drive.snapshot.raw
         simulation = self.drive.simulation
-        moving = [(n, r[0], r[1]) for n, r in raw.items() if r[3] > MOVING]
+        still = self.drive.obstacles
+        moving = [(n, r[0], r[1]) for n, r in raw.items() if r[3] > MOVING and n not in still]
         best, best_count = None, 0
         points = np.array([(x, y) for _, x, y in moving]).reshape(-1, 2)
         for k, (name, x, y) in enumerate(moving):
-            if name in tried or simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
+            if name in tried or not self.drive.may_take_over(name):
+                continue
+            if simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
                 continue
             edges, at = simulation.route(name)
             left = sum(

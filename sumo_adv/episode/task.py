@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Ending, Verdict
+from sumo_adv.datatypes import Ending, Role, Verdict
 from sumo_adv.episode.attack import Driven
 from sumo_adv.situation import Situation
 from sumo_adv.world.inputs import EgoRoute
 from sumo_adv.world.network import Drivable
+from sumo_adv.world.playback_spec import PlaybackSpec
 from sumo_adv.world.simulation import SimulationSpec, Snapshot
 
 
@@ -29,6 +30,13 @@ class Task:
     trigger: float | None
     warm_up: float
     end: float
+    playback: PlaybackSpec | None = None
+
+    def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
+        """What everybody is who is not a background vehicle."""
+        obstacles = frozenset[str]() if self.playback is None else self.playback.obstacles
+        others = {} if adversary is None else {adversary: Role.ADVERSARY}
+        return {**dict.fromkeys(obstacles, Role.OBSTACLE), **others, ego: Role.EGO}
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Ending, Proposal, Role, Track
+from sumo_adv.datatypes import Ending, Proposal
 from sumo_adv.episode.attack import attack
+from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
 from sumo_adv.episode.scout import Scout
@@ -26,14 +27,12 @@ from sumo_adv.episode.survey import MOST_SHIFT, area_of, surveys
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
 from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.errors import SimulationError
-from sumo_adv.metrics.boxes import first_contact, on_grid
-from sumo_adv.metrics.case import closest
-from sumo_adv.metrics.criticality import ttc
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
 from sumo_adv.world.egos import make_ego
 from sumo_adv.world.engine import can_fork, in_forks
 from sumo_adv.world.network import RoadMap, read_network
+from sumo_adv.world.playback import Playback
 from sumo_adv.world.simulation import Snapshot, tracks_of
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
@@ -60,9 +59,18 @@ class Worker:
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
-        self._drive = Drive(replace(task.spec, additional=additional), controller, task.settings.seed)
+        spec = replace(task.spec, additional=additional)
+        self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
         self._forks = task.settings.fork and can_fork() and controller.forkable
         self._scout = Scout(self._drive, self._road, task)
+
+    def _playback(self, task: Task) -> Playback | None:
+        if task.playback is None:
+            return None
+        ego = task.ego if isinstance(task.ego, str) else None
+        return Playback(
+            task.playback, self._map, begin=task.spec.begin, step=task.spec.step_length, ego=ego, warm_up=task.warm_up
+        )
 
     def forks(self) -> bool:
         """Whether attempts are forked."""
@@ -94,7 +102,7 @@ class Worker:
             self._cool_down()
 
     def _cool_down(self) -> None:
-        for _ in range(self._settings.steps(COOL_DOWN)):
+        for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
             self._drive.tick()
 
     def prefix(self) -> Prefix:
@@ -153,13 +161,13 @@ class Worker:
         assert drive.ego is not None
         self._trigger_step = len(drive.recording.snapshots)
         time = drive.now
-        model, route = self._ego_model(), drive.simulation.route(drive.ego)[0]
+        model, route = self._ego_model(), drive.route()
         signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
         raw = self._branch([self._unattacked])[0]
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
-        sizes, roles = raw[1], {drive.ego: Role.EGO}
+        sizes, roles = raw[1], drive.roles()
         tracks = {t.id: t for t in tracks_of([*before, *raw[0]], sizes, roles, settings.step_length)}
-        why = self._dangerous(tracks, time)
+        why = danger(tracks, drive, time, settings.ttc)
         if why:
             return None, why
         self._raw_ego = tracks[drive.ego]
@@ -176,24 +184,9 @@ class Worker:
 
     def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive, settings = self._drive, self._settings
-        for _ in range(settings.steps(settings.duration + max(settings.delays) + MOST_SHIFT)):
+        for _ in range(drive.within(settings.steps(settings.duration + max(settings.delays) + MOST_SHIFT))):
             drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
-
-    def _dangerous(self, tracks: Mapping[str, Track], time: float) -> str:
-        """Why an encounter is passed over: the ego collides or is critical unattacked; else empty."""
-        ego = tracks[str(self._drive.ego)]
-        if ego.time[-1] < time + 2.0:
-            return "the ego leaves the network at once"
-        time_grid = ego.time[ego.time >= time - 1e-6]
-        others = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < 30.0]
-        if not others:
-            return ""
-        me, them = on_grid([ego], time_grid), on_grid(others, time_grid)
-        if np.isfinite(first_contact(me, them, time_grid)).any():
-            return "the ego collides unattacked"
-        least = float(np.nanmin(ttc(me, them), initial=math.inf))
-        return f"critical unattacked: min TTC {least:.2f} s" if least <= self._settings.ttc else ""
 
     def _ego_model(self) -> dict[str, Any]:
         drive = self._drive
@@ -224,7 +217,7 @@ class Worker:
         start = drive.now
         limits = settings.limits.limits()
         driven = attack(
-            drive, situation, proposal.bv, ask, limits=limits, steps=settings.steps(settings.duration),
+            drive, situation, proposal.bv, ask, limits=limits, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),
         )  # fmt: skip
         return AttemptResult(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.planning.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.world.inputs import EgoRoute, RunInput
+from sumo_adv.world.playback_spec import PlaybackSpec, make_playback
+from sumo_adv.world.props import Prop
 from sumo_adv.world.simulation import SimulationSpec
 
 
@@ -62,7 +66,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         ego = EgoRoute(tuple(ego["edges"]), ego["depart"], ego["lane"], ego["position"], ego["speed"])
     task = Task(
         spec, settings, ego, m["ego_base_type"], m["ego_driver"], m["ego_parameters"], tuple(m["only"]), m["trigger"],
-        m["warm_up"], m["end"],
+        m["warm_up"], m["end"], _playback(folder, m.get("playback"), spec.routes),
     )  # fmt: skip
     a = m["attempt"]
     p = m["planners"][a["planner"]]
@@ -73,6 +77,14 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     proposal = Proposal(a["bv"], a["label"], planner, numbers, a["acceleration"], a["delay"], a["by"])
     source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
     return Recorded(source, settings, task, proposal, m["skips"])
+
+
+def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) -> PlaybackSpec | None:
+    if p is None:
+        return None
+    props = [Prop(**{**q, "end": math.inf if q["end"] is None else q["end"]}) for q in p["props"]]
+    tracks, signals = (_copy(folder, p[k]) if p[k] else None for k in ("tracks", "signals"))
+    return make_playback(tracks, p["background"], signals, props, routes)
 
 
 def _copy(folder: Path, name: str) -> Path:

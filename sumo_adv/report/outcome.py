@@ -6,6 +6,7 @@ import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from sumo_adv.agents.ledger import Ledger
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict
 from sumo_adv.episode.cast import ROLES
 from sumo_adv.episode.episode import Episode
+from sumo_adv.world.playback_spec import PlaybackSpec
 
 SCHEMA = 1
 MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
@@ -149,6 +151,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
+        "playback": _playback(task.playback, inputs),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "skips": episode.skips,
         "intents_allowed": list(episode.source.intents),
@@ -170,6 +173,16 @@ def _ego(ego: Any) -> Any:
         "position": ego.position,
         "speed": ego.speed,
     }
+
+
+def _playback(p: PlaybackSpec | None, inputs: Mapping[Path, str]) -> dict[str, Any] | None:
+    if p is None:
+        return None
+    return {
+        "tracks": inputs[p.tracks] if p.tracks else None, "background": p.background,
+        "signals": inputs[p.signals] if p.signals else None,
+        "props": [{**asdict(q), "end": None if math.isinf(q.end) else q.end} for q in p.props],
+    }  # fmt: skip
 
 
 def _planner(p: Planner) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def _tracks(episode: Episode, best: Attempt, found: Found, prefix: Prefix, resul
     settings = episode.settings
     first = len(prefix.snapshots) + settings.steps(result.start - found.time) - settings.steps(settings.history)
     snapshots = [*prefix.snapshots, *result.snapshots][max(0, first) :]
-    roles = {best.proposal.bv: Role.ADVERSARY, found.ego: Role.EGO}
+    roles = episode.task.roles(found.ego, best.proposal.bv)
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
@@ -154,7 +154,7 @@ def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> di
     step = episode.settings.step_length
     start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (found.time, found.time)
     sizes = {**prefix.sizes, **found.sizes}
-    raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, {found.ego: Role.EGO}, step)
+    raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, episode.task.roles(found.ego), step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from sumo_adv.errors import UsageError
+from sumo_adv.world.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.world.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.world.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
 
@@ -44,7 +45,7 @@ class RunInput:
     density: departures per minute over the whole network, None = the default if ``routes`` is empty.
     ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
-    candidates, intents: empty = no restriction. files: all that a manifest must copy.
+    candidates, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log moves.
     """
 
     name: str
@@ -67,17 +68,18 @@ class RunInput:
     intents: tuple[str, ...] = ()
     label: Label | None = None
     files: tuple[Path, ...] = ()
+    playback: PlaybackSpec | None = None
 
 
 def load_input(path: Path) -> RunInput:
     """The input at ``path``, or the shipped scenario or network of that name, checked.
 
-    Raises UsageError for anything missing, damaged, undrivable, mismatched or not supported yet.
+    Raises UsageError for anything missing, damaged, undrivable or mismatched.
     """
     found = resolve(path)
     lower = found.name.lower()
     if ".tfrecord" in lower:
-        raise UsageError(f"{found} is a Waymo record, which is not supported yet: convert it to a scenario first.")
+        raise UsageError(f"{found} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
     if lower.endswith(".toml"):
         return _from_scenario(found)
     if lower.endswith((".sumocfg", ".sumo.cfg")):
@@ -89,7 +91,10 @@ def load_input(path: Path) -> RunInput:
 
 
 def input_name(path: Path) -> str:
-    """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``."""
+    """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``; its folder's if the file is
+    just a ``scenario.toml``."""
+    if path.name == "scenario.toml" and path.resolve().parent.name:
+        return path.resolve().parent.name
     for suffix in _SUFFIXES:
         if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
             return path.name[: -len(suffix)]
@@ -178,24 +183,29 @@ def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
 def _from_scenario(path: Path) -> RunInput:
     """A run from a scenario file, its demand and ids checked against one another."""
     scenario = load_scenario(path)
-    for key in scenario.unsupported():
-        raise UsageError(f"The scenario {path} uses '{key}', which is not supported yet: remove it to run the rest.")
     routes, additional = scenario.demand.files, scenario.signals.files
     edges, scans = _scan_all(path, scenario.network, (*routes, *additional))
-    if routes:
-        _check_ids(path, scenario, scans)
+    playback = scenario_playback(scenario)
+    recorded = frozenset() if playback is None else playback.vehicles
+    if routes or recorded:
+        _check_ids(path, scenario, scans, recorded)
     for edge in scenario.ego.route:
         if edge not in edges.edges:
             raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {scenario.network} does not have.")
     return RunInput(
         name=input_name(path), source=path, network=scenario.network, routes=routes, additional=additional,
-        begin=scenario.demand.begin, end=scenario.demand.end, density=scenario.demand.density,
+        begin=_or(scenario.demand.begin, playback.begin if recorded and playback else None),
+        end=_or(scenario.demand.end, playback.end if recorded and playback else None), density=scenario.demand.density,
         demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
         ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, intents=scenario.adversary.intents, label=scenario.label,
-        files=(path, scenario.network, *routes, *additional),
+        files=(path, scenario.network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
     )  # fmt: skip
+
+
+def _or(value: float | None, default: float | None) -> float | None:
+    return default if value is None else value
 
 
 def _ego(ego: Ego) -> str | EgoRoute | None:
@@ -221,9 +231,10 @@ def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Ne
     return roads, scans
 
 
-def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...]) -> None:
-    """Raises UsageError if the scenario names a vehicle that its own route files do not hold."""
+def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
+    """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
     for role, ids in (("ego", (scenario.ego.id,)), ("adversary candidate", scenario.adversary.candidates)):
         for vehicle in ids:
-            if vehicle is not None and not any(scan.has(vehicle) for scan in scans):
-                raise UsageError(f"The scenario {path} names the {role} '{vehicle}', which is not in its demand files.")
+            if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):
+                continue
+            raise UsageError(f"The scenario {path} names the {role} '{vehicle}', which is not in its demand files.")

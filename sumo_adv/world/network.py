@@ -16,6 +16,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, make_path, wrap
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
+MOST_WIDTH = 6.0  # m: no lane is wider
+IN_LINE = 0.6  # rad between a box and the lane that it is in
 MAX_PATHS = 6  # ways on that are followed for one vehicle
 
 
@@ -78,6 +80,20 @@ class RoadMap:
 
         tree, names = self._tree
         return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
+
+    def lane_at(self, x: float, y: float, heading: float) -> tuple[str, float] | None:
+        """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree."""
+        best: tuple[float, str, float] | None = None
+        for lane in self.lanes_near(x, y, MOST_WIDTH):
+            a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
+            length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+            t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
+            away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
+            i = int(np.argmin(away))
+            turned = abs(wrap(math.atan2(along[i, 1], along[i, 0]) - heading))
+            if lane.passenger and away[i] < lane.width / 2 and turned < IN_LINE and (not best or away[i] < best[0]):
+                best = float(away[i]), lane.id, float(length[:i].sum() + t[i] * length[i])
+        return None if best is None else best[1:]
 
     def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
         """Lateral offset of the nearest lane to the left that leads the other way and touches ours; None if none."""

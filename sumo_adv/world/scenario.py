@@ -2,21 +2,23 @@
 
     schema = 1                              # version of this layout
     network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder
-    tracks = "log.csv"                      # recorded tracks with valid flags
-    background = "sumo"                     # sumo | log (the BVs are driven by the tracks)
+    tracks = "log.csv.gz"                   # recorded tracks with valid flags (``tracks.py``), from which time 0 on
+    background = "sumo"                     # from the hand-over on: sumo | log (the BVs are driven by the tracks)
 
     [demand]     files = [..] | density [departures per minute over the whole network]; seed, begin [s], end [s]
     [ego]        id | route = [edges..] with depart [s], lane, position [m], speed [m/s];
                  controller, parameters, type
     [window]     warm_up [s], trigger [s] or "auto", horizon [s]
     [adversary]  candidates = [ids..], intents = [labels..]
-    [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded signal states)
+    [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded states, ``signals.py``)
     [label]      intents = [labels..], source = "annotated" | "oracle"
     [[parked]] [[pedestrians]] [[cyclists]]
                  x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
 
 Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a duration.
-Nothing here opens any file but the scenario; ``inputs.py`` checks what it names and refuses what is not supported yet.
+With ``tracks`` the log moves everybody until the warm-up is over: then the ego gets its driver and the BVs theirs.
+A recorded vehicle's route is the ``<route>`` of its id in the demand's files; without one it is only ever replayed.
+Nothing here opens any file but the scenario; ``inputs.py`` checks what it names.
 """
 
 from __future__ import annotations
@@ -153,18 +155,6 @@ class Scenario(_Table):
     parked: tuple[Box, ...] = ()
     pedestrians: tuple[Box, ...] = ()
     cyclists: tuple[Box, ...] = ()
-
-    def unsupported(self) -> tuple[str, ...]:
-        """The keys used here that this release can read but not honour; a run refuses them, it never ignores them."""
-        used = {
-            "tracks": self.tracks is not None,
-            'background = "log"': self.background == "log",
-            "parked": bool(self.parked),
-            "pedestrians": bool(self.pedestrians),
-            "cyclists": bool(self.cyclists),
-            "signals.log": self.signals.log is not None,
-        }
-        return tuple(key for key, present in used.items() if present)
 
 
 def load_scenario(path: Path) -> Scenario:

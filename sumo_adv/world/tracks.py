@@ -187,22 +187,19 @@ def _wrong(path: Path, line: int, what: str) -> UsageError:
 
 
 def _grid(path: Path, times: set[float]) -> Floats:
-    """The even grid that holds all times."""
+    """The even grid that holds all times; its step is the least difference of two."""
     found = np.array(sorted(times))
     if len(found) == 1:
         return found
-    step = float(np.median(np.diff(found)))
-    count = round(float(found[-1] - found[0]) / step) + 1 if step > 0 else MOST_STEPS + 1
-    if count > MOST_STEPS:
-        raise UsageError(
-            f"The tracks {path} have times too far apart for their step of {step:g} s; write an even grid."
-        )
-    grid = np.linspace(found[0], found[-1], count)
-    off = np.abs((found - grid[0]) / (grid[1] - grid[0]) - np.rint((found - grid[0]) / (grid[1] - grid[0])))
-    if float(off.max()) * step > SAME_TIME:
+    step, span = float(np.diff(found).min()), float(found[-1] - found[0])
+    if span / step > MOST_STEPS:
+        raise UsageError(f"The tracks {path} span too much time for their step of {step:g} s; write an even grid.")
+    places = (found - found[0]) / step
+    off = np.abs(places - np.rint(places)) * step
+    if off.max() > SAME_TIME:
         worst = float(found[int(off.argmax())])
         raise UsageError(f"The tracks {path} are not on an even time grid: {worst:g} s is off the step of {step:g} s.")
-    return grid
+    return np.linspace(found[0], found[-1], round(span / step) + 1)
 
 
 def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> LoggedTrack:
