@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Planner, Proposal
+from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.foresight import Sessions
 from sumo_adv.episode.task import Found, Task
 from sumo_adv.episode.worker import Worker
@@ -107,7 +107,8 @@ def _local(found: Found, proposal: Proposal) -> Callable[[Told], Any]:
     road, planner = road_of(situation, proposal.bv), space["endpoint"]
 
     def ask(told: Told) -> Any:
-        answer = planner(*told, road, proposal.parameters, proposal.acceleration, situation.horizon)
+        acceleration = acceleration_at(proposal.acceleration, told[0]["time"])
+        answer = planner(*told, road, proposal.parameters, acceleration, situation.horizon)
         return Answer(world_endpoint(situation, answer))
 
     return ask

@@ -7,7 +7,7 @@ value.  Arrays inside a noun are never written to after it was made.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Acceleration = float | tuple[tuple[float, float], ...]
+"""m/s2: a number, or 1 to ``MOST_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
+
+MOST_KNOTS = 4
 
 
 class Role(StrEnum):
@@ -66,6 +70,41 @@ class Limits:
     lateral: float = 4.0  # m/s2
     curvature: float = 0.2  # 1/m
     jerk: float = 12.0  # m/s3, longitudinal
+
+
+def acceleration_at(acceleration: Acceleration, time: float) -> float:
+    """The number [m/s2] that holds ``time`` [s] after the takeover."""
+    if not isinstance(acceleration, tuple):
+        return float(acceleration)
+    times, values = zip(*acceleration, strict=True)
+    return float(np.interp(time, times, values))
+
+
+def acceleration_of(value: Any, limits: Limits | None = None) -> Acceleration:
+    """An acceleration from what JSON holds: a number or a list of [time, m/s2].
+
+    Raises:
+        ValueError: it is neither, or beyond the limits where they are given; with a sentence.
+    """
+    knots = value if isinstance(value, list | tuple) else [[0.0, value]]
+    if not 1 <= len(knots) <= MOST_KNOTS or not all(isinstance(k, list | tuple) and len(k) == 2 for k in knots):
+        raise ValueError(f"acceleration must be a number or 1 to {MOST_KNOTS} knots [time, acceleration].")
+    if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < 1e6 for k in knots for n in k):
+        raise ValueError("acceleration must be made of finite numbers.")
+    times = [k[0] for k in knots]
+    if times[0] < 0 or sorted(set(times)) != times:
+        raise ValueError("The times of the acceleration knots must be 0 or more, and ascending.")
+    if limits is not None:
+        low, high = -limits.braking, limits.acceleration
+        worst = next((k[1] for k in knots if not low <= k[1] <= high), None)
+        if worst is not None:
+            raise ValueError(f"The acceleration {worst:g} m/s2 is beyond the limits, {low:g} to {high:g}.")
+    return tuple((float(t), float(a)) for t, a in knots) if isinstance(value, list | tuple) else float(value)
+
+
+def plain_acceleration(acceleration: Acceleration) -> float | list[list[float]]:
+    """An acceleration as JSON has it: a number or a list of [time, m/s2]."""
+    return [list(k) for k in acceleration] if isinstance(acceleration, tuple) else acceleration
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,13 +172,13 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True)
 class Intent:
-    """What an adversary tries: the paper's phi with y_acc. ``acceleration`` is a number or (time, m/s2) knots."""
+    """What an adversary tries: the paper's phi with y_acc. ``acceleration``: see ``Acceleration``."""
 
     bv: str
     label: str
     description: str
     risk: str  # low | medium | high
-    acceleration: float | tuple[tuple[float, float], ...]
+    acceleration: Acceleration
     reason: str = ""
     source: str = "memory"  # memory | generated
 
@@ -219,7 +258,7 @@ class Proposal:
     label: str
     planner: Planner
     parameters: Mapping[str, float]
-    acceleration: float
+    acceleration: Acceleration
     delay: float  # s after the trigger
     by: str = "tuner"
     score: float = float("nan")

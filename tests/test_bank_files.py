@@ -69,14 +69,14 @@ def test_a_later_migration_keeps_rows_and_one_that_fails_changes_nothing(tmp_pat
     path = tmp_path / "bank.sqlite"
     with MemoryBank.open(path) as bank:
         bank.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
-    later = Migration("0002_note", ("ALTER TABLE intents ADD COLUMN note TEXT",))
-    broken = Migration("0003_broken", ("CREATE TABLE half (x)", "INSERT INTO nowhere VALUES (1)"))
+    later = Migration("9998_note", ("ALTER TABLE intents ADD COLUMN note TEXT",))
+    broken = Migration("9999_broken", ("CREATE TABLE half (x)", "INSERT INTO nowhere VALUES (1)"))
     with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as connection:
-        assert migrate(connection, "bank", migrations=(*MIGRATIONS, later)) == ["0002_note"]
+        assert migrate(connection, "bank", migrations=(*MIGRATIONS, later)) == ["9998_note"]
         assert migrate(connection, "bank", migrations=(*MIGRATIONS, later)) == []
         with pytest.raises(sqlite3.OperationalError, match="nowhere"):
             migrate(connection, "bank", migrations=(*MIGRATIONS, later, broken))
-        assert connection.execute("PRAGMA user_version").fetchone() == (2,)
+        assert connection.execute("PRAGMA user_version").fetchone() == (len(MIGRATIONS) + 1,)
         assert connection.execute("SELECT label, note FROM intents").fetchall() == [("Emergency Braking", None)]
         with pytest.raises(BankError, match="another line"):
             migrate(connection, "bank", migrations=(*MIGRATIONS, broken))

@@ -191,7 +191,9 @@ def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
     remembered = ways[0].proposal(random.Random(1))
     plans = _untuned([intent], ways, [remembered])
     assert plans[0] is remembered
-    assert [(p.delay, p.parameters, p.acceleration) for p in plans[1:]] == [(4.0, {"gap": 2.0, "drift": 3.0}, -2.0)]
+    assert [(p.delay, p.parameters, p.acceleration) for p in plans[1:]] == [
+        (4.0, {"gap": 2.0, "drift": 3.0}, ((0.0, -2.0), (1.0, 1.0)))
+    ]
 
 
 def test_planners_are_predicted_in_batches_that_fit_the_sandbox():

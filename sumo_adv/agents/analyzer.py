@@ -10,19 +10,19 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.asking import Line, ask, ask_many
 from sumo_adv.agents.prompts import Prompt, Prompts, tame
 from sumo_adv.agents.scene import Names, driver_words, relative_words, road_words, state_words
-from sumo_adv.datatypes import Intent, LibraryEntry, Limits
+from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.situation import Situation
 
 RISKS: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
 UNDECIDED = 0.5  # share of the greatest possible entropy from which the first intents are tried side by side
-MOST_KNOTS, MOST_NOVEL = 4, 2
+MOST_NOVEL = 2
 Evidence = Callable[[Names], str]
 
 
@@ -133,7 +133,7 @@ class ModelAnalyzer:
         for choice in answer.intents:
             if choice.bv not in names.bvs:
                 return f"There is no vehicle '{tame(choice.bv)}' that may be chosen; there are {', '.join(names.bvs)}."
-            wrong = self._wrong_knots(choice.acceleration)
+            wrong = self._wrong_acceleration(choice.acceleration)
             entry = labels.get(tame(choice.label).lower())
             if wrong is None and choice.novel:
                 wrong = self._wrong_novelty(choice, entry)
@@ -165,16 +165,12 @@ class ModelAnalyzer:
             return f"The novel behaviour '{tame(choice.label)}' needs a description of one or two sentences."
         return None
 
-    def _wrong_knots(self, acceleration: float | list[list[float]]) -> str | None:
-        knots: list[list[float]] = acceleration if isinstance(acceleration, list) else [[0.0, acceleration]]
-        low, high = -self._limits.braking, self._limits.acceleration
-        if not 1 <= len(knots) <= MOST_KNOTS or any(len(k) != 2 for k in knots):
-            return f"acceleration must be a number or 1 to {MOST_KNOTS} knots [time, acceleration]."
-        times = [k[0] for k in knots]
-        if not all(map(math.isfinite, [v for k in knots for v in k])) or times[0] < 0 or sorted(set(times)) != times:
-            return "The times of the acceleration knots must be 0 or more, and ascending."
-        worst = next((k[1] for k in knots if not low <= k[1] <= high), None)
-        return None if worst is None else f"The acceleration {worst:g} m/s2 is beyond the limits, {low:g} to {high:g}."
+    def _wrong_acceleration(self, acceleration: float | list[list[float]]) -> str | None:
+        try:
+            acceleration_of(acceleration, self._limits)
+        except ValueError as error:
+            return str(error)
+        return None
 
 
 def analyzer_prompt(
@@ -220,10 +216,7 @@ def _intent(choice: Choice, names: Names, known: Mapping[str, LibraryEntry]) -> 
     entry = next((e for label, e in known.items() if tame(label).lower() == tame(choice.label).lower()), None)
     label = entry.label if entry is not None else tame(choice.label)
     description = entry.description if entry is not None else tame(choice.description)
-    knots: Any = choice.acceleration
-    if isinstance(knots, list):
-        knots = tuple((float(t), float(a)) for t, a in knots)
     return Intent(
-        names.bvs[choice.bv], label, description, choice.risk, knots, tame(choice.reason),
-        "memory" if entry is not None else "generated",
+        names.bvs[choice.bv], label, description, choice.risk, acceleration_of(choice.acceleration),
+        tame(choice.reason), "memory" if entry is not None else "generated",
     )  # fmt: skip

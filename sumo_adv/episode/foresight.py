@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Bools, Boxes, Floats, Planner, Proposal
+from sumo_adv.datatypes import Bools, Boxes, Floats, Planner, Proposal, acceleration_at
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import avoidance
@@ -24,7 +24,7 @@ from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
 from sumo_adv.planning.predict import Answer, Rollouts, Told, predict, world_endpoint
-from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.sandbox import Call, Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
@@ -127,10 +127,12 @@ class Sessions:
         name = proposal.planner.hash
         if name in self.failures:
             raise SandboxError(self.failures[name])
-        end: dict[str, float] = self._open[name].endpoint(
-            proposal.bv, *told, proposal.parameters, proposal.acceleration, self._situation.horizon
-        )
+        end: dict[str, float] = self._open[name].endpoint(*self._call(proposal, told))
         return self._answer(proposal, told, end)
+
+    def _call(self, proposal: Proposal, told: Told) -> Call:
+        acceleration = acceleration_at(proposal.acceleration, told[0]["time"])
+        return proposal.bv, *told, proposal.parameters, acceleration, self._situation.horizon
 
     def _answer(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
         """An endpoint in the world, with the planner's own trajectory to it if it defines one and it is on the road."""
@@ -155,12 +157,8 @@ class Sessions:
             mine = [k for k in rows if proposals[k].planner.hash == name]
             if not mine or name in self.failures:
                 continue
-            horizon = self._situation.horizon
-            calls = [
-                (proposals[k].bv, *told[k], proposals[k].parameters, proposals[k].acceleration, horizon) for k in mine
-            ]
             try:
-                found = session.endpoints(calls)
+                found = session.endpoints([self._call(proposals[k], told[k]) for k in mine])
             except SandboxError as error:
                 self.failures[name] = str(error)
                 continue

@@ -110,7 +110,7 @@ class Refiner:
         for intent in intents[: AT_ONCE if self._cast.undecided else 1] if modelled else ():
             proposal = tuner.first_of(intent.bv, intent.label)
             if proposal is not None:
-                self._proposed.append(replace(proposal, acceleration=_number(intent.acceleration)))
+                self._proposed.append(replace(proposal, acceleration=intent.acceleration))
         return tuner
 
     def _next(self, source: Tuner | list[Proposal], ways: Sequence[Family], found: Refinement) -> list[Proposal]:
@@ -215,13 +215,7 @@ def _untuned(intents: Sequence[Intent], ways: Sequence[Family], remembered: Sequ
     order, at the earliest moment there is."""
     plans = list(remembered)
     for intent in intents:
-        acceleration = _number(intent.acceleration)
         mine = [w for w in ways if w.entry.label == intent.label and w.target.state.id == intent.bv]
         earliest = min((w.delay for w in mine), default=0.0)
-        plans += [replace(w.proposal(None), acceleration=acceleration) for w in mine if w.delay == earliest]
+        plans += [replace(w.proposal(None), acceleration=intent.acceleration) for w in mine if w.delay == earliest]
     return plans
-
-
-def _number(acceleration: float | tuple[tuple[float, float], ...]) -> float:
-    """The first knot's, where there are several."""
-    return float(acceleration[0][1]) if isinstance(acceleration, tuple) else float(acceleration)

@@ -1,8 +1,8 @@
 """Evidence as a CSV file, one row a piece, sorted: text that can be compared and reviewed.
 
 Columns: ``planner`` (the name of its file without ``.py``), then those of Evidence; ``relative`` and ``parameters`` are
-JSON objects of numbers, yes or no is 1 or 0, and what does not arise (or a TTC that is never) is empty.  Time stamps
-are left out: they are no part of a bank's content.
+JSON objects of numbers, ``acceleration`` is a number or a JSON list of [time, m/s2], yes or no is 1 or 0, and what does
+not arise (or a TTC that is never) is empty.  Time stamps are left out: they are no part of a bank's content.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 
+from sumo_adv.datatypes import acceleration_of, plain_acceleration
 from sumo_adv.errors import BankError
 from sumo_adv.memory.records import Evidence, SceneSignature
 
@@ -35,7 +36,7 @@ def _row(e: Evidence, name: str) -> list[str]:
     return [
         name, e.scene.geometry, e.scene.relation, e.scene.controller,
         json.dumps(dict(e.scene.relative), sort_keys=True), json.dumps(dict(e.parameters), sort_keys=True),
-        repr(float(e.acceleration)), repr(float(e.delay)), str(e.attempts),
+        json.dumps(plain_acceleration(e.acceleration)), repr(float(e.delay)), str(e.attempts),
         "" if math.isinf(e.min_ttc) else repr(float(e.min_ttc)),
         *(("" if flag is None else str(int(flag))) for flag in
           (e.collided, e.critical, e.feasible, e.rear_end, e.valid, e.strict)),
@@ -92,7 +93,7 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
         network=row["network"],
         seed=seed,
         parameters=_numbers(row["parameters"]),
-        acceleration=_number(row["acceleration"]),
+        acceleration=acceleration_of(json.loads(row["acceleration"])),
         delay=_number(row["delay"]),
     )
 

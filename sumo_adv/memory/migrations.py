@@ -93,6 +93,13 @@ MIGRATIONS: tuple[Migration, ...] = (
             """,
         ),
     ),
+    Migration(
+        "0002_acceleration_knots",
+        (
+            # list of [time, m/s2], NULL where evidence.acceleration is all there is to it; else that is the first one's
+            "ALTER TABLE evidence ADD COLUMN knots TEXT CHECK (knots IS NULL OR json_valid(knots))",
+        ),
+    ),
 )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import Floats, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
 if TYPE_CHECKING:
@@ -84,10 +84,11 @@ def _columns(rows: list[tuple[Floats, Evidence]]) -> tuple[Floats, np.ndarray, l
     return table, np.asarray([each.valid is True for _, each in rows]), [each for _, each in rows]
 
 
-def _order(evidence: Evidence) -> tuple[float, str, str, str, int, float, float, str]:
+def _order(evidence: Evidence) -> tuple[float, str, str, str, int, float, float, str, str]:
     return (
         evidence.min_ttc, evidence.label, evidence.planner_hash, evidence.network, evidence.seed, evidence.delay,
-        evidence.acceleration, json.dumps(dict(evidence.parameters), sort_keys=True),
+        acceleration_at(evidence.acceleration, 0.0), json.dumps(dict(evidence.parameters), sort_keys=True),
+        json.dumps(evidence.acceleration),
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sumo_adv.datatypes import Planner, Verdict
+from sumo_adv.datatypes import Acceleration, Planner, Verdict
 from sumo_adv.errors import BankError
 
 RELATIONS = (
@@ -87,7 +87,7 @@ class Evidence:
     network: str
     seed: int
     parameters: Mapping[str, float] = field(default_factory=dict)
-    acceleration: float = 0.0
+    acceleration: Acceleration = 0.0
     delay: float = 0.0
     created: str = field(default="", compare=False)
 
@@ -108,7 +108,7 @@ def evidence_of(
     network: str,
     seed: int,
     parameters: Mapping[str, float] | None = None,
-    acceleration: float = 0.0,
+    acceleration: Acceleration = 0.0,
     delay: float = 0.0,
 ) -> Evidence:
     """Evidence from the verdict of the attempt that counts; the other arguments are Evidence's fields."""

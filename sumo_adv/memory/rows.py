@@ -9,12 +9,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from sumo_adv.datatypes import Parameter, Planner
+from sumo_adv.datatypes import Parameter, Planner, acceleration_at, acceleration_of
 from sumo_adv.errors import BankError
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical
 
 _EVIDENCE_COLUMNS = (
-    "geometry, relation, relative, controller, parameters, acceleration, delay, attempts, min_ttc,"
+    "geometry, relation, relative, controller, parameters, acceleration, knots, delay, attempts, min_ttc,"
     " collided, critical, feasible, rear_end, valid, strict, version, network, seed, created"
 )
 
@@ -123,7 +123,9 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         raise BankError(f"The evidence for {evidence.label!r} has a min TTC that is not a number.")
     values = (
         scene.geometry, scene.relation, _json(scene.relative), scene.controller, _json(evidence.parameters),
-        evidence.acceleration, evidence.delay, evidence.attempts,
+        acceleration_at(evidence.acceleration, 0.0),
+        _json(evidence.acceleration) if isinstance(evidence.acceleration, tuple) else None,
+        evidence.delay, evidence.attempts,
         None if math.isinf(evidence.min_ttc) else evidence.min_ttc,
         evidence.collided, evidence.critical, evidence.feasible, evidence.rear_end, evidence.valid, evidence.strict,
         evidence.version, evidence.network, evidence.seed, now,
@@ -184,7 +186,7 @@ def _planner(label: str, mode: str, source: str, parameters: str, parent: str | 
 
 
 def _evidence(label: str, planner_hash: str, values: list[Any]) -> Evidence:
-    geometry, relation, relative, controller, parameters, acceleration, delay, attempts, min_ttc, *rest = values
+    geometry, relation, relative, controller, parameters, acceleration, knots, delay, attempts, min_ttc, *rest = values
     collided, critical, feasible, rear_end, valid, strict, version, network, seed, created = rest
     return Evidence(
         label=label,
@@ -202,7 +204,7 @@ def _evidence(label: str, planner_hash: str, values: list[Any]) -> Evidence:
         network=network,
         seed=seed,
         parameters=json.loads(parameters),
-        acceleration=acceleration,
+        acceleration=acceleration if knots is None else acceleration_of(json.loads(knots)),
         delay=delay,
         created=created,
     )

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 BATCH_FEED = 256  # calls a feed: a feed has ``call_seconds``, and an honest call needs some 10 us
 _PLANNER_FILE = "<python-input-1>"  # monty's name for the second feed of a session
 
-Call = tuple[str, Mapping[str, Any], Mapping[str, Any], Mapping[str, float], Any, float]
+Call = tuple[str, Mapping[str, Any], Mapping[str, Any], Mapping[str, float], float, float]
 """One call in a batch: key, bv, ego, parameters, acc, horizon [s]."""
 
 
@@ -85,7 +85,7 @@ class PlannerSession:
         bv: Mapping[str, Any],
         ego: Mapping[str, Any],
         parameters: Mapping[str, float],
-        acc: Any,
+        acc: float,
         horizon: float,
     ) -> dict[str, float]:
         """Call the planner once.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 FASTEST = 60.0  # m/s: no vehicle on a road gets farther than this from where it is, and
 NEAR = 20.0  # m more
-ACCELERATIONS: tuple[Any, ...] = (0.0, [[0.0, -3.0], [2.0, -8.0]])
+ACCELERATIONS = (0.0, -6.0)  # m/s2
 
 
 def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_check: bool = False) -> str | None:

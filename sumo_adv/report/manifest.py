@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, load_settings
-from sumo_adv.datatypes import Proposal
+from sumo_adv.datatypes import Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
 from sumo_adv.planning.source import make_planner
@@ -74,7 +74,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     if planner.hash != a["planner"]:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
     numbers = {str(k): float(v) for k, v in a["parameters"].items()}
-    proposal = Proposal(a["bv"], a["label"], planner, numbers, a["acceleration"], a["delay"], a["by"])
+    proposal = Proposal(a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"])
     source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
     return Recorded(source, settings, task, proposal, m["skips"])
 

@@ -6,7 +6,6 @@ import math
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 from sumo_adv import __version__
 from sumo_adv.agents.expert import NAME
 from sumo_adv.agents.ledger import Ledger
-from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict
+from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.cast import ROLES
 from sumo_adv.episode.episode import Episode
 from sumo_adv.world.playback_spec import PlaybackSpec
@@ -105,11 +104,10 @@ def verdict(v: Verdict) -> dict[str, Any]:
 def _intent(intent: Intent | None, recall: str) -> dict[str, Any] | None:
     if intent is None:
         return None
-    knots = intent.acceleration
-    acceleration = [list(k) for k in knots] if isinstance(knots, tuple) else knots
     return {
         "bv": intent.bv, "label": intent.label, "description": intent.description, "risk": intent.risk,
-        "acceleration": acceleration, "reason": intent.reason, "source": intent.source, "recall": recall,
+        "acceleration": plain_acceleration(intent.acceleration), "reason": intent.reason, "source": intent.source,
+        "recall": recall,
     }  # fmt: skip
 
 
@@ -118,7 +116,8 @@ def _attempt(a: Attempt) -> dict[str, Any]:
     return {
         "index": a.index, "by": p.by, "phase": a.phase, "adversaries": [p.bv], "intent": p.label,
         "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
-        "parameters": {k: number(q) for k, q in p.parameters.items()}, "acceleration": p.acceleration,
+        "parameters": {k: number(q) for k, q in p.parameters.items()},
+        "acceleration": plain_acceleration(p.acceleration),
         "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
@@ -192,5 +191,5 @@ def _planner(p: Planner) -> dict[str, Any]:
 def _proposal(p: Proposal) -> dict[str, Any]:
     return {
         "bv": p.bv, "label": p.label, "planner": p.planner.hash, "parameters": dict(p.parameters),
-        "acceleration": p.acceleration, "delay": p.delay, "by": p.by,
+        "acceleration": plain_acceleration(p.acceleration), "delay": p.delay, "by": p.by,
     }  # fmt: skip
