@@ -33,7 +33,7 @@ class Brain:
 
             def answer(question: tuple[int, Any]) -> Answer | str:
                 k, told = question
-                return _answer(*opened[k], told)
+                return answer_of(*opened[k], told)
 
             results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)
             return results
@@ -42,7 +42,8 @@ class Brain:
                 sessions.__exit__(None, None, None)
 
 
-def _answer(proposal: Proposal, sessions: Sessions, told: Any) -> Answer | str:
+def answer_of(proposal: Proposal, sessions: Sessions, told: Any) -> Answer | str:
+    """What the proposal's planner answers, or a sentence why it does not."""
     try:
         return sessions.one(proposal, told)
     except SandboxError as error:

@@ -19,7 +19,7 @@ from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
 from sumo_adv.episode.knowledge import evidence_bias, learn, read_library, recall, remembered, retrieve, signature
-from sumo_adv.episode.refine import NOTHING, Refiner, succeeded
+from sumo_adv.episode.refine import NOTHING, Attempts, Refiner, succeeded
 from sumo_adv.episode.task import Found, NotFound, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
@@ -103,30 +103,47 @@ def _model_ending(error: ModelError) -> Ending:
 
 
 def _run(episode: Episode, engine: Engine, cast: Cast, bank: MemoryBank, tell: Tell) -> None:
-    settings, timing, sandbox = episode.settings, episode.timing, cast.sandbox
-    met = meet(episode, engine, sandbox, bank, tell)
-    if met is None:
+    met = meet(episode, engine, cast.sandbox, bank, tell)
+    entries = None if met is None else decide(episode, met, cast, bank)
+    if met is None or entries is None:
         return
-    found, expert, library = met.found, met.expert, met.library
-    entries: Sequence[LibraryEntry] = library
+    tell("intents", episode.intents)
+    brain = Brain(engine, cast.sandbox, met.found, episode.settings.seed)
+    pursue(episode, met, entries, brain, cast, bank, tell)
+
+
+def decide(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence[LibraryEntry] | None:
+    """Fill in the intents of an encounter; the library for it, or None if nothing can be tried (the episode says so).
+
+    Raises:
+        ModelError: a model plays a part and failed.
+    """
+    entries = met.library
     if met.known is not None:  # a like scene has evidence: nobody is asked
         episode.intents = [met.known]
     else:
         entries = analyze(episode, met, cast, bank)
-    if not expert.pool:
-        episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
-        return
-    tell("intents", episode.intents)
-    brain = Brain(engine, sandbox, found, settings.seed)
-    refiner = Refiner(brain, found, expert, cast, entries, settings, lambda a: tell("attempt", a))
+    if met.expert.pool:
+        return entries
+    episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
+    return None
+
+
+def pursue(
+    episode: Episode, met: Met, entries: Sequence[LibraryEntry], brain: Attempts, cast: Cast, bank: MemoryBank,
+    tell: Tell,
+) -> None:  # fmt: skip
+    """Attempts until success or until all is used up, and what is learnt from them."""
+    settings, timing = episode.settings, episode.timing
+    refiner = Refiner(brain, met.found, met.expert, cast, entries, settings, lambda a: tell("attempt", a))
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
     except ModelError as error:  # what was tried until then counts
         episode.ending, episode.reason = _model_ending(error), str(error)
     finally:  # also of what was interrupted or failed
-        _keep_intent(episode, library)
-        episode.isolation = sandbox.isolation
+        _keep_intent(episode, met.library)
+        episode.isolation = cast.sandbox.isolation
         timing["prediction"] = timing.get("prediction", 0.0) + met.foresight.seconds
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in met.foresight.failures.items())
@@ -144,22 +161,32 @@ class Met:
     expert: Expert
     known: Intent | None
 
+    @property
+    def reaches(self) -> bool:
+        """Whether some intent reaches the ego, by prediction or by what worked before."""
+        return self.known is not None or any(p.score < REACHES for p in self.expert.pool)
+
 
 def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> Met | None:
     """The first encounter that an intent reaches, by prediction; None if there is none (the episode says why)."""
-    settings = episode.settings
     while True:
         found = seek(episode, engine, tell)
         if found is None:
             return None
-        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-        now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
-        library, episode.bandit = read_library(bank, now, settings.seed)
-        expert, known = foresee(episode, found, foresight, library, bank)
-        reached = known is not None or any(p.score < REACHES for p in expert.pool)
-        if reached or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
-            return Met(found, foresight, library, now, expert, known)
+        met = predicted(episode, found, sandbox, bank)
+        if met.reaches or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
+            return met
         episode.skips += 1
+
+
+def predicted(episode: Episode, found: Found, sandbox: Sandbox, bank: MemoryBank) -> Met:
+    """An encounter with the library as the bank has it and the predictions of what could be done."""
+    settings = episode.settings
+    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+    now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
+    library, episode.bandit = read_library(bank, now, settings.seed)
+    expert, known = foresee(episode, found, foresight, library, bank)
+    return Met(found, foresight, library, now, expert, known)
 
 
 def foresee(

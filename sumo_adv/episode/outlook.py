@@ -77,7 +77,7 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
 
 
 def _stations(path: Path) -> Floats:
-    return PATH_STEP * np.arange(len(path.x))
+    return np.asarray(PATH_STEP * np.arange(len(path.x)), float)
 
 
 def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:

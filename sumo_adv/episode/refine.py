@@ -7,14 +7,14 @@ used up the modifier writes a new version of it.  Every attempt records who prop
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 from sumo_adv.agents.expert import Expert, Family, families
 from sumo_adv.agents.tuner import Tuner
 from sumo_adv.config import Settings, Until
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
-from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult, Found
@@ -62,12 +62,20 @@ def succeeded(verdict: Verdict, until: Until) -> bool:
     return verdict.collided if until is Until.COLLISION else verdict.critical
 
 
+class Attempts(Protocol):
+    """Who runs attempts; a result is asked for only where those before it did not succeed."""
+
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
+        """The results of the proposals, in order."""
+        ...
+
+
 class Refiner:
     """One encounter's attempts."""
 
     def __init__(
         self,
-        brain: Brain,
+        brain: Attempts,
         found: Found,
         expert: Expert,
         cast: Cast,

@@ -72,6 +72,12 @@ class Remote:
         except Exception:  # traci raises what its socket raises
             self.connection._socket = None
 
+    def drop(self) -> None:
+        """Hang up without a word: SUMO ends."""
+        if self.connection._socket is not None:
+            self.connection._socket.close()
+            self.connection._socket = None
+
     def _names(self) -> list[str]:
         """Ids of all vehicles; sets the time."""
         answer = self._exchange(self._overview)

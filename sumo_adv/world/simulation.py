@@ -160,6 +160,11 @@ class Simulation:
             self._sumo.close()
 
     @property
+    def remote(self) -> Remote | None:
+        """The other end, where SUMO is a program of its own."""
+        return self._remote
+
+    @property
     def api(self) -> Any:
         """libsumo or the connection itself, for what only ``stage.py`` asks of it."""
         return self._sumo
@@ -302,11 +307,14 @@ class Simulation:
         self._sumo.vehicle.setWidth(vehicle, width)
         self._sumo.vehicle.setMaxSpeed(vehicle, fastest)
 
-    def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str]) -> None:
-        """Insert a vehicle with a route of its own."""
+    def add(
+        self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = ""
+    ) -> None:
+        """Insert a vehicle with a route of its own, under a new name if it departs again."""
+        name = route or f"{vehicle}.route"
         try:
-            self._sumo.route.add(f"{vehicle}.route", list(edges))
-            self._sumo.vehicle.add(vehicle, f"{vehicle}.route", type_id, **depart)
+            self._sumo.route.add(name, list(edges))
+            self._sumo.vehicle.add(vehicle, name, type_id, **depart)
         except self._errors as error:
             raise SimulationError(f"SUMO could not insert vehicle '{vehicle}' ({error}).") from error
 
