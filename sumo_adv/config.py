@@ -6,7 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from sumo_adv.config_model import ModelSettings
@@ -73,6 +73,7 @@ class Settings(ModelSettings, BaseSettings):
     learn: Literal["on", "off"] = "on"
     recall: Literal["intent", "scene"] = "intent"
     memory: Path | None = None
+    metric: str = "tfidf"
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo"] | None = None  # who drives recorded BVs; None = as the scenario says
@@ -91,6 +92,14 @@ class Settings(ModelSettings, BaseSettings):
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
     limits: LimitSettings = Field(default_factory=LimitSettings)
+
+    @field_validator("metric")
+    @classmethod
+    def _is_a_metric(cls, given: str) -> str:
+        kind, _, name = given.partition(":")
+        if given != "tfidf" and (kind not in ("endpoint", "local") or not name):
+            raise ValueError("use tfidf, endpoint:MODEL or local:DIR")
+        return given
 
     @model_validator(mode="after")
     def _fits_the_step(self) -> Settings:

@@ -62,12 +62,14 @@ class Done:
 
 
 class Program:
-    """``python -m sumo_adv`` in ``folder``, with its home and its temporary files in there."""
+    """``python -m sumo_adv`` in ``folder``, with its home and its temporary files in there; ``variables`` are
+    set in its environment."""
 
     def __init__(self, folder: Path, caches: Path) -> None:
         self.folder = folder
         self.temporary = folder / "temporary"
         self.home = folder / "home"
+        self.variables: dict[str, str] = {}
         self._caches = caches
         for made in (self.temporary, self.home):
             made.mkdir(parents=True, exist_ok=True)
@@ -78,6 +80,7 @@ class Program:
         return {
             **kept, "HOME": str(self.home), "XDG_DATA_HOME": str(self.home / "data"), "MPLCONFIGDIR": str(self._caches),
             "TMPDIR": str(self.temporary), "PYTHONPATH": os.pathsep.join((str(ROOT), str(TESTS))), "NO_COLOR": "1",
+            **self.variables,
         }  # fmt: skip
 
     def start(self, *arguments: str | Path, before: Sequence[str] = (), **options: Any) -> subprocess.Popen[str]:

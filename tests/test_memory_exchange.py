@@ -10,8 +10,8 @@ import pytest
 from bank_samples import BRAKE_PLANNER, BRAKING, CUT_IN, CUT_PLANNER, evidence
 from test_bank_build import parse
 
-from sumo_adv.datatypes import Planner
-from sumo_adv.errors import BankError
+from sumo_adv.datatypes import Parameter, Planner
+from sumo_adv.errors import BankError, PlannerSyntaxError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build
 from sumo_adv.memory.exchange import Refused, export_bank, import_bank
@@ -116,6 +116,32 @@ def test_what_fails_in_the_sandbox_is_refused_by_name(tmp_path: Path) -> None:
         added, refused = import_bank(bank, tmp_path / "out", parse, wary, skip_refused=True)
         assert (added.intents, len(refused)) == (3, 1)
         assert bank.intent("Aggressive Cut-in") is None
+
+
+def test_what_cannot_be_read_is_left_out_when_asked(tmp_path: Path) -> None:
+    def strict(text: str) -> tuple[Parameter, ...]:
+        if text.endswith("{"):
+            raise PlannerSyntaxError("It ends early.")
+        return parse(text)
+
+    out = tmp_path / "out"
+    with MemoryBank.open(tmp_path / "one.sqlite") as bank:
+        bank.add(CUT_IN, [CUT_PLANNER])
+        bank.add(BRAKING, [BRAKE_PLANNER, replace(BRAKE_PLANNER, mode="other", source="PARAMETERS = {}\n# other\n")])
+        bank.record(evidence())
+        export_bank(bank, out)
+    (out / "emergency_braking" / "plain.py").write_text("PARAMETERS = {")
+    (out / "aggressive_cut_in" / "intent.toml").write_text("label = ")
+    with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
+        with pytest.raises(BankError, match="cannot be read as TOML"):
+            import_bank(bank, out, strict, fine)
+        added, refused = import_bank(bank, out, strict, fine, skip_refused=True)
+        assert (added.intents, added.planners, added.evidence) == (1, 1, 0)
+        assert [(each.label, each.mode) for each in refused] == [
+            ("aggressive_cut_in", "everything"), ("Emergency Braking", "plain"),
+        ]  # fmt: skip
+        assert "is no planner" in refused[1].reason
+        assert [planner.mode for planner in bank.planners("Emergency Braking")] == ["other"]
 
 
 def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from sumo_adv.cli import memory_check, memory_edit, memory_exchange
-from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent, open_bank
+from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent, open_bank
 
 app = typer.Typer(
     no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",
@@ -62,9 +62,9 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 
 
 @app.command("find", epilog="Example: sumo-adv memory find 'cuts in and brakes' --json")
-def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
+def find(text: str, metric: Metric = None, memory: Bank = None, as_json: Json = False) -> None:
     """The nearest intents to a description, their distance, the epsilon in force, and whether it is a hit."""
-    with open_bank(memory) as bank:
+    with open_bank(memory, similarity=chosen_similarity(metric)) as bank:
         found = bank.retrieve(text, text)
     nearest = [{"label": label, "distance": round(d, 4)} for label, d in found.nearest]
     value = {"hit": found.hit, "epsilon": found.epsilon, "band": found.band, "nearest": nearest}

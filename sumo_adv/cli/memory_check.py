@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent, open_bank
+from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent, open_bank
 
 if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
@@ -90,6 +90,7 @@ def _again(
 def calibrate(
     file: Annotated[Path, typer.Argument(help="Paraphrases of known intents, and novel behaviours, in TOML.")],
     store: Annotated[bool, typer.Option("--store", help="Keep the epsilon in the bank.")] = False,
+    metric: Metric = None,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -99,28 +100,39 @@ def calibrate(
     """
     from sumo_adv.memory.calibrate import calibrate as measure
     from sumo_adv.memory.calibrate import read_paraphrases
-    from sumo_adv.memory.similarity import TfIdf
 
-    with open_bank(memory) as bank:
+    similarity = chosen_similarity(metric)
+    with open_bank(memory, make=store, similarity=similarity) as bank:
         tuning, reporting = (_as_known(bank, half) for half in read_paraphrases(file))
         active = [record for record in bank.intents() if record.status == "active"]
-        found = measure(TfIdf(), active, tuning, reporting)
+        found = measure(similarity, active, tuning, reporting)
         known = sum(p.intent is not None for p in tuning)
         on = (
             f"{file.name}, tuning half: {known} paraphrases and {len(tuning) - known} novel behaviours,"
             f" a bank of {len(active)} intents"
         )
-        before = bank.epsilon()[0]
+        before = _epsilon(bank)
         if store:
             bank.set_epsilon(found.epsilon, on)
     figures = {"top-1": found.top1, "AUC": found.auc, "balanced accuracy": found.balanced_accuracy}
     value = {**asdict(found), "calibrated_on": on, "before": before, "stored": store}
+    before_said = "there was none" if before is None else f"was {before:.3f}"
     answer(value, as_json, lambda: [
-        f"Metric {found.metric}: epsilon {found.epsilon:.3f}, {'stored' if store else 'not stored'} (was {before:.3f})",
+        f"Metric {found.metric}: epsilon {found.epsilon:.3f}, {'stored' if store else 'not stored'} ({before_said})",
         f"Calibrated on {on}.",
         f"On the other half ({found.known} known, {found.novel} novel):",
         *(f"  {name:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for name, f in figures.items()),
     ])  # fmt: skip
+
+
+def _epsilon(bank: MemoryBank) -> float | None:
+    """The bank's epsilon for its metric; None if it was never calibrated."""
+    from sumo_adv.errors import BankError
+
+    try:
+        return bank.epsilon()[0]
+    except BankError:
+        return None
 
 
 def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:

@@ -33,7 +33,7 @@ def add(
     if not name or not name.isprintable() or len(name) > 80:
         raise UsageError("A mode is a short name; give another --mode.")
     source = _read(file)
-    with open_bank(memory) as bank:
+    with open_bank(memory, make=True) as bank:
         intent = _intent_to_add(bank, label, description, applies)
         planner = make_planner(intent.label, name, source, "person")
         for known in next((s.planners for s in bank.sources() if s.intent.label == intent.label), ()):

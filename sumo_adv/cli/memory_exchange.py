@@ -28,7 +28,7 @@ def export(
 
 def import_(
     folder: Path,
-    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where planners are refused.")] = False,
+    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where files or planners are refused.")] = False,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -38,7 +38,7 @@ def import_(
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.planning.trial import trier
 
-    with open_bank(memory) as bank, Sandbox() as sandbox:
+    with open_bank(memory, make=True) as bank, Sandbox() as sandbox:
         added, refused = import_bank(bank, folder, parse_parameters, trier(sandbox), skip_refused=skip)
     if refused and not skip:
         named = "; ".join(f"{each.label} / {each.mode}: {each.reason.rstrip('.')}" for each in refused[:5])

@@ -153,10 +153,18 @@ class MemoryBank:
         return {key: value for key, value in self._content.settings.items() if key.startswith(prefix)}
 
     def epsilon(self) -> tuple[float, str]:
-        """The distance up to which an intent is known, for the metric in use, and what it was calibrated on."""
+        """The distance up to which an intent is known, for the metric in use, and what it was calibrated on.
+
+        Raises BankError for a metric that was never calibrated for this bank.
+        """
         value = self._content.settings.get(f"epsilon.{self._similarity.name}")
         if isinstance(value, dict):
             return float(value["epsilon"]), str(value["calibrated_on"])
+        if self._similarity.epsilon is None:
+            raise BankError(
+                f"The memory bank {self.path} has no epsilon for the metric {self._similarity.name}; "
+                "measure one: memory calibrate PARAPHRASES.toml --metric .. --store."
+            )
         return self._similarity.epsilon, self._similarity.calibrated_on
 
     def retrieve(self, label: str, description: str = "") -> Retrieval:

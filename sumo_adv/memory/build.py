@@ -24,6 +24,10 @@ from sumo_adv.memory.similarity import TfIdf
 from sumo_adv.memory.store import connect, publish, sentences
 
 Parse = Callable[[str], tuple[Parameter, ...]]
+Refuse = Callable[[str, str, BankError], None]
+"""Takes the label (or the folder's name), the planner's file (or ``EVERYTHING``) and what is wrong with it."""
+
+EVERYTHING = "everything"
 
 SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
 EVIDENCE_FILE = "evidence.csv"
@@ -34,16 +38,17 @@ _MORE_KEYS = {"status": str, "merged_into": str, "planners": dict}
 _PLANNER_KEYS = {"mode", "origin", "parent", "status"}
 
 
-def read_sources(folder: Path, parse: Parse) -> list[Source]:
+def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[Source]:
     """The intents of ``folder`` by slug. ``parse`` reads a planner's PARAMETERS table without running it.
 
     Raises BankError for a missing or wrong file, a link, an unknown key, an intent without planners, a label used
-    twice.
+    twice. With ``refuse``, planners that cannot be read (and their evidence) and intents that cannot are told to it
+    and left out.
     """
     files = sorted(folder.glob("*/intent.toml"))
     if not files:
         raise BankError(f"{folder} holds no <intent>/intent.toml, so there is no bank to build or import.")
-    sources = [_read_source(file, parse) for file in files]
+    sources = [source for file in files if (source := _taken(file, parse, refuse)) is not None]
     seen: dict[str, str] = {}
     for source in sources:
         label = source.intent.label
@@ -95,7 +100,17 @@ def _intent(table: Mapping[str, Any]) -> IntentRecord:
     return IntentRecord(table["label"], description, tuple(map(str, table["applies"])), table.get("status", "active"))
 
 
-def _read_source(file: Path, parse: Parse) -> Source:
+def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> Source | None:
+    if refuse is None:
+        return _read_source(file, parse)
+    try:
+        return _read_source(file, parse, refuse)
+    except BankError as error:
+        refuse(file.parent.name, EVERYTHING, error)
+        return None
+
+
+def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Source:
     folder, table = file.parent, _read_toml(file)
     intent, merged_into = _intent(table), table.get("merged_into")
     details: dict[str, dict[str, str]] = table.get("planners", {})
@@ -109,18 +124,29 @@ def _read_source(file: Path, parse: Parse) -> Source:
             raise BankError(f"{file} must describe the planner {name!r} in short texts.")
         if each.get("status", "active") not in STATUSES:
             raise BankError(f"{file} gives the planner {name!r} a status that is neither active nor retired.")
-    planners = {
-        name: _read_planner(folder / f"{name}.py", intent.label, details.get(name, {}), parse) for name in names
-    }
+    planners: dict[str, Planner] = {}
+    for name in names:
+        try:
+            planners[name] = _read_planner(folder / f"{name}.py", intent.label, details.get(name, {}), parse)
+        except BankError as error:
+            if refuse is None:
+                raise
+            refuse(intent.label, details.get(name, {}).get("mode", name), error)
     if not planners and merged_into is None:
         raise BankError(f"{folder} has no planner; an intent needs at least one <mode>.py.")
     hashes = {name: planner.hash for name, planner in planners.items()}
     if len(set(hashes.values())) < len(planners):
         raise BankError(f"{folder} has two planners with the same text; each mode needs its own.")
-    retired = frozenset(hashes[name] for name, each in details.items() if each.get("status") == "retired")
+    retired = frozenset(hashes[n] for n, each in details.items() if n in hashes and each.get("status") == "retired")
     evidence_file = folder / EVIDENCE_FILE
     evidence = (
-        read_evidence(_read_text(evidence_file, MAX_EVIDENCE_BYTES), intent.label, hashes, str(evidence_file))
+        read_evidence(
+            _read_text(evidence_file, MAX_EVIDENCE_BYTES),
+            intent.label,
+            hashes,
+            str(evidence_file),
+            left_out=set(names) - set(hashes),
+        )
         if evidence_file.exists() or evidence_file.is_symlink()
         else ()
     )

@@ -11,7 +11,7 @@ import csv
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from sumo_adv.datatypes import acceleration_of, plain_acceleration
 from sumo_adv.errors import BankError
@@ -44,8 +44,11 @@ def _row(e: Evidence, name: str) -> list[str]:
     ]  # fmt: skip
 
 
-def read_evidence(text: str, label: str, hashes: Mapping[str, str], where: str) -> tuple[Evidence, ...]:
-    """Evidence about ``label`` from the text of a file; ``hashes``: name of a planner's file -> its hash.
+def read_evidence(
+    text: str, label: str, hashes: Mapping[str, str], where: str, left_out: Collection[str] = ()
+) -> tuple[Evidence, ...]:
+    """Evidence about ``label`` from the text of a file; ``hashes``: name of a planner's file -> its hash; rows about
+    the planners in ``left_out`` are passed over.
 
     Raises BankError with the line, ``where`` being the file's name for the sentence.
     """
@@ -56,6 +59,8 @@ def read_evidence(text: str, label: str, hashes: Mapping[str, str], where: str) 
             raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
         found = []
         for row in lines:
+            if row and row[0] in left_out:
+                continue
             try:
                 found.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
             except (ValueError, KeyError, TypeError, RecursionError) as error:

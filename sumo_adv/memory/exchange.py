@@ -72,12 +72,17 @@ def import_bank(
 ) -> tuple[Absorbed, list[Refused]]:
     """Add what the bank lacks of an export, in one transaction, after ``verify`` had a look at each of its planners.
 
-    With ``skip_refused`` the rest is taken where planners are refused. Returns what was added and what was refused;
-    where anything was refused without ``skip_refused`` nothing is added. Raises BankError for a folder that cannot
-    be read.
+    With ``skip_refused`` the rest is taken where planners are refused or files cannot be read. Returns what was added
+    and what was refused; where anything was refused without ``skip_refused`` nothing is added. Raises BankError for a
+    folder that cannot be read.
     """
-    refused, taken = [], []
-    for source in read_sources(folder, parse):
+    refused: list[Refused] = []
+    taken = []
+
+    def refuse(label: str, mode: str, error: BankError) -> None:
+        refused.append(Refused(label, mode, str(error)))
+
+    for source in read_sources(folder, parse, refuse if skip_refused else None):
         bad: set[str] = set()
         for planner in source.planners:
             if (reason := verify(source.intent, planner)) is not None:

@@ -22,11 +22,22 @@ from sumo_adv.memory.words import features
 
 class Similarity(Protocol):
     """A metric over intents. ``name`` identifies it and its version, and is the key of its epsilon in the bank;
-    ``epsilon`` and ``calibrated_on`` hold where the bank has no setting of its own."""
+    ``epsilon`` (None = there is none) and ``calibrated_on`` hold where the bank has no setting of its own."""
 
-    name: str
-    epsilon: float
-    calibrated_on: str
+    @property
+    def name(self) -> str:
+        """What its epsilon is stored under."""
+        ...
+
+    @property
+    def epsilon(self) -> float | None:
+        """The distance up to which two intents are one."""
+        ...
+
+    @property
+    def calibrated_on(self) -> str:
+        """Where epsilon comes from."""
+        ...
 
     def fit(self, entries: Sequence[tuple[str, str]]) -> None:
         """Take the (label, description) pairs of the bank, in its order."""
