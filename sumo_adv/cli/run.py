@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv.cli.memory_common import Metric, open_for_run
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import UsageError
@@ -63,6 +64,7 @@ def run(
     memory: Annotated[
         Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
     ] = None,
+    metric: Metric = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
     background: Annotated[
         str | None, typer.Option(help="log or sumo: who drives recorded vehicles [default: as the scenario says].")
@@ -91,7 +93,7 @@ def run(
     settings = load_settings(
         settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
-        memory=memory, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
+        memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
         fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
         background=background, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
@@ -110,15 +112,11 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.episode.loop import make_task, run_episode
     from sumo_adv.episode.worker import body
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.folder import staged
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.world.engine import Engine
-    from sumo_adv.world.inputs import data_folder
 
-    bank_path = settings.memory or default_bank_path()
     reporter = make_reporter(quiet=as_json)
     with (
         Interrupts() as interrupts,
@@ -127,7 +125,7 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
     ):
         task = make_task(given, settings, Path(scratch))
         with (
-            MemoryBank.open(bank_path, seed_from=data_folder("memory_bank.sqlite")) as bank,
+            open_for_run(settings) as bank,
             Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
             cast_of(settings, sandbox, folder.stage / MODEL_FILE) as cast,
             Engine(body) as engine,
