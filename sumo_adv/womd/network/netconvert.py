@@ -1,0 +1,45 @@
+"""Running netconvert, from the extra ``sumo`` or the path."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from importlib.util import find_spec
+from pathlib import Path
+
+from sumo_adv.errors import UsageError
+
+OPTIONS = (
+    "--offset.disable-normalization", "--no-turnarounds", "--junctions.join", "false",
+    "--geometry.avoid-overlap", "false", "--default.junctions.radius", "0", "--precision", "3",
+    "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
+)  # fmt: skip
+TIMEOUT = 120.0  # s
+
+
+def find_netconvert() -> Path:
+    """The program. Raises UsageError if it is not installed."""
+    name = "netconvert.exe" if os.name == "nt" else "netconvert"
+    spec = find_spec("sumo")
+    for folder in spec.submodule_search_locations or [] if spec is not None else []:
+        if (program := Path(folder) / "bin" / name).is_file():
+            return program
+    if (found := shutil.which(name)) is not None:
+        return Path(found)
+    raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
+
+
+def run_netconvert(program: Path, folder: Path, target: Path) -> None:
+    """From ``plain.*.xml`` in ``folder`` to ``target``. Raises UsageError with netconvert's last error."""
+    command = [str(program), *OPTIONS, "-o", str(target)]
+    for option, kind in (("-n", "nod"), ("-e", "edg"), ("-x", "con")):
+        command += [option, str(folder / f"plain.{kind}.xml")]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UsageError(f"netconvert could not build the network: {error}.") from error
+    if done.returncode != 0 or not target.is_file():
+        errors = [line for line in done.stderr.splitlines() if line.startswith("Error")]
+        last = errors[-1].removeprefix("Error: ").rstrip(".") if errors else f"exit status {done.returncode}"
+        raise UsageError(f"netconvert could not build the network: {last}.")

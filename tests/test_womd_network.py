@@ -1,0 +1,117 @@
+"""Waymo records become SUMO networks: synthetic records with numbers worked out by hand."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import womd_samples as samples
+
+from sumo_adv.errors import UsageError
+from sumo_adv.womd.network import ConvertedNetwork, convert_network
+from sumo_adv.womd.reader import read_records
+from sumo_adv.womd.record import Record
+from sumo_adv.world.network import RoadMap, read_network
+
+
+def record(folder: Path, message: Any) -> Record:
+    return next(iter(read_records(samples.write(folder / "one.tfrecord", message))))
+
+
+def convert(folder: Path, message: Any) -> tuple[ConvertedNetwork, RoadMap]:
+    made = convert_network(record(folder, message), folder / "net")
+    return made, read_network(made.path)
+
+
+def signal_letters(path: Path, lane: str) -> tuple[list[tuple[float, str]], ET.Element]:
+    """(duration, letter) a phase for the first connection out of a SUMO edge, and its tlLogic."""
+    net = ET.parse(path).getroot()
+    link = next(c for c in net.findall("connection") if c.get("from") == lane)
+    logic = next(t for t in net.findall("tlLogic") if t.get("id") == link.get("tl"))
+    index = int(link.get("linkIndex", "-1"))
+    phases = [(float(p.get("duration", "0")), p.get("state", "")[index]) for p in logic.findall("phase")]
+    return phases, logic
+
+
+def test_a_straight_road_is_one_edge_of_two_lanes(tmp_path: Path) -> None:
+    made, road = convert(tmp_path, samples.straight())
+    assert [p.name for p in (tmp_path / "net").iterdir()] == ["network.net.xml"]
+    right, left = (road.lanes[made.pieces[n][0].sumo_lane] for n in (12, 11))
+    assert (right.edge, right.index, left.index) == (left.edge, 0, 1)
+    assert np.allclose(right.shape[[0, -1]], [[0, 0], [300, 0]])
+    assert right.length == 300.0
+    assert right.width == left.width == 3.5  # from the edges and the dashes at 1.75 m
+    assert right.speed == pytest.approx(30 * 0.44704, abs=0.01)
+    assert made.report["junction_share"] == 0.0
+
+
+def test_what_crosses_above_does_not_meet(tmp_path: Path) -> None:
+    made, road = convert(tmp_path, samples.overpass())
+    assert not any(lane.internal for lane in road.lanes.values())
+    assert [len(made.pieces[n]) for n in (1, 2)] == [1, 1]
+    level = samples.overpass()
+    for feature in level.map_features:
+        for point in feature.lane.polyline:
+            point.z = 0.0
+    made, road = convert(tmp_path, level)
+    assert sum(lane.internal for lane in road.lanes.values()) == 2
+    inside = [p for p in made.pieces[1] if p.internal]
+    assert inside[0].start == pytest.approx(97, abs=1) and inside[0].end == pytest.approx(103, abs=1)
+
+
+def test_a_ramp_yields_where_it_merges(tmp_path: Path) -> None:
+    made, road = convert(tmp_path, samples.merge())
+    ramp = next(p for p in reversed(made.pieces[4]) if not p.internal)
+    onward = [(lane, c) for lane in road.lanes.values() for c in lane.connections if not lane.internal]
+    states = {lane.id: c.state for lane, c in onward}
+    assert states.pop(ramp.sumo_lane) == "m"
+    assert set(states.values()) == {"M"}
+    assert made.report["connections_kept"] == made.report["connections_wanted"] == 3
+
+
+def test_signals_hold_as_recorded_then_all_go_in_turn(tmp_path: Path) -> None:
+    made, _ = convert(tmp_path, samples.four_way())
+    edge = made.pieces[102][0].sumo_lane.rpartition("_")[0]
+    north, logic = signal_letters(made.path, edge)
+    assert north[0] == (4.0, "G") or north[0] == (4.0, "g")
+    assert north[1] == (1.0, "y")
+    assert north[2] == (4.1, "r")
+    assert made.report["signals_mapped"] == 12
+    assert made.report["signals_unknown"] == 0
+    states = [p.get("state", "") for p in logic.findall("phase")]
+    assert all(any(state[k] in "gG" for state in states) for k in range(12))
+
+
+def test_lanes_of_one_point_or_none_are_dropped_by_name(tmp_path: Path) -> None:
+    made, road = convert(tmp_path, samples.one_point())
+    assert made.report["dropped_lanes"] == [[2, "one point"], [4, "no points"]]
+    assert made.pieces[1][-1].sumo_lane == made.pieces[3][0].sumo_lane  # one road of 200 m
+    assert road.lanes[made.pieces[1][0].sumo_lane].length == pytest.approx(200.0)
+
+
+def test_a_gap_is_not_bridged_but_told(tmp_path: Path) -> None:
+    made, _ = convert(tmp_path, samples.gap())
+    assert made.report["connections_with_a_gap"] == [[1, 2]]
+    assert made.report["connections_wanted"] == 0
+
+
+def test_a_record_without_lanes_is_refused(tmp_path: Path) -> None:
+    straight = record(tmp_path, samples.straight())
+    bare = Record(**{name: getattr(straight, name) for name in Record.__slots__} | {"lanes": {}})
+    with pytest.raises(UsageError, match="no lane"):
+        convert_network(bare, tmp_path / "net")
+    assert not (tmp_path / "net").exists()
+
+
+def test_turns_are_slower_than_the_road_and_know_their_side(tmp_path: Path) -> None:
+    made, road = convert(tmp_path, samples.four_way())
+    east = road.lanes[made.pieces[101][0].sumo_lane]
+    assert {c.movement for c in east.connections} == {"left", "straight", "right"}
+    speed = {c.movement: road.lanes[c.via[0]].speed for c in east.connections}
+    assert speed["right"] < speed["left"] < speed["straight"] == pytest.approx(20 * 0.44704, abs=0.01)
+    length = {c.movement: road.lanes[c.via[0]].length for c in east.connections}
+    assert length["straight"] == pytest.approx(math.hypot(28.0, 0.0), abs=0.5)
