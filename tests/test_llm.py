@@ -20,6 +20,7 @@ from sumo_adv.agents.chat import ChatReply, ChatRequest
 from sumo_adv.agents.ledger import Budget, Ledger
 from sumo_adv.agents.llm import connect, connect_embedder
 from sumo_adv.agents.presets import find_server
+from sumo_adv.config import load_settings
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 
@@ -301,3 +302,22 @@ def test_the_wait_can_be_interrupted() -> None:
         threading.Thread(target=press, daemon=True).start()
         with pytest.raises(KeyboardInterrupt):
             answer(server)
+
+
+def test_the_environment_names_server_and_key_and_the_key_shows_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SUMO_ADV_LLM_BASE_URL", "http://gpu:8000/v1/")
+    monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", f" {KEY}\n")
+    settings = load_settings(None)
+    assert settings.llm_base_url == "http://gpu:8000/v1"
+    assert settings.llm_api_key is not None and settings.llm_api_key.get_secret_value() == KEY
+    assert KEY not in repr(settings) + str(settings) + settings.model_dump_json()
+    for name, wrong, says in (
+        ("SUMO_ADV_LLM_API_KEY", f"{KEY} {KEY}", "'llm_api_key' cannot be used: a key is one word"),
+        ("SUMO_ADV_LLM_BASE_URL", f"http://me:{KEY}@gpu/v1", "'llm_base_url' cannot be used: a key does not belong"),
+        ("SUMO_ADV_LLM_BASE_URL", "gpu:8000", "'llm_base_url' cannot be used: it should be an address such as"),
+    ):
+        with monkeypatch.context() as one:
+            one.setenv(name, wrong)
+            with pytest.raises(UsageError) as caught:
+                load_settings(None)
+        assert says in str(caught.value) and KEY not in str(caught.value)

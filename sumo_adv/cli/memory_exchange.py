@@ -28,7 +28,7 @@ def export(
 
 def import_(
     folder: Path,
-    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where files or planners are refused.")] = False,
+    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where something is refused.")] = False,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
