@@ -1,0 +1,210 @@
+"""The framing of TraCI: messages of commands, status answers, step answers, and a socket that carries whole messages.
+
+A message is its length (4 bytes, signed, itself included) and commands; a command is its length (1 byte, or 0 and
+4 bytes; itself included), its number (1 byte) and a payload.  Source: sumo.dlr.de/docs/TraCI/Protocol.html.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import sys
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+from sumo_adv.errors import SumoAdvError
+
+GETVERSION, LOAD, SIMSTEP, SETORDER, EXECUTEMOVE, FILTER, CLOSE = 0x00, 0x01, 0x02, 0x03, 0x7D, 0x7E, 0x7F
+OK, ERROR = 0x00, 0xFF
+LONGEST = 16 * 2**20  # bytes of a client's message
+SLICE = 0.05  # s between two looks at the clock while nothing comes
+LONGEST_TEXT = 247  # bytes of a status answer's text: its length is one byte
+_CHUNK = 65536
+_INT = struct.Struct("!i")
+
+
+class FramingError(SumoAdvError):
+    """What came is no TraCI message."""
+
+
+class Gone(SumoAdvError):
+    """The other end closed the connection, or it broke."""
+
+
+class Command(NamedTuple):
+    """One command: its number, its payload, and all its bytes."""
+
+    number: int
+    payload: bytes
+    raw: bytes
+
+
+def make_command(number: int, payload: bytes = b"") -> bytes:
+    """The bytes of a command."""
+    length = 2 + len(payload)
+    if length < 256:
+        return bytes((length, number)) + payload
+    return b"\0" + _INT.pack(length + 4) + bytes((number,)) + payload
+
+
+def make_message(*commands: bytes) -> bytes:
+    """A message of commands, or of answers."""
+    return _INT.pack(4 + sum(map(len, commands))) + b"".join(commands)
+
+
+def make_status(number: int, result: int = OK, text: str = "") -> bytes:
+    """SUMO's answer to a command: whether it worked, and why not (cut to what the format holds)."""
+    words = text.encode()[:LONGEST_TEXT].decode(errors="ignore").encode()
+    return make_command(number, bytes((result,)) + _INT.pack(len(words)) + words)
+
+
+def accepted(answer: bytes) -> bool:
+    """Whether the first command of an answering message went well."""
+    start = 5 if answer[4] else 9
+    return len(answer) > start + 1 and answer[start + 1] == OK
+
+
+def split(message: bytes) -> list[Command]:
+    """The commands of a message.
+
+    Raises:
+        FramingError: the lengths do not add up.
+    """
+    at, end = 4, len(message)
+    found = []
+    while at < end:
+        head, length = 1, message[at]
+        if length == 0:
+            if at + 5 > end:
+                raise FramingError("A command ends within its own length.")
+            head, length = 5, _INT.unpack_from(message, at + 1)[0]
+        if length <= head or at + length > end:
+            raise FramingError(f"A command announces {length} bytes where {end - at} are left.")
+        raw = message[at : at + length]
+        found.append(Command(raw[head], raw[head + 1 :], raw))
+        at += length
+    return found
+
+
+def without(answer: bytes, hidden: Collection[bytes]) -> bytes:
+    """The answer to a step without the subscription results of the objects named in ``hidden``.
+
+    Raises:
+        FramingError: it is no such answer.
+    """
+    try:
+        status = answer[4]
+        head = 4 + status + 4
+        if not status or answer[6] != OK:
+            return answer
+        count, at, kept = _INT.unpack_from(answer, 4 + status)[0], head, []
+        for _ in range(count):
+            start, length = (1, answer[at]) if answer[at] else (5, _INT.unpack_from(answer, at + 1)[0])
+            name = at + start + 5
+            size = _INT.unpack_from(answer, name - 4)[0]
+            if length <= start:
+                raise FramingError("SUMO's answer to a step cannot be read.")
+            if answer[name : name + size] not in hidden:
+                kept.append(answer[at : at + length])
+            at += length
+    except (IndexError, struct.error) as error:
+        raise FramingError("SUMO's answer to a step cannot be read.") from error
+    return make_message(answer[4 : 4 + status], _INT.pack(len(kept)), *kept)
+
+
+def _wait_at_most(connection: socket.socket, seconds: float) -> None:
+    """Let no call wait longer. By the kernel's own timeout where there is one: Python's costs a system call each."""
+    if sys.platform == "win32":
+        connection.settimeout(seconds)
+        return
+    span = struct.pack("ll", int(seconds), round(seconds % 1 * 1e6))
+    connection.settimeout(None)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, span)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, span)
+
+
+class Line:
+    """A socket that carries whole messages. ``longest``: bytes of a message that comes."""
+
+    def __init__(self, connection: socket.socket, longest: int) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        _wait_at_most(connection, SLICE)
+        self._connection = connection
+        self._longest = longest
+        self._rest = b""
+
+    def send(self, message: bytes, idle: Callable[[], None]) -> None:
+        """Send a whole message, calling ``idle`` (which may raise) while the other end does not take it.
+
+        Raises:
+            Gone: the connection is closed or broken.
+        """
+        while message:
+            try:
+                message = message[self._connection.send(message) :]
+            except (TimeoutError, BlockingIOError):
+                idle()
+            except OSError as error:
+                raise Gone("the connection broke") from error
+
+    def receive(self, idle: Callable[[], None]) -> bytes:
+        """The next whole message, calling ``idle`` (which may raise) while there is none.
+
+        Raises:
+            FramingError: a length that no message has; nothing of it is read further.
+            Gone: the connection is closed or broken.
+        """
+        data: bytes | bytearray = self._rest
+        self._rest = b""
+        while True:
+            size = len(data)
+            if size >= 4:
+                length = int.from_bytes(data[:4], "big", signed=True)
+                if not 6 <= length <= self._longest:
+                    raise FramingError(f"it announced a message of {length} bytes")
+                if size >= length:
+                    self._rest = bytes(data[length:])
+                    return bytes(data[:length]) if size > length else bytes(data)
+            try:
+                chunk = self._connection.recv(_CHUNK)
+            except (TimeoutError, BlockingIOError):
+                self._rest = bytes(data)
+                idle()
+                continue
+            except OSError as error:
+                raise Gone("the connection broke") from error
+            if not chunk:
+                raise Gone(
+                    "it closed the connection in the middle of a message" if size else "it closed the connection"
+                )
+            if not size:
+                data = chunk
+            elif isinstance(data, bytearray):
+                data += chunk
+            else:
+                data = bytearray(data) + chunk
+
+    def unread(self, message: bytes) -> None:
+        """Give a message back: it is the next that is received."""
+        self._rest = message + self._rest
+
+    @property
+    def cut(self) -> bool:
+        """Whether the other end is gone, as far as can be seen without reading on."""
+        try:
+            return not self._connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0))
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
+    def hang_up(self) -> None:
+        """End the connection from any thread: the other end gets what was sent, and who reads here is woken."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """End the connection, in the thread that reads here."""
+        self.hang_up()
+        self._connection.close()

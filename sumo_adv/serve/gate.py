@@ -1,0 +1,267 @@
+"""The gate: the port an ego's TraCI client connects to, in front of a real ``sumo`` that never sees that client.
+
+SUMO has two clients: the server's own connection (order 1) and the gate (order 2), which passes on what the ego's
+client asks and steps in its stead whenever it is not there, is late, or is lost.  Native SUMO would end, or wait for
+ever.  One thread pumps with blocking sockets: a request through asyncio took twice as long.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
+from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
+from sumo_adv.serve.link import Link, connect
+from sumo_adv.serve.policy import Policy, Rules
+from sumo_adv.serve.seat import Client, Interrupted, Late, Seat
+from sumo_adv.serve.sumo_process import SumoProcess
+from sumo_adv.serve.turns import Turns
+
+DEADLINE = 10.0  # s of a client's own time in a turn; SUMO's and the server's are not counted
+PATIENCE = 30.0  # s for SUMO to listen, and for the last simulation to end
+MOST_STRANGERS = 16  # connections at once that have not said anything yet
+_GLANCE = 0.2  # s between two looks whether the gate is to stop
+_TAKEN = "Another client drives the ego: one at a time."
+_NO_RULES = Rules()
+
+
+class Gate:
+    """One port for the ego's client, through any number of simulations. Its methods may be called from any thread."""
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        *,
+        allow: Sequence[str] = (),
+        deadline: float = DEADLINE,
+        rules: Rules = _NO_RULES,
+        on_event: Callable[[GateEvent], None] | None = None,
+    ) -> None:
+        """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback.
+
+        Raises:
+            UsageError: an address is none, or the host is not loopback and nobody is allowed.
+        """
+        self._host, self._wanted_port, self._deadline, self._rules = host, port, deadline, rules
+        self._allow = [_network(text) for text in allow]
+        if not _is_loopback(host) and not self._allow:
+            raise UsageError(f"TraCI has no log-in: with the host {host} say which addresses may connect (--allow).")
+        self._seat = Seat(on_event or (lambda event: None))
+        self._changed = threading.Condition()
+        self._stopping = self._running = False
+        self._turns: Turns | None = None
+        self._strangers = threading.BoundedSemaphore(MOST_STRANGERS)
+        self._listener: socket.socket | None = None
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Listen.
+
+        Raises:
+            UsageError: the address or port cannot be used.
+        """
+        family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
+        try:
+            self._listener = socket.create_server((self._host, self._wanted_port), family=family)
+        except (OSError, OverflowError) as error:
+            raise UsageError(f"Cannot listen at {self._host}:{self._wanted_port} ({error}).") from error
+        self._listener.settimeout(_GLANCE)
+        for name, body in (("gate-door", self._door), ("gate-pump", self._pump)):
+            self._threads.append(threading.Thread(target=body, name=name, daemon=True))
+            self._threads[-1].start()
+
+    def stop(self) -> None:
+        """Close everything; a simulation that is still attached loses its second client."""
+        self.detach()
+        self.wait_detached(_GLANCE)
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        for thread in self._threads:
+            thread.join()
+        if client := self._seat.client:
+            self._seat.leave(client, EventKind.ENDED, f"The server ended; the client at {client.peer} was sent away.")
+        if self._listener is not None:
+            self._listener.close()
+
+    def __enter__(self) -> Gate:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def port(self) -> int:
+        """Where the client is to connect."""
+        assert self._listener is not None, "the gate was not started"
+        port: int = self._listener.getsockname()[1]
+        return port
+
+    @property
+    def opens(self) -> str | None:
+        """What the port opens beyond this machine, in a sentence."""
+        if _is_loopback(self._host):
+            return None
+        who = ", ".join(map(str, self._allow))
+        return (
+            f"Port {self.port} of {self._host} is open to {who}: TraCI has no log-in and no encryption, "
+            "so any program there can read the simulation and drive the ego."
+        )
+
+    @property
+    def connected(self) -> bool:
+        """Whether a client has its seat."""
+        return self._seat.client is not None
+
+    def wait_connected(self, timeout: float) -> bool:
+        """Wait up to ``timeout`` seconds for a client."""
+        return self._seat.wait(timeout)
+
+    @property
+    def stepped_by(self) -> Stepper:
+        """Who made the last step for the ego's side."""
+        return self._turns.stepped_by if self._turns else Stepper.GATE
+
+    @property
+    def client_steps(self) -> int:
+        """How many steps clients made in the last simulation."""
+        return self._turns.client_steps if self._turns else 0
+
+    @property
+    def own(self) -> frozenset[str]:
+        """The vehicles the client may set: those given to it, and those it added."""
+        return self._turns.policy.own if self._turns else frozenset()
+
+    def give(self, vehicle: str) -> None:
+        """Let the client set a vehicle of this simulation.
+
+        Raises:
+            SimulationError: there is none.
+        """
+        self._attached().policy.give(vehicle)
+
+    def take(self, vehicle: str) -> None:
+        """Do not let the client set a vehicle any longer.
+
+        Raises:
+            SimulationError: there is no simulation.
+        """
+        self._attached().policy.take(vehicle)
+
+    def _attached(self) -> Turns:
+        if self._turns is None:
+            raise SimulationError("The gate is not attached to a simulation.")
+        return self._turns
+
+    def attach(self, sumo: SumoProcess, own: Iterable[str] = (), hidden: Iterable[str] = ()) -> None:
+        """Become SUMO's second client. Do it before your own connection asks for its order.
+
+        ``own``: vehicles the client may set. ``hidden``: objects whose subscription results are the server's alone.
+
+        Raises:
+            SimulationError: SUMO does not listen, or another simulation is still attached.
+        """
+        if not self.wait_detached(PATIENCE):
+            raise SimulationError("The gate is still attached to another simulation: detach it and end that SUMO.")
+        line = connect(sumo, PATIENCE)
+        turns = Turns(
+            lambda idle: Link(line, idle), Policy(self._rules, own, tuple(hidden)), self._seat, self._deadline,
+            lambda: self._stopping, lambda: sumo.last_error,
+        )  # fmt: skip
+        with self._changed:
+            self._turns, self._running = turns, True
+            self._changed.notify_all()
+
+    def detach(self, keep: bool = False) -> None:
+        """Let SUMO end in good order: say this, then close your own connection. Returns at once.
+
+        ``keep``: the client stays and meets the next simulation; else its connection is closed after its last answer.
+        """
+        if self._running and self._turns is not None:
+            self._turns.part(keep)
+
+    def wait_detached(self, timeout: float) -> bool:
+        """Wait up to ``timeout`` seconds until no simulation is attached."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._running, timeout)
+
+    def _pump(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._running or self._stopping)
+                if not self._running or self._turns is None:
+                    return
+            try:
+                self._turns.run()
+            finally:
+                with self._changed:
+                    self._running = False
+                    self._changed.notify_all()
+
+    def _door(self) -> None:
+        assert self._listener is not None
+        while not self._stopping:
+            try:
+                connection, address = self._listener.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                time.sleep(_GLANCE)
+                continue
+            peer = f"{address[0]}:{address[1]}"
+            if not self._welcome(address[0]):
+                connection.close()
+                self._refused(f"A connection from {peer} was refused: the address is not among those allowed.")
+            elif not self._strangers.acquire(blocking=False):
+                connection.close()
+                self._refused(f"A connection from {peer} was refused: too many wait already.")
+            else:
+                threading.Thread(target=self._greet, args=(connection, peer), name="gate-greet", daemon=True).start()
+
+    def _welcome(self, text: str) -> bool:
+        address = ipaddress.ip_address(text.partition("%")[0])
+        address = getattr(address, "ipv4_mapped", None) or address
+        return address.is_loopback or any(address in network for network in self._allow)
+
+    def _refused(self, sentence: str) -> None:
+        self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
+
+    def _greet(self, connection: socket.socket, peer: str) -> None:
+        """Give the seat to whoever sends a whole message."""
+        try:
+            client = Client(Line(connection, LONGEST), peer)
+            message = client.receive(self._deadline, lambda: self._stopping)
+        except (Gone, FramingError) as reason:
+            connection.close()
+            self._refused(f"A connection from {peer} was cut: {reason}.")
+        except (Late, Interrupted):
+            connection.close()
+            self._refused(f"A connection from {peer} was cut: it did not send a whole message.")
+        else:
+            client.line.unread(message)
+            if not self._seat.take(client):
+                self._refused(f"A connection from {peer} was refused: another client drives the ego.")
+                client.send_away(_TAKEN)
+        finally:
+            self._strangers.release()
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError as error:
+        raise UsageError(f"{host} is no address to listen at: give one of this machine, such as 127.0.0.1.") from error
+
+
+def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
+    try:
+        return ipaddress.ip_network(text, strict=False)
+    except ValueError as error:
+        raise UsageError(f"{text} is no address or network: give such as 192.168.1.7 or 192.168.1.0/24.") from error

@@ -1,0 +1,188 @@
+"""What an ego's client may ask: read anything, set its own vehicle and what it added, nothing that SUMO dies of.
+
+A refusal is a sentence; the gate answers it as a TraCI error and SUMO never sees the call.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from sumo_adv.errors import UsageError
+from sumo_adv.serve import framing, shapes
+from sumo_adv.serve.framing import Command
+from sumo_adv.serve.shapes import Misfit
+
+LONGEST_STEP = 3600.0  # s that one simulationStep may cover
+_DOMAINS = (
+    (0xA0, "inductionloop multientryexit trafficlight lane vehicle vehicletype route poi polygon junction edge "
+           "simulation gui lanearea person busstop"),
+    (0x24, "parkingarea chargingstation routeprobe calibrator rerouter variablespeedsign meandata overheadwire"),
+)  # fmt: skip
+GETTERS = {first + k: name for first, names in _DOMAINS for k, name in enumerate(names.split())}
+"""Number of a getter -> domain, as in ``traci``; other commands of a domain stand at fixed distances."""
+SETTERS = {number + 0x20: name for number, name in GETTERS.items()}
+SUBSCRIPTIONS = {number + 0x30: name for number, name in GETTERS.items()}
+CONTEXTS = {number - 0x20: name for number, name in GETTERS.items()}
+ADDED = frozenset({"vehicle", "vehicletype", "route", "person", "poi", "polygon"})
+"""Domains in which a client may add objects, and set those it added."""
+NEVER = frozenset({"simulation", "gui"})
+_ADD, _REMOVE, _ADD_FULL, _COPY = 0x80, 0x81, 0x85, 0x88
+_VEHICLE, _TYPE, _GUI = 0xC4, 0xC5, 0xAC
+_ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
+_HIDDEN = "This object is sumo_adv's own."
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """``also``: domains, named as in ``traci``, of which the client may set every object."""
+
+    also: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        """Refuse what is no domain, or never allowed.
+
+        Raises:
+            UsageError: with what may be given.
+        """
+        if wrong := sorted(self.also - (frozenset(GETTERS.values()) - NEVER)):
+            allowed = ", ".join(sorted(frozenset(GETTERS.values()) - NEVER))
+            raise UsageError(f"The ego's client cannot be allowed to set {wrong[0]}; what can be allowed: {allowed}.")
+
+
+class Policy:
+    """The rules in one simulation: it remembers what the client added."""
+
+    def __init__(self, rules: Rules, own: Iterable[str], hidden: Collection[str]) -> None:
+        self._rules = rules
+        self._own: dict[str, set[bytes]] = {domain: set() for domain in ADDED}
+        self._own["vehicle"] |= {name.encode() for name in own}
+        self.hidden = frozenset(name.encode() for name in hidden)
+
+    @property
+    def own(self) -> frozenset[str]:
+        """The vehicles that the client may set."""
+        return frozenset(name.decode(errors="replace") for name in list(self._own["vehicle"]))
+
+    def give(self, vehicle: str) -> None:
+        """Let the client set a vehicle."""
+        self._own["vehicle"].add(vehicle.encode())
+
+    def take(self, vehicle: str) -> None:
+        """Do not let the client set a vehicle any longer."""
+        self._own["vehicle"].discard(vehicle.encode())
+
+    def refusal(self, command: Command) -> str | None:
+        """Why SUMO must not see a command, or None. Step, order, version and close are not asked about here."""
+        number, payload = command.number, command.payload
+        try:
+            if number in GETTERS:
+                return self._getter(number, payload)
+            if number in SETTERS:
+                return self._setter(number, payload)
+            if number in SUBSCRIPTIONS or number in CONTEXTS:
+                return self._subscription(number, payload)
+            if number == framing.FILTER:
+                return None if _filter_fits(payload) else _misfit(number)
+        except Misfit:
+            return _misfit(number)
+        if number == framing.LOAD:
+            return "The simulation belongs to sumo_adv: a client cannot load another one."
+        if number == framing.EXECUTEMOVE:
+            return "Half steps are not for a client of sumo_adv: use simulationStep."
+        return None
+
+    def _getter(self, number: int, payload: bytes) -> str | None:
+        if number == _GUI:
+            return None
+        end = shapes.name_end(payload, 1)
+        if not shapes.fits(payload, end, shapes.get_shapes(number, payload[0])):
+            return _misfit(number)
+        acting = _ACTING.get((number, payload[0]))
+        if acting and acting not in self._rules.also:
+            return f"This getter changes a {acting}, which is not the client's."
+        return None
+
+    def _setter(self, number: int, payload: bytes) -> str | None:
+        domain = SETTERS[number]
+        end = shapes.name_end(payload, 1)
+        variable, name = payload[0], payload[5:end]
+        wanted = shapes.set_shapes(number, variable)
+        if domain in NEVER:
+            return f"Setting the {domain} is not for a client of sumo_adv."
+        if name in self.hidden:
+            return _HIDDEN
+        if not (domain in self._rules.also or self._may(domain, variable, name)):
+            return f"{domain} {_said(name)!r} is not the client's: it may set its own vehicle and what it added."
+        if wanted is None or not shapes.fits(payload, end, wanted):
+            return _misfit(number)
+        return None
+
+    def _may(self, domain: str, variable: int, name: bytes) -> bool:
+        if domain not in ADDED:
+            return False
+        if domain == "vehicletype":
+            return variable == _COPY or name in self._own[domain]
+        adding = variable == _ADD or (variable == _ADD_FULL and domain == "vehicle")
+        return adding or name in self._own[domain]
+
+    def _subscription(self, number: int, payload: bytes) -> str | None:
+        end = shapes.name_end(payload, 16)
+        domain, context = number - 0x30, number in CONTEXTS
+        if context:
+            if end >= len(payload):
+                raise Misfit
+            domain, end = payload[end], end + 9
+        if payload[20 : shapes.name_end(payload, 16)] in self.hidden:
+            return _HIDDEN
+        if shapes.subscription_end(payload, end, domain) != len(payload):
+            raise Misfit
+        return None
+
+    def took(self, command: Command) -> None:
+        """SUMO accepted a setter: remember what it added or removed."""
+        domain = SETTERS[command.number]
+        if domain not in ADDED:
+            return
+        variable, end = command.payload[0], shapes.name_end(command.payload, 1)
+        name = command.payload[5:end]
+        if variable == _COPY and domain == "vehicletype":
+            self._own[domain].add(command.payload[end + 5 :])
+        elif variable == _ADD or (variable == _ADD_FULL and domain == "vehicle"):
+            self._own[domain].add(name)
+        elif variable == _REMOVE:
+            self._own[domain].discard(name)
+
+
+def step_until(payload: bytes) -> float:
+    """The time [s] to which a SIMSTEP asks to go, 0 for one step.
+
+    Raises:
+        Misfit: it is no time.
+    """
+    if len(payload) != 8:
+        raise Misfit
+    until: float = struct.unpack("!d", payload)[0]
+    if not math.isfinite(until):
+        raise Misfit
+    return until
+
+
+def _filter_fits(payload: bytes) -> bool:
+    if not payload:
+        return False
+    kind = payload[0]
+    if kind == 0x01:  # lanes: a count and so many bytes
+        return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
+    wanted = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "l", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
+    return shapes.fits(payload, 1, (wanted,))
+
+
+def _misfit(number: int) -> str:
+    return f"What came with command 0x{number:02x} is not what SUMO 1.28 reads; it was not passed on."
+
+
+def _said(name: bytes) -> str:
+    return name[:60].decode(errors="replace")

@@ -1,0 +1,131 @@
+"""The one seat at the gate: the client that drives the ego, and who else comes."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from sumo_adv.errors import SumoAdvError
+from sumo_adv.serve import framing
+from sumo_adv.serve.framing import FramingError, Gone, Line
+from sumo_adv.serve.gate_events import EventKind, GateEvent
+
+FAREWELL = 60.0  # s in which one that was sent away may still hear why
+
+
+class Late(SumoAdvError):
+    """A client used up its time."""
+
+
+class Interrupted(SumoAdvError):
+    """The gate has something else to do."""
+
+
+class Client:
+    """A connected program: its line, its address, and which of its calls were refused already."""
+
+    def __init__(self, line: Line, peer: str) -> None:
+        self.line = line
+        self.peer = peer
+        self.refused: set[tuple[int, bytes]] = set()
+
+    def receive(self, deadline: float, interrupted: Callable[[], bool]) -> bytes:
+        """Its next message.
+
+        Raises:
+            Late: it did not come within ``deadline`` seconds.
+            Interrupted: ``interrupted()`` became true.
+            Gone, FramingError: see Line.
+        """
+        until = time.monotonic() + deadline
+
+        def idle() -> None:
+            if interrupted():
+                raise Interrupted
+            if time.monotonic() > until:
+                raise Late
+
+        return self.line.receive(idle)
+
+    def send(self, message: bytes, deadline: float) -> None:
+        """Send it an answer.
+
+        Raises:
+            Late: it did not take it within ``deadline`` seconds.
+            Gone: see Line.
+        """
+        until = time.monotonic() + deadline
+
+        def idle() -> None:
+            if time.monotonic() > until:
+                raise Late
+
+        self.line.send(message, idle)
+
+    def send_away(self, reason: str, message: bytes | None = None) -> None:
+        """Answer its next message (or this one) with an error and end the connection."""
+        try:
+            given = message or self.receive(FAREWELL, lambda: False)
+            self.send(errors(given, reason), FAREWELL)
+        except (Late, Gone, FramingError):
+            pass
+        self.line.close()
+
+
+def errors(message: bytes, reason: str) -> bytes:
+    """The answer that refuses every command of a message, but for saying close.
+
+    Raises:
+        FramingError: it is no message.
+    """
+    answers = []
+    for number, _, _ in framing.split(message):
+        refused = number != framing.CLOSE
+        answers.append(framing.make_status(number, framing.ERROR if refused else framing.OK, reason if refused else ""))
+    return framing.make_message(*answers)
+
+
+class Seat:
+    """Holds at most one client. Thread-safe."""
+
+    def __init__(self, tell: Callable[[GateEvent], None]) -> None:
+        self.tell = tell
+        self._changed = threading.Condition()
+        self._client: Client | None = None
+
+    @property
+    def client(self) -> Client | None:
+        """Who sits there."""
+        return self._client
+
+    def take(self, client: Client) -> bool:
+        """Whether the client got the seat; one whose connection is dead loses it."""
+        sitting = self._client
+        if sitting is not None and sitting.line.cut:
+            self.leave(sitting, EventKind.LOST, f"The client at {sitting.peer} was lost: its connection broke.")
+        with self._changed:
+            if self._client is not None:
+                return False
+            self._client = client
+            self._changed.notify_all()
+        self.tell(GateEvent(EventKind.CONNECTED, f"A client connected from {client.peer}."))
+        return True
+
+    def leave(self, client: Client, kind: EventKind, sentence: str) -> None:
+        """Free the seat, unless it was already, and end the client's connection; one that is late hears why."""
+        with self._changed:
+            if self._client is not client:
+                return
+            self._client = None
+            self._changed.notify_all()
+        if kind is EventKind.LATE:
+            threading.Thread(target=client.send_away, args=(sentence,), daemon=True).start()
+        else:
+            client.line.hang_up()
+        self.tell(GateEvent(kind, sentence))
+
+    def wait(self, timeout: float) -> bool:
+        """Wait up to ``timeout`` seconds until somebody sits there."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._client is not None, timeout)

@@ -1,0 +1,227 @@
+"""The ego's turns in one simulation: what its client asks is checked and passed on, and a step always comes."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Callable
+
+from sumo_adv.serve import framing
+from sumo_adv.serve.framing import Command, FramingError, Gone, make_command, make_message, make_status
+from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
+from sumo_adv.serve.link import Link, SumoGone
+from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, step_until
+from sumo_adv.serve.seat import Client, Interrupted, Late, Seat, errors
+from sumo_adv.serve.shapes import Misfit
+
+_EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
+_RESTARTED = "The simulation was restarted: ask again."
+
+
+class Turns:
+    """One simulation, from attach to its end. ``run`` in one thread; everything else from any."""
+
+    def __init__(
+        self,
+        connect: Callable[[Callable[[], None]], Link],
+        policy: Policy,
+        seat: Seat,
+        deadline: float,
+        stopping: Callable[[], bool],
+        why_ended: Callable[[], str],
+    ) -> None:
+        """``connect`` makes the link to SUMO, given what to call while waiting for it."""
+        self.policy = policy
+        self.stepped_by = Stepper.GATE
+        self.client_steps = 0
+        self._seat, self._deadline, self._stopping, self._why_ended = seat, deadline, stopping, why_ended
+        self._parting = self._keep = False
+        self._served: Client | None = None
+        self._subscribed: dict[bytes, Command] = {}
+        self._our_turn = False
+        self._used = self._since = 0.0  # s the client took in this turn; when it began to think
+        self._link = connect(self._while_sumo_works)
+
+    def part(self, keep: bool) -> None:
+        """Say close to SUMO at the end of what is being asked; ``keep``: the client stays for the next simulation."""
+        self._keep = keep
+        self._parting = True
+
+    def run(self) -> None:
+        """Serve turns until told to part, or SUMO goes."""
+        try:
+            self._link.greet()
+            while not self._interrupted():
+                self._next()
+            self._send_client_away()
+            self._link.leave()
+        except SumoGone:
+            self._send_client_away()
+        except Interrupted:
+            pass
+        finally:
+            self._link.close()
+
+    def _interrupted(self) -> bool:
+        return self._parting or self._stopping()
+
+    def _next(self) -> None:
+        """One message of the client, or a step in its stead."""
+        client = self._seat.client
+        if client is not self._served:
+            self._forget()
+            self._served, self._used = client, 0.0
+        if client is None:
+            self._stand_in()
+            return
+        at = f"The client at {client.peer}"
+        try:
+            commands = framing.split(self._listen(client))
+            answer = self._answer_all(client, commands)
+            client.send(answer, self._deadline)
+            if commands[-1].number == framing.CLOSE:
+                self._seat.leave(client, EventKind.CLOSED, f"{at} said close.")
+        except Interrupted:
+            return
+        except Late:
+            self._seat.leave(
+                client, EventKind.LATE,
+                f"{at} took more than {self._deadline:g} s for a turn; the simulation went on without it.",
+            )  # fmt: skip
+        except (Gone, FramingError) as reason:
+            self._seat.leave(client, EventKind.LOST, f"{at} was lost: {reason}.")
+
+    def _stand_in(self) -> None:
+        """Wait for our turn, and step unless a client has come meanwhile."""
+        self._await_turn()
+        if self._seat.client is None and not self._interrupted():
+            self.stepped_by = Stepper.GATE
+            self._link.step()
+            self._our_turn = False
+
+    def _await_turn(self) -> None:
+        if not self._our_turn:
+            self._link.now()
+            self._our_turn = True
+
+    def _listen(self, client: Client) -> bytes:
+        """The client's next message; its clock runs while SUMO waits for it."""
+        self._since = time.monotonic()
+        message = client.line.receive(self._while_client_thinks)
+        if self._our_turn:
+            self._used += time.monotonic() - self._since
+        return message
+
+    def _while_client_thinks(self) -> None:
+        if self._interrupted():
+            raise Interrupted
+        if not self._our_turn:
+            self._await_turn()
+            self._since = time.monotonic()
+        elif self._used + time.monotonic() - self._since > self._deadline:
+            raise Late
+
+    def _answer_all(self, client: Client, commands: list[Command]) -> bytes:
+        answers: list[bytes] = []
+        try:
+            for command in commands:
+                answers.append(self._answer(client, command))
+        except SumoGone:
+            if self._parting and self._keep:
+                answers += [_stand_in_answer(command) for command in commands[len(answers) :]]
+                client.send(_joined(answers), self._deadline)
+            raise
+        return answers[0] if len(answers) == 1 else _joined(answers)
+
+    def _answer(self, client: Client, command: Command) -> bytes:
+        number = command.number
+        if number == framing.SIMSTEP:
+            return self._step(client, command)
+        if number == framing.GETVERSION:
+            return self._link.version
+        if number in (framing.SETORDER, framing.CLOSE):
+            return make_message(make_status(number))
+        reason = self.policy.refusal(command)
+        if reason is not None:
+            return self._refuse(client, command, reason)
+        answer = self._link.ask(make_message(command.raw))
+        self._our_turn = True
+        if framing.accepted(answer):
+            if number in SETTERS:
+                self.policy.took(command)
+            elif number in SUBSCRIPTIONS or number in CONTEXTS:
+                self._note_subscription(command)
+        return answer
+
+    def _refuse(self, client: Client, command: Command, reason: str) -> bytes:
+        key = (command.number, command.payload[:64])
+        if key not in client.refused and len(client.refused) < 1000:
+            client.refused.add(key)
+            self._seat.tell(
+                GateEvent(EventKind.REFUSED, f"A call of the client at {client.peer} was refused: {reason}")
+            )
+        return make_message(make_status(command.number, framing.ERROR, reason))
+
+    def _step(self, client: Client, command: Command) -> bytes:
+        """Pass a step on; a time that is past becomes the present, or SUMO would want every step since then again."""
+        try:
+            until = step_until(command.payload)
+        except Misfit:
+            return self._refuse(client, command, "A step needs a time in seconds.")
+        raw, stays = command.raw, False
+        if until:
+            now = self._link.now()
+            if until > now + LONGEST_STEP:
+                return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
+            if stays := until <= now:
+                raw = make_command(framing.SIMSTEP, struct.pack("!d", now))
+        if not stays:
+            self.stepped_by = Stepper.CLIENT
+        answer = self._link.ask(make_message(raw))
+        if not stays:
+            self.client_steps += 1
+            self._our_turn, self._used = False, 0.0
+        return framing.without(answer, self.policy.hidden) if self.policy.hidden else answer
+
+    def _note_subscription(self, command: Command) -> None:
+        end = 20 + int.from_bytes(command.payload[16:20], "big")
+        domain = command.payload[end : end + 1] if command.number in CONTEXTS else b""
+        key = bytes((command.number,)) + domain + command.payload[20:end]
+        if command.payload[end + (9 if domain else 0)]:
+            self._subscribed[key] = command
+        else:
+            self._subscribed.pop(key, None)
+
+    def _forget(self) -> None:
+        """End the subscriptions of the client that was served last."""
+        for command in list(self._subscribed.values()):
+            self._link.unsubscribe(command)
+        self._subscribed.clear()
+
+    def _while_sumo_works(self) -> None:
+        """Look after the client while SUMO takes its time."""
+        if self._stopping():
+            raise Interrupted
+        client = self._seat.client
+        if client is not None and client.line.cut:
+            self._seat.leave(client, EventKind.LOST, f"The client at {client.peer} was lost: it closed the connection.")
+
+    def _send_client_away(self) -> None:
+        client, parting = self._seat.client, self._parting
+        kind = EventKind.RESTARTED if parting else EventKind.ENDED
+        what = "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
+        if client is None or (parting and self._keep):
+            self._seat.tell(GateEvent(kind, f"{what}."))
+            return
+        self._seat.leave(client, kind, f"{what}; the client at {client.peer} may connect again.")
+
+
+def _joined(answers: list[bytes]) -> bytes:
+    return make_message(*(answer[4:] for answer in answers))
+
+
+def _stand_in_answer(command: Command) -> bytes:
+    """What a client hears that stays while SUMO goes in the middle of its question."""
+    if command.number == framing.SIMSTEP:
+        return _EMPTY_STEP
+    return errors(make_message(command.raw), _RESTARTED)
