@@ -24,13 +24,17 @@ class Interrupts:
     ) -> None:
         signal.signal(signal.SIGINT, self._before)
 
+    def check(self) -> None:
+        """Raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+        if self._pressed:
+            raise KeyboardInterrupt
+
     def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
         """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
 
         def told(what: str, value: Any) -> None:
             tell(what, value)
-            if self._pressed:
-                raise KeyboardInterrupt
+            self.check()
 
         return told
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sumo_adv import __version__
-from sumo_adv.cli import convert, doctor, memory, run
+from sumo_adv.cli import convert, doctor, memory, run, serve
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
@@ -22,6 +22,7 @@ app = typer.Typer(
     epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
 )  # fmt: skip
 app.command("run", epilog=run.EXAMPLE)(run.run)
+app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.add_typer(memory.app, name="memory")

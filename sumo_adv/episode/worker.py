@@ -15,8 +15,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sumo_adv.datatypes import Ending, Proposal
 from sumo_adv.episode.attack import attack
 from sumo_adv.episode.danger import danger
@@ -112,12 +110,7 @@ class Worker:
 
     def lanes_near(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
         """Shape, width, internal? of all lanes near a place, for pictures."""
-        assert self._road is not None
-        found = []
-        for lane in self._road.lanes.values():
-            if lane.passenger and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length:
-                found.append((lane.shape, lane.width, lane.internal))
-        return found
+        return self._map.strips(x, y, radius)
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
         """Run attempts from the trigger, as many at once as there are slots."""

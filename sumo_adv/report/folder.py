@@ -129,7 +129,8 @@ def _tables(stage: Path, episode: Episode) -> None:
     best = episode.best
     roles = episode.task.roles(episode.found.ego)
     sizes, step = all_sizes(episode), episode.settings.step_length
-    write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.raw], sizes, roles, step)
+    if episode.found.raw:
+        write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.raw], sizes, roles, step)
     if best is not None:
         roles = episode.task.roles(episode.found.ego, best.proposal.bv)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
@@ -147,9 +148,9 @@ def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
 
 
 def raw_figures(episode: Episode) -> dict[str, Any] | None:
-    """The unattacked run over the same pair and window as the attempt that counts."""
+    """The unattacked run over the same pair and window as the attempt that counts; None if there was none."""
     best, found = episode.best, episode.found
-    if best is None or found is None or episode.prefix is None:
+    if best is None or found is None or episode.prefix is None or not found.raw:
         return None
     after = episode.refinement.results[episode.refinement.best or 0].snapshots
     if not after:  # its planner failed before the first step

@@ -186,6 +186,14 @@ class RoadMap:
             return chosen[:1] if following is not None else []
         return [c for c in options if c.movement != "u-turn"]
 
+    def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
+        """Shape, width [m], internal? of all passenger lanes near a place, for pictures."""
+        return [
+            (lane.shape, lane.width, lane.internal) for lane in self.lanes.values()
+            if lane.passenger
+            and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
+        ]  # fmt: skip
+
     def drivable(self, x: float, y: float, radius: float) -> Drivable:
         """The carriageway within about ``radius`` metres of a place."""
         from shapely import LineString, Point, Polygon, union_all

@@ -1,0 +1,267 @@
+"""``serve``: attack an ego that somebody else's program drives, over TraCI."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.config import Settings, Until, load_settings
+from sumo_adv.datatypes import Ending
+from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.serve.options import Mode, OnLoss, Options
+
+if TYPE_CHECKING:
+    from sumo_adv.episode.task import Task
+    from sumo_adv.serve.clerk import Clerk
+
+EXAMPLE = (
+    "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
+)
+SERVE_FILE = "serve.json"
+LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how long
+
+
+def serve(
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a shipped name.")
+    ],
+    mode: Annotated[
+        Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")
+    ] = Mode.CONTINUOUS,
+    host: Annotated[str, typer.Option(help="Address to listen at; not loopback only with --allow.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port for the client; 0 = any free one.")] = 8813,
+    allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = "",
+    ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None,
+    ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego [default: SUMO's car].")] = None,
+    on_loss: Annotated[
+        OnLoss, typer.Option(help="Who drives while the client is lost or late: sumo, brake, or end.")
+    ] = OnLoss.SUMO,
+    real_time: Annotated[bool, typer.Option("--real-time", help="Simulated seconds last a second each.")] = False,
+    deadline: Annotated[
+        float | None, typer.Option(min=0.05, help="s the client may take for a step [default: 10, real time 2].")
+    ] = None,
+    patience: Annotated[
+        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up [default: for ever].")
+    ] = None,
+    encounters: Annotated[int | None, typer.Option(min=1, help="End after so many [default: at Ctrl-C].")] = None,
+    adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
+    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s [default: found].")] = None,
+    begin: Annotated[float | None, typer.Option(help="Simulation begin, s [default: first departure].")] = None,
+    end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
+    until: Annotated[Until | None, typer.Option(help="What an attempt must come to [default: ttc].")] = None,
+    attempts: Annotated[int | None, typer.Option(help="In episodes mode: at most so many each [default: 25].")] = None,
+    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
+    llm: Annotated[str | None, typer.Option(help="A language model, as in run.")] = None,
+    learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
+    memory: Annotated[
+        Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
+    ] = None,
+    density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/serve-<input>-<seed>].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False,
+    events: Annotated[Path | None, typer.Option(help="File of JSON lines: everything that happens.")] = None,
+    status_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port for /health and /status over HTTP, on loopback.")
+    ] = None,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="One JSON object on stdout at the end, nothing else.")
+    ] = False,
+) -> None:
+    """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
+    from sumo_adv.serve.sumo_process import find_sumo
+    from sumo_adv.world.inputs import load_input
+
+    find_sumo()
+    given = load_input(source)
+    if given.playback is not None:
+        raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
+    settings = load_settings(
+        settings_file, ego="external", ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin, end=end,
+        until=until, attempts=attempts, ttc=ttc, llm=llm, learn=learn, memory=memory, density=density, seed=seed,
+        horizon=given.horizon,
+    )  # fmt: skip
+    if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
+        settings = settings.model_copy(update={"search": LONG})
+    options = Options(
+        host, port, tuple(a.strip() for a in allow.split(",") if a.strip()), mode, on_loss, real_time, encounters,
+        ego_type, patience, deadline,
+    )  # fmt: skip
+    target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
+    _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
+
+
+def _serve(
+    given: Any, settings: Settings, options: Options, target: Path, events_file: Path | None,
+    status_port: int | None, *, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    from sumo_adv.cli.interrupts import Interrupts
+    from sumo_adv.cli.models import cast_of
+    from sumo_adv.cli.serve_progress import make_terminal
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.report.outcome import MODEL_FILE
+    from sumo_adv.serve.clerk import Clerk
+    from sumo_adv.serve.events import EventFile, Events, Status
+    from sumo_adv.serve.gate import Gate
+    from sumo_adv.serve.server import House, Server
+    from sumo_adv.serve.status import StatusPage
+    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.world.network import read_network
+
+    with ExitStack() as stack:
+        interrupts = stack.enter_context(Interrupts())
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        task_for = _tasks(given, settings, scratch)
+        road = read_network(task_for(0).spec.network)
+        bank = stack.enter_context(
+            MemoryBank.open(settings.memory or default_bank_path(), seed_from=data_folder("memory_bank.sqlite"))
+        )
+        sandbox = stack.enter_context(Sandbox(bubblewrap=None if settings.bubblewrap else False))
+        status, terminal = Status(), make_terminal(quiet=as_json)
+        listeners: list[Any] = [status, terminal]
+        if events_file is not None:
+            listeners.append(file := EventFile(events_file))
+            stack.callback(file.close)
+        events = Events(*listeners)
+        if status_port is not None:
+            page = stack.enter_context(StatusPage(status_port, status.report))
+            events.tell("status_page", port=page.port)
+        gate = stack.enter_context(
+            Gate(
+                options.host,
+                options.port,
+                allow=options.allow,
+                deadline=options.turn,
+                on_event=lambda e: events.tell("client", state=str(e.kind), sentence=e.sentence),
+            )
+        )
+        _claim(target, force=force)
+        cast = stack.enter_context(cast_of(settings, sandbox, target / MODEL_FILE))
+        _note(target, given, settings, options, None)
+        clerk = Clerk(_writer(target), events)
+        stack.enter_context(terminal)
+        house = House(given, options, task_for, road, cast, bank, gate, events, clerk, interrupts.check)
+        server = Server(house)
+        events.tell(
+            "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens
+        )
+        try:
+            ending = server.run()
+        finally:
+            interrupts.hold()
+            clerk.close()
+        summary = _summary(ending, server.reason, clerk, target)
+        events.tell("stopped", **summary)
+        _note(target, given, settings, options, summary)
+    _finish(ending, summary, clerk, options, as_json=as_json)
+
+
+def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Task]:
+    """The task of each simulation: the same input with the next seed."""
+    from sumo_adv.episode.loop import make_task
+
+    @cache
+    def first() -> Task:
+        return make_task(given, settings, scratch)
+
+    def task_for(round_: int) -> Task:
+        if round_ == 0:
+            return first()
+        return make_task(given, settings.model_copy(update={"seed": settings.seed + round_}), scratch)
+
+    return task_for
+
+
+def _claim(target: Path, *, force: bool) -> None:
+    """Make the output folder. Raises UsageError if it is taken or cannot be made."""
+    try:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            if not force:
+                raise UsageError(f"The output folder {target} is there already; give another --out, or --force.")
+            if not (target / SERVE_FILE).is_file():
+                raise UsageError(f"{target} is not the folder of a server, so --force does not replace it.")
+            shutil.rmtree(target)
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"The output folder {target} cannot be written ({error.strerror or error}).") from error
+
+
+def _note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
+    """``serve.json``: what runs here, and at the end what came of it."""
+    from dataclasses import asdict
+
+    from sumo_adv.report.outcome import SCHEMA, versions
+
+    secret = {"memory", "llm_api_key", "llm_base_url"} & set(type(settings).model_fields)
+    value = {
+        "schema": SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
+        "settings": settings.model_dump(mode="json", exclude=secret), "summary": summary,
+    }  # fmt: skip
+    part = target / f".{SERVE_FILE}.part"
+    part.write_text(json.dumps(value, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
+    part.replace(target / SERVE_FILE)
+
+
+def _writer(target: Path) -> Any:
+    """Writes one encounter's folder whole; inputs that several have are on the disk once."""
+    from sumo_adv.report.folder import staged, write_run
+
+    def write(episode: Any, number: int) -> dict[str, Any]:
+        with staged(target / f"encounter-{number:04d}", force=False) as folder:
+            result = write_run(folder, episode)
+            _share(folder.stage / "inputs", target / "inputs")
+            folder.keep(force=False)
+        return {**result, "folder": folder.target}
+
+    return write
+
+
+def _share(inputs: Path, shared: Path) -> None:
+    """Hard links between copies of the same content (the names say it), where the file system has such."""
+    shared.mkdir(exist_ok=True)
+    for file in inputs.iterdir():
+        known, part = shared / file.name, inputs / f".{file.name}.part"
+        try:
+            if known.exists():
+                os.link(known, part)
+                part.replace(file)
+            else:
+                os.link(file, known)
+        except OSError:
+            return
+
+
+def _summary(ending: Ending | None, reason: str, clerk: Clerk, target: Path) -> dict[str, Any]:
+    return {
+        "ending": None if ending is None else str(ending), "reason": reason, "encounters": clerk.written,
+        "critical": clerk.critical, "collisions": clerk.collided, "folder": str(target),
+    }  # fmt: skip
+
+
+def _finish(
+    ending: Ending | None, summary: Mapping[str, Any], clerk: Clerk, options: Options, *, as_json: bool
+) -> None:
+    if as_json:
+        typer.echo(json.dumps(summary, ensure_ascii=False))
+    else:
+        typer.echo(
+            f"{summary['encounters']} encounters, {summary['critical']} critical, "
+            f"{summary['collisions']} collisions. Files: {summary['folder']}"
+        )
+    if clerk.failure is not None:
+        raise SumoAdvError(str(clerk.failure))
+    asked = ending is Ending.INTERRUPTED and options.encounters is None  # Ctrl-C is how such a server ends
+    if ending is not None and not asked:
+        raise SumoAdvError(summary["reason"])

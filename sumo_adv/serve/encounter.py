@@ -1,0 +1,173 @@
+"""One encounter of a server: described from the states up to now alone, decided, and attacked while the client drives.
+
+What ``run`` learns from an unattacked fork is foreseen here (``episode.outlook``), and foreseen again when the attack
+begins; the adversary then replans every half second against what the ego really does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Proposal, Track
+from sumo_adv.episode.attack import Driven, attack
+from sumo_adv.episode.brain import answer_of
+from sumo_adv.episode.danger import danger
+from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.foresight import Sessions
+from sumo_adv.episode.outlook import outlook
+from sumo_adv.episode.survey import MOST_SHIFT, area_of, survey, surveys
+from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.serve.events import Events
+from sumo_adv.serve.session import EgoLost, Session
+from sumo_adv.situation import Situation
+from sumo_adv.world.network import RoadMap
+from sumo_adv.world.simulation import Snapshot
+from sumo_adv.world.stage import Stage
+
+FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
+LOST = "The ego's client was lost or late."
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """An encounter as it was foreseen at its trigger. ``tracks``: everybody near, the last second and what follows."""
+
+    found: Found
+    ranking: Sequence[Candidate]
+    tracks: Mapping[str, Track]
+
+    def relation(self, vehicle: str) -> str:
+        """How a vehicle stood to the ego."""
+        return next((c.relation for c in self.ranking if c.id == vehicle), "")
+
+
+def describe(
+    session: Session, road: RoadMap, settings: Settings, ranking: Sequence[Candidate], passed: Sequence[str]
+) -> Scene | str:
+    """The encounter that begins now, or why it is passed over."""
+    ego, time = session.ego, session.now
+    if not ranking or ego is None:
+        return "no vehicle near could endanger the ego"
+    tracks = outlook(road, session, settings.duration + max(settings.delays) + MOST_SHIFT)
+    why = danger({n: t.between(time - 1e3, time + FORESEEN) for n, t in tracks.items()}, session, time, settings.ttc)
+    if why:
+        return why
+    simulation = session.simulation
+    route = simulation.route(ego)[0]
+    model = {"kind": "idm", **simulation.model(ego)}
+    signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
+    situations = surveys(
+        road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, signals=signals
+    )
+    if not situations:
+        return "the vehicles near it leave at once"
+    order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
+    area = area_of(tracks[ego].between(time, time + settings.duration))
+    sizes, drivable = dict(simulation.fleet.sizes), road.drivable(*area)
+    found = Found(ego, time, order, situations, (), tuple(passed), drivable, sizes, area)
+    return Scene(found, tuple(ranking), tracks)
+
+
+class LiveAttempts:
+    """Runs attempts in the session at hand, each after the first in what ``again`` gives: the same encounter anew."""
+
+    def __init__(
+        self, session: Session, scene: Scene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
+        again: Callable[[], Session | None] | None = None,
+    ) -> None:  # fmt: skip
+        self.session: Session | None = session
+        self.lost = False  # the client went away in an attempt
+        self.prefixes: list[Sequence[Snapshot]] = []  # for each attempt the seconds before the trigger
+        self._scene, self._road, self._settings, self._sandbox = scene, road, settings, sandbox
+        self._events, self._again = events, again
+        self._count = 0
+
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
+        """The results, in order; a proposal that nobody asks the result of is not driven."""
+        for proposal in proposals:
+            if self._count and self._again is not None:
+                self.session = self._again()
+            self._count += 1
+            if self.session is None:
+                nowhere = Driven("passed", "The encounter did not come back: the ego was elsewhere at its time.", None)
+                self.prefixes.append(())
+                yield AttemptResult(nowhere, None, self._scene.found.time)
+            else:
+                yield self._one(self.session, proposal)
+
+    def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
+        found, settings, bv = self._scene.found, self._settings, proposal.bv
+        trigger = len(session.recording.snapshots) - settings.steps(session.now - found.time)
+        self.prefixes.append(session.recording.snapshots[:trigger])
+        start, verdict = session.now, None
+        session.attended, session.adversary = True, bv
+        edges = session.simulation.route(bv)[0] if bv in session.snapshot.raw else ()
+        try:
+            while session.now < found.time + proposal.delay - 1e-6 and bv in session.snapshot.raw:
+                session.tick()
+            start = session.now
+            driven = self._drive(session, proposal)
+            verdict = gate_verdict(session, found, settings, trigger, bv, start, driven)
+        except EgoLost:
+            driven, self.lost = Driven("ego_lost", LOST, None), True
+        finally:
+            session.attended, session.adversary = False, None
+        result = AttemptResult(
+            driven, verdict, start, session.recording.snapshots[trigger:], dict(session.simulation.fleet.sizes)
+        )
+        release(session, bv, edges, self._events, hit=driven.ending == "contact")
+        return result
+
+    def _drive(self, session: Session, proposal: Proposal) -> Driven:
+        situation = self._situation(session, proposal.bv)
+        if situation is None:
+            return Driven("passed", f"{proposal.bv} or the ego was gone when the attack was to begin.", None)
+        self._events.tell(
+            "attack", time=session.now, adversary=proposal.bv, intent=proposal.label, mode=proposal.planner.mode,
+        )  # fmt: skip
+        settings = self._settings
+        with Sessions(
+            self._sandbox, situation, [proposal.planner], settings.seed, drivable=self._scene.found.drivable
+        ) as planners:
+            return attack(
+                session, situation, proposal.bv, lambda told: answer_of(proposal, planners, told),
+                limits=settings.limits.limits(), steps=settings.steps(settings.duration),
+                replan=settings.steps(settings.replan),
+            )  # fmt: skip
+
+    def _situation(self, session: Session, bv: str) -> Situation | None:
+        """The situation as it is now."""
+        ego, settings = session.ego, self._settings
+        raw = session.snapshot.raw
+        if ego is None or ego not in raw or bv not in raw:
+            return None
+        simulation = session.simulation
+        tracks = outlook(self._road, session, settings.duration)
+        candidate = next(c for c in self._scene.ranking if c.id == bv)
+        return survey(
+            self._road, tracks, ego, [candidate], session.now, dt=settings.step_length, horizon=settings.horizon,
+            ego_model=self._scene.found.first.ego_model, route=simulation.route(ego)[0],
+            signals={name: tuple(simulation.signals(name)) for name in (ego, bv)},
+        )  # fmt: skip
+
+
+def release(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: bool) -> None:
+    """Give an adversary back to SUMO on its old way; take it away where it has hit the ego or is off the road.
+
+    A vehicle that is released where no lane is leaves the simulation anyway, without an arrival (measured).
+    """
+    raw = session.snapshot.raw.get(vehicle)
+    if raw is None:
+        return
+    if hit or raw[4] == "":
+        session.remove(vehicle)
+        how = "removed: it has hit the ego" if hit else "removed: it was off the road"
+    else:
+        session.simulation.set_speed(vehicle, None)
+        Stage(session.simulation).direct(vehicle, tuple(edges))
+        how = "driven on by SUMO"
+    events.tell("released", time=session.now, vehicle=vehicle, how=how)

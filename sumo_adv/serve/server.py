@@ -1,0 +1,308 @@
+"""The server: encounter after encounter against an ego that a TraCI client drives, each with its outcome.
+
+encounter -> decision (analyzer, bank) -> attempts against the client -> outcome -> memory
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sumo_adv.datatypes import Attempt, Ending, LibraryEntry
+from sumo_adv.episode.cast import Cast
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import Met, decide, predicted, pursue
+from sumo_adv.episode.task import Prefix, Task
+from sumo_adv.errors import SimulationError, SumoAdvError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.serve.clerk import Clerk
+from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
+from sumo_adv.serve.events import Events
+from sumo_adv.serve.gate import Gate
+from sumo_adv.serve.options import Mode, OnLoss, Options
+from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
+from sumo_adv.serve.watch import Watch
+from sumo_adv.world.demand import journeys
+from sumo_adv.world.inputs import EgoRoute, RunInput
+from sumo_adv.world.network import RoadMap
+
+INSERTED_EGO, DEFAULT_TYPE = "ego", "DEFAULT_VEHTYPE"
+WARM_UP = 20.0  # s of traffic before an ego on drawn routes departs
+COOL_DOWN, PASSED_OVER = 5.0, 2.0  # s without an encounter after one, and after one that was passed over
+MOST_AGE = 4.0  # s a decision may be old, where the world does not wait for it
+FRUITLESS = 3  # simulations in a row without an encounter, after which it is of no use to go on
+"""Where the simulation ends (its demand, or ``--end``) the next one begins with the next seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class House:
+    """Everything that a server needs and does not make itself. ``task_for``: the task with another seed."""
+
+    source: RunInput
+    options: Options
+    task_for: Callable[[int], Task]
+    road: RoadMap
+    cast: Cast
+    bank: MemoryBank
+    gate: Gate
+    events: Events
+    clerk: Clerk
+    check: Callable[[], None]  # called every step; raises KeyboardInterrupt
+
+
+class Server:
+    """Runs until ``encounters`` are done, the input has no more, the client is gone for good, or Ctrl-C."""
+
+    def __init__(self, house: House) -> None:
+        self._house = house
+        self._task = house.task_for(0)
+        self._settings = self._task.settings
+        self._session: Session | None = None
+        self._number = 0  # of the encounter at hand, from 1
+        self._fruitless = 0
+        self.reason = ""
+
+    @property
+    def ego(self) -> str:
+        """The vehicle that the client drives."""
+        return self._task.ego if isinstance(self._task.ego, str) else INSERTED_EGO
+
+    def run(self) -> Ending | None:
+        """Serve. An Ending where something failed (``reason`` says what), else None."""
+        house = self._house
+        try:
+            round_ = 0
+            while self._wanted():
+                self._simulate(round_)
+                round_ += 1
+        except ClientGone:
+            self.reason = f"No client came to port {house.gate.port} within {house.options.patience:g} s."
+            return Ending.EGO_LOST
+        except EgoLost:
+            self.reason = "The ego's client was lost or late, and --on-loss is end."
+            return Ending.EGO_LOST
+        except KeyboardInterrupt:
+            self.reason = "Ctrl-C."
+            return Ending.INTERRUPTED
+        except SumoAdvError as error:
+            if error.exit_status == 2:
+                raise
+            self.reason = str(error)
+            return Ending.SIMULATION_FAILED
+        finally:
+            self._end_session(clean=False)
+        return None
+
+    def _wanted(self) -> bool:
+        """Whether another encounter is to come."""
+        most = self._house.options.encounters
+        if self._fruitless >= FRUITLESS and not self.reason:
+            self.reason = f"The last {FRUITLESS} simulations had no encounter."
+        return not self.reason and (most is None or self._number < most)
+
+    # -- a simulation -------------------------------------------------------------------------------------------
+
+    def _simulate(self, round_: int) -> None:
+        """One simulation from its begin: all its encounters in continuous mode, one of them else."""
+        self._task = self._house.task_for(round_)
+        self._settings = self._task.settings
+        session, watch = self._start()
+        before, quiet, passed = self._number, 0.0, list[str]()
+        while self._wanted():
+            ranking = watch.until_encounter(self._task.end, trigger=self._task.trigger, quiet=quiet)
+            if not ranking and (session.now >= self._task.end - 1e-6 or session.deserted()):
+                break
+            quiet = PASSED_OVER
+            scene = describe(session, self._house.road, self._settings, ranking, passed)
+            if isinstance(scene, str):
+                self._pass_over(session, scene, passed)
+            elif self._encounter(session, watch, scene, passed):
+                passed, quiet = [], COOL_DOWN
+                if self._house.options.mode is Mode.EPISODES:
+                    break
+                assert self._session is session
+            if self._task.trigger is not None:
+                break
+        self._fruitless = 0 if self._number > before else self._fruitless + 1
+        if self._task.trigger is not None and not self.reason and self._number == before:
+            self.reason = f"At the trigger given, {self._task.trigger:g} s, there was nothing to attack with."
+        self._end_session(clean=True)
+
+    def _start(self) -> tuple[Session, Watch]:
+        """A new simulation, and its client."""
+        house, task = self._house, self._task
+        self._session = session = Session(
+            task.spec, house.gate, house.options, self._ego(task), house.events, house.check
+        )
+        only = tuple(n for n in task.only)
+        return session, Watch(session, house.road, self._settings, only, task.warm_up if task.ego is not None else 0.0)
+
+    def _ego(self, task: Task) -> EgoPlan:
+        """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
+        kind = self._house.options.ego_type or task.ego_base_type or DEFAULT_TYPE
+        if isinstance(task.ego, str):
+            return EgoPlan(task.ego, kind)
+        if isinstance(task.ego, EgoRoute):
+            route = task.ego
+            return EgoPlan(INSERTED_EGO, kind, lambda: route)
+        draw = random.Random(task.spec.seed)
+        found = journeys(task.spec.network, draw)
+        weights = [j.lanes for j in found]
+        return EgoPlan(INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(found, weights)[0].edges, 0.0), WARM_UP)
+
+    def _end_session(self, *, clean: bool) -> None:
+        if self._session is not None:
+            session, self._session = self._session, None
+            session.close(clean=clean)
+
+    def _pass_over(self, session: Session, why: str, passed: list[str]) -> None:
+        passed.append(f"{session.now:.1f} s ({why})")
+        self._house.events.tell("passed_over", time=session.now, reason=why)
+
+    # -- an encounter -------------------------------------------------------------------------------------------
+
+    def _encounter(self, session: Session, watch: Watch, scene: Scene, passed: list[str]) -> bool:
+        """Decide and attack; False if it was passed over or dropped."""
+        house, found = self._house, scene.found
+        house.events.tell(
+            "encounter", time=found.time, number=self._number + 1, ego=found.ego,
+            ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
+        )  # fmt: skip
+        episode = self._episode(scene)
+        decision = self._decided(session, episode, scene)
+        if not decision.met.reaches and self._task.trigger is None:
+            self._pass_over(session, "no intent reaches the ego, by prediction", passed)
+            return False
+        if decision.entries is None:
+            self._pass_over(session, episode.reason, passed)
+            return False
+        stale = self._stale(session, watch, scene, decision)
+        if stale:
+            house.events.tell("dropped", time=session.now, reason=stale)
+            return False
+        self._number += 1
+        self._pursue(session, scene, episode, decision)
+        return True
+
+    def _episode(self, scene: Scene) -> Episode:
+        house, found = self._house, scene.found
+        episode = Episode(
+            house.source, self._settings, self._task, bank_hash=house.bank.content_hash(), cast=house.cast
+        )
+        episode.found, episode.lanes = found, house.road.strips(*found.area)
+        return episode
+
+    def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
+        house, settings = self._house, self._settings
+        episodes = house.options.mode is Mode.EPISODES
+        settings = settings if episodes else settings.model_copy(update={"attempts": 1})
+        episode.settings = settings
+        live = LiveAttempts(
+            session, scene, house.road, settings, house.cast.sandbox, house.events,
+            (lambda: self._again(scene.found.time)) if episodes else None,
+        )  # fmt: skip
+        assert decision.entries is not None
+        try:
+            pursue(episode, decision.met, decision.entries, live, house.cast, house.bank, self._tell_attempt)
+            if live.lost and episode.ending is not Ending.CRITICAL:
+                episode.ending, episode.reason = Ending.EGO_LOST, ""
+        except KeyboardInterrupt:
+            episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
+            raise
+        except SimulationError as error:
+            episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+            raise
+        except (ClientGone, EgoLost):
+            episode.ending, episode.reason = Ending.EGO_LOST, ""
+            raise
+        finally:
+            best = episode.refinement.best or 0
+            before = live.prefixes[best] if best < len(live.prefixes) else ()
+            episode.prefix = Prefix(before, dict(scene.found.sizes))
+            house.clerk.keep(episode, self._number)
+        if live.lost and house.options.on_loss is OnLoss.END:
+            raise EgoLost
+
+    def _again(self, time: float) -> Session | None:
+        """The same simulation anew, up to ``time`` [s]; None if the ego or its client is not there then."""
+        self._end_session(clean=True)
+        self._house.events.tell("again", number=self._number, time=time)
+        session, watch = self._start()
+        return session if watch.until(time) else None
+
+    def _tell_attempt(self, what: str, value: Any) -> None:
+        if what != "attempt":
+            return
+        a: Attempt = value
+        v = a.verdict
+        self._house.events.tell(
+            "attempt", number=self._number, index=a.index, adversary=a.proposal.bv, intent=a.proposal.label,
+            mode=a.proposal.planner.mode, by=a.proposal.by, time=a.trigger_time, ending=a.ending,
+            min_ttc=v.min_ttc if v.min_ttc < 1e6 else None, collided=v.collided, critical=v.critical,
+            feasible=v.feasible, rear_end=v.rear_end, valid=v.valid, message=a.message,
+        )  # fmt: skip
+
+    # -- the decision -------------------------------------------------------------------------------------------
+
+    def _decided(self, session: Session, episode: Episode, scene: Scene) -> Decision:
+        """What is to be tried. The world waits for it; with ``real_time`` it goes on meanwhile.
+
+        Raises:
+            ModelError: a model plays a part and failed.
+        """
+        began = time.perf_counter()
+
+        def work() -> Decision:
+            met = predicted(episode, scene.found, self._house.cast.sandbox, self._house.bank)
+            entries = decide(episode, met, self._house.cast, self._house.bank) if met.reaches else None
+            return Decision(met, entries)
+
+        decision = work() if session.pace is None else _meanwhile(work, session.tick)
+        self._house.events.tell(
+            "decided", time=session.now, seconds=round(time.perf_counter() - began, 3),
+            age=round(session.now - scene.found.time, 2),
+            intents=[{"bv": i.bv, "label": i.label, "risk": i.risk} for i in list(episode.intents)[:3]],
+        )  # fmt: skip
+        return decision
+
+    def _stale(self, session: Session, watch: Watch, scene: Scene, decision: Decision) -> str:
+        """Why a decision no longer fits the world; empty if it does."""
+        age = session.now - scene.found.time
+        if age == 0.0:
+            return ""
+        if age > MOST_AGE:
+            return f"the decision is {age:.1f} s old"
+        best = min(decision.met.expert.pool, key=lambda p: p.score)
+        return watch.changed(scene.tracks, best.bv, scene.relation(best.bv))
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """The predictions of an encounter, and the library to try from; None if nothing is to be tried."""
+
+    met: Met
+    entries: Sequence[LibraryEntry] | None
+
+
+def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:
+    """Do ``work`` in a thread and ``tick`` until it is done."""
+    results: list[Decision] = []
+    errors: list[BaseException] = []
+
+    def body() -> None:
+        try:
+            results.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=body, name="decision", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        tick()
+    if errors:
+        raise errors[0]
+    return results[0]

@@ -1,0 +1,258 @@
+"""One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
+
+We are SUMO's first client: a step is our turn, then the ego's client's, then SUMO moves.  Whoever waits (we for the
+client, the client for a decision of ours) stops simulated time, unless ``real_time`` is asked for.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from sumo_adv.episode.drive import Drive
+from sumo_adv.errors import SimulationError
+from sumo_adv.serve.events import Events
+from sumo_adv.serve.gate import Gate
+from sumo_adv.serve.gate_events import Stepper
+from sumo_adv.serve.options import OnLoss, Options
+from sumo_adv.serve.sumo_process import SumoProcess
+from sumo_adv.world.egos import ExternalEgo
+from sumo_adv.world.inputs import EgoRoute
+from sumo_adv.world.remote import Remote
+from sumo_adv.world.simulation import Pose, SimulationSpec, Snapshot
+
+if TYPE_CHECKING:
+    from traci.connection import Connection
+
+KEPT = 15.0  # s of states that are kept while nothing happens
+OUR_ORDER = 1
+STAND_IN_BRAKING = 4.5  # m/s2
+ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
+SLICE = 0.2  # s between looks at whether somebody wants us to stop
+
+
+class EgoLost(Exception):
+    """The client is gone or late, and it mattered."""
+
+
+class ClientGone(Exception):
+    """The client did not come (back) in time."""
+
+
+@dataclass(frozen=True, slots=True)
+class EgoPlan:
+    """The vehicle under test. ``next_route``: where it departs next, None = the demand holds it; ``warm_up`` [s]: of
+    the traffic before it departs."""
+
+    id: str
+    type: str
+    next_route: Callable[[], EgoRoute] | None = None
+    warm_up: float = 0.0
+
+
+@dataclass(slots=True)
+class Pace:
+    """Holds simulated time to the clock's; ``slips``: how often it was more than a second late."""
+
+    step: float
+    slips: int = 0
+    _next: float | None = field(default=None)
+
+    def wait(self) -> None:
+        """Until the next step is due."""
+        now = time.monotonic()
+        due = now if self._next is None else self._next
+        if due > now:
+            time.sleep(due - now)
+        elif now - due > 1.0:
+            self.slips += 1
+            due = now
+        self._next = due + self.step
+
+
+class Session(Drive):
+    """A drive whose ego somebody else has. ``attended``: the ego's client is needed, its loss raises EgoLost."""
+
+    def __init__(
+        self, spec: SimulationSpec, gate: Gate, options: Options, ego: EgoPlan, events: Events,
+        check: Callable[[], None],
+    ) -> None:  # fmt: skip
+        """Start SUMO behind the gate. ``check`` is called every step and may raise.
+
+        Raises:
+            SimulationError, UsageError: SUMO does not start, or is not installed.
+        """
+        self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
+        self._sumo = SumoProcess(spec.arguments())
+        try:
+            gate.attach(self._sumo, own={ego.id})
+            super().__init__(spec, ExternalEgo(), spec.seed, Remote(_connect(self._sumo)))
+        except BaseException:
+            gate.detach()
+            self._sumo.close()
+            raise
+        self.attended = False
+        self.adversary: str | None = None
+        self.away = True  # the client is not there, or late
+        self.away_since = spec.begin
+        self.steps = 0
+        self.present_since: float | None = None  # s; None while the ego is not on the road
+        self.pace = Pace(spec.step_length) if options.real_time else None
+        self._again: tuple[EgoRoute, str] | None = None  # how an ego of the demand departed
+        self._departures, self._pending = 0, ego.next_route is None
+        self._first = spec.begin + ego.warm_up
+        self._owners: tuple[object, ...] = ()
+        events.tell("simulation", state="started", time=spec.begin, seed=spec.seed, network=spec.network.name)
+
+    # -- stepping -----------------------------------------------------------------------------------------------
+
+    def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
+        """One step of everybody.
+
+        Raises:
+            EgoLost: the client did not make this step, and ``attended``.
+            SimulationError: SUMO ended.
+        """
+        self._check()
+        if self.pace is not None:
+            self.pace.wait()
+        self._depart()
+        if self.away:
+            self._stand_in()
+        snapshot = super().tick(poses)
+        self.steps += 1
+        self._look_for_ego(snapshot)
+        if not self.attended:
+            self._forget()
+        self._look_for_client()
+        return snapshot
+
+    def hold(self) -> None:
+        """Between encounters: wait for a client that has been away for a while.
+
+        Raises:
+            ClientGone: it does not come within ``patience``.
+        """
+        if self._gate.connected or (self.steps and (self.pace is not None or self.now - self.away_since < ALONE)):
+            return
+        patience = self._options.patience
+        until = None if patience is None else time.monotonic() + patience
+        while not self._gate.wait_connected(SLICE):
+            self._check()
+            if until is not None and time.monotonic() > until:
+                raise ClientGone
+        if self.pace is not None:
+            self.pace = Pace(self.spec.step_length)
+
+    def ready(self, since: float) -> bool:
+        """Whether an encounter may begin: the ego has been on the road for ``since`` s, and its client drives it."""
+        return self.present_since is not None and not self.away and self.now - self.present_since >= since
+
+    def close(self, *, clean: bool = True) -> None:
+        """End SUMO. The client's call is answered, then its connection is closed; ``clean=False``: at once."""
+        self._gate.detach()
+        assert self.simulation.remote is not None
+        self.simulation.remote.close() if clean else self.simulation.remote.drop()
+        self._sumo.close(2.0 if clean else 0.0)
+        self._events.tell("simulation", state="ended", time=self.now, seed=self.spec.seed)
+
+    def deserted(self) -> bool:
+        """Whether nobody but the ego is on the road or still to come."""
+        return self.simulation.expected() <= (self.present_since is not None or self._pending)
+
+    def remove(self, vehicle: str) -> None:
+        """Take a vehicle out; the client's subscription of it ends, or every later step of SUMO would fail."""
+        for end in (self.simulation.api.vehicle.unsubscribe, self.simulation.api.vehicle.remove):
+            with suppress(*self.simulation.errors):
+                end(vehicle)
+
+    @property
+    def spec(self) -> SimulationSpec:
+        """What SUMO was started with."""
+        return self.simulation.spec
+
+    # -- the ego ------------------------------------------------------------------------------------------------
+
+    def _depart(self) -> None:
+        """Insert the ego where it is neither on the road nor about to be."""
+        if self.present_since is not None or self._pending or self.now < self._first:
+            return
+        route, kind = (self._plan.next_route(), self._plan.type) if self._plan.next_route else self._again or (None, "")
+        if route is None:
+            return
+        depart = {
+            "depart": repr(max(route.depart, self.now)), "departLane": str(route.lane),
+            "departPos": str(route.position), "departSpeed": str(route.speed),
+        }  # fmt: skip
+        name = f"{self._plan.id}.route.{self._departures}"
+        self.simulation.add(self._plan.id, route.edges, kind, depart, route=name)
+        self._departures, self._pending = self._departures + 1, True
+
+    def _look_for_ego(self, snapshot: Snapshot) -> None:
+        name = self._plan.id
+        if name in snapshot.raw and self.present_since is None:
+            self.present_since, self._pending = self.now, False
+            self.take_over(name)
+            if self._plan.next_route is None and self._again is None:
+                kind = str(self.simulation.api.vehicle.getTypeID(name))
+                self._again = EgoRoute(self.simulation.route(name)[0], 0.0), kind
+            self._events.tell("ego", state="departed", id=name, time=self.now)
+        elif name not in snapshot.raw and self.present_since is not None:
+            self.present_since = None
+            self._events.tell("ego", state="left", id=name, time=self.now)
+        self._tell_owners(snapshot)
+
+    def _tell_owners(self, snapshot: Snapshot) -> None:
+        here = self.present_since is not None
+        client = (self._plan.id,) if here and not self.away else ()
+        ours = (self.adversary,) if self.adversary in snapshot.raw else ()
+        if (client, ours) != self._owners:
+            self._owners = (client, ours)
+            others = len(snapshot.raw) - len(client) - len(ours)
+            self._events.tell("owners", time=self.now, client=list(client), adversary=list(ours), sumo=others)
+
+    # -- the client ---------------------------------------------------------------------------------------------
+
+    def _look_for_client(self) -> None:
+        away = self._gate.stepped_by is not Stepper.CLIENT
+        if away == self.away:
+            return
+        self.away = away
+        if away:
+            self.away_since = self.now
+            if self._options.on_loss is OnLoss.SUMO and self.present_since is not None:
+                self.simulation.set_speed(self._plan.id, None)
+            if self.attended or self._options.on_loss is OnLoss.END:
+                raise EgoLost
+        elif self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
+            self.simulation.set_speed(self._plan.id, None)
+
+    def _stand_in(self) -> None:
+        """Drive the ego in its client's stead."""
+        if self.steps and self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
+            speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING * self.spec.step_length
+            self.simulation.set_speed(self._plan.id, speed)
+
+    # -- memory -------------------------------------------------------------------------------------------------
+
+    def _forget(self) -> None:
+        """Keep the last seconds alone, and the sizes of who is in them."""
+        kept = round(KEPT / self.spec.step_length)
+        if len(self.recording.snapshots) >= 2 * kept:
+            self.recording.forget(kept)
+            self.simulation.fleet.forget({name for s in self.recording.snapshots for name in s.raw})
+
+
+def _connect(sumo: SumoProcess) -> Connection:
+    """Our own connection, the first in order."""
+    import traci
+
+    try:
+        connection = traci.connect(sumo.port, numRetries=0, host="127.0.0.1")
+        connection.setOrder(OUR_ORDER)
+    except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:
+        raise SimulationError(f"SUMO did not take our connection ({sumo.last_error or error}).") from error
+    return connection
