@@ -45,7 +45,7 @@ def test_segments_near_a_point() -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(
-    st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=2, max_size=8),
+    st.lists(st.tuples(st.integers(-50, 50), st.integers(-50, 50)), min_size=2, max_size=8, unique=True),
     st.tuples(st.floats(-50, 50), st.floats(-50, 50)),
 )
 def test_the_least_distance_is_that_of_a_fine_search(corners: list[tuple[float, float]], point: Any) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from womd_nets import edge, junction, net
+from womd_nets import edge, junction, link, net
 from womd_samples import four_way, line, straight, track
 
 from sumo_adv.errors import UsageError
@@ -26,7 +26,7 @@ def record(message: Any) -> Record:
 
 
 def stretch(*lanes: str, steps: tuple[int, ...] = (0, 90)) -> Stretch:
-    return Stretch(steps, lanes, lanes)
+    return Stretch(steps, (lanes[0], lanes[-1]), lanes)
 
 
 def test_a_route_runs_on_to_an_end(tmp_path: Path) -> None:
@@ -51,6 +51,26 @@ def test_of_a_broken_track_the_part_from_the_current_step_on_counts(tmp_path: Pa
     assert router.route(parts, 5)[0] == "in"
     assert router.route(parts, 80) == ("up",)
     assert router.route([], 10) == ()
+
+
+def test_a_lane_change_inside_a_junction_keeps_the_route(tmp_path: Path) -> None:
+    """Two ways into "c", from "a" and from "b"; the way from "a" to "d" shares its beginning with the first. Two
+    changes in one junction may leave edges that do not follow: from "b" over both to "d"."""
+    roads = net(
+        tmp_path, edge("a", [(0, 0), (50, 0)]), edge("b", [(0, 2), (50, 2)]), edge("c", [(70, 0), (150, 0)]),
+        edge("d", [(70, -4), (150, -4)]), edge(":J_0", [(50, 0), (70, 0)]), edge(":J_1", [(50, 2), (70, 0)]),
+        edge(":J_2", [(50, 0), (70, -4)]), link("a_0", "c_0", ":J_0_0"), link(":J_0_0", "c_0"),
+        link("b_0", "c_0", ":J_1_0"), link(":J_1_0", "c_0"), link("a_0", "d_0", ":J_2_0"), link(":J_2_0", "d_0"),
+    )  # fmt: skip
+    router, graph = Router(roads), net_graph(roads)
+    assert [name for name, _ in graph.beside[":J_0_0"]] == [":J_2_0", ":J_1_0"]
+    assert dict(graph.beside[":J_1_0"]) == {":J_0_0": pytest.approx(20.0 - 404**0.5)}  # level where they end
+    whole = stretch("b_0", ":J_1_0", ":J_0_0", "c_0")
+    assert router.unbroken([whole]) and router.route([whole], 10) == ("b", "c")
+    torn = stretch("b_0", ":J_1_0", ":J_0_0", ":J_2_0", "d_0")
+    assert not router.unbroken([torn])
+    assert router.route([torn], 0) == ("b", "c") and router.route([torn], 10) == ("d",)
+    assert not router.unbroken([whole, whole]) and router.unbroken([])
 
 
 def two_lanes(folder: Path) -> SumoNet:

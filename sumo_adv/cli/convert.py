@@ -14,6 +14,7 @@ from sumo_adv.errors import SumoAdvError, UsageError
 if TYPE_CHECKING:
     from sumo_adv.womd.record import Record
 
+TABLE_WIDTH = 125  # characters
 EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out scenarios/waymo"
 
 
@@ -76,12 +77,18 @@ def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, 
 
 def show(reports: list[dict[str, Any]]) -> None:
     """The reports as a table."""
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
 
-    from sumo_adv.womd.table import COLUMNS, row
+    from sumo_adv.womd.table import COLUMNS, LEGEND, row
 
-    table = Table(*COLUMNS, title="Fidelity (traffic: vehicles, collisions, teleports)")
+    table = Table(box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False)
+    for name in COLUMNS:
+        table.add_column(name, no_wrap=True, justify="left" if name == "record" else "right")
     for report in reports:
         table.add_row(*row(report))
-    Console(soft_wrap=False).print(table)
+    console = Console()
+    console = Console(width=max(console.width, TABLE_WIDTH))  # a narrow terminal wraps lines, but loses no cell
+    console.print(table)
+    console.print(LEGEND, highlight=False)

@@ -15,6 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.womd.matching import BIKE, LaneGraph, Stretch, match, net_graph, record_graph
 from sumo_adv.womd.record import ObjectTrack, Record
+from sumo_adv.womd.routes import Router
 from sumo_adv.womd.segments import Segments, resample, stations
 from sumo_adv.womd.sumonet import SumoNet
 
@@ -62,7 +63,7 @@ def measure(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fideli
         "tracks": len(record.tracks), "lanes": len(record.lanes),
         **_lengths(record, converted.pieces), "deviation": _percentiles(deviations),
         "connectivity": connectivity(record, net, converted.pieces), "signals": _signals(record, net, converted.pieces),
-        "vehicles": inside_lanes(record, net), "routes": _routes(record, tracks, matched),
+        "vehicles": inside_lanes(record, net), "routes": _routes(record, Router(net), tracks, matched),
         "converter": dict(converted.report),
     }  # fmt: skip
     return Fidelity(report, deviations, matched)
@@ -237,12 +238,12 @@ def travelled(track: ObjectTrack) -> float:
 
 
 def _routes(
-    record: Record, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
+    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
 ) -> dict[str, Any]:
-    """Driven tracks, those whose lanes in SUMO break, and those that break on the record's own graph."""
+    """Driven tracks, those whose edges in SUMO break, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
     driven = [t for t in tracks if travelled(t) > DRIVEN]
-    broken = [t.id for t in driven if len(matched[t.id]) > 1]
+    broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
     own_broken = [t.id for t in driven if len(match(own, t)) > 1]
     return {
         "driven": len(driven), "broken": broken, "own_broken": own_broken,

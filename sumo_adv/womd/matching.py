@@ -10,6 +10,7 @@ import heapq
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -84,12 +85,27 @@ def _neighbours(lane: LaneFeature, at: Mapping[int, Floats]) -> tuple[tuple[int,
 
 
 def net_graph(net: SumoNet) -> LaneGraph:
-    """SUMO's graph for cars: connections, and the lanes of one edge."""
+    """SUMO's graph for cars: connections, the lanes of one edge, and of a junction the internal lanes that share the
+    edge they come from (same height at their beginnings) or lead to (at their ends): such a change keeps the route."""
     kept = {name: lane for name, lane in net.lanes.items() if lane.cars}
+    lengths = {name: float(stations(lane.shape)[-1]) for name, lane in kept.items()}
+    beside: dict[Lane, dict[Lane, float]] = {
+        n: {o: 0.0 for o in net.edges[lane.edge] if o != n and o in kept} for n, lane in kept.items()
+    }
+    from_edge: dict[str, list[str]] = {}
+    to_edge: dict[str, list[str]] = {}
+    for link in net.links:
+        chain = net.inner(link)
+        if chain and all(lane in kept for lane in (link.start, *chain, link.end)):
+            from_edge.setdefault(net.lanes[link.start].edge, []).append(chain[0])
+            to_edge.setdefault(net.lanes[link.end].edge, []).append(chain[-1])
+    for groups, at_end in ((from_edge, False), (to_edge, True)):
+        for group in groups.values():
+            for one, other in permutations(group, 2):
+                beside[one].setdefault(other, lengths[other] - lengths[one] if at_end else 0.0)
     return LaneGraph(
-        {name: float(stations(lane.shape)[-1]) for name, lane in kept.items()},
-        {name: tuple(o for o in net.following.get(name, ()) if o in kept) for name in kept},
-        {n: tuple((o, 0.0) for o in net.edges[lane.edge] if o != n and o in kept) for n, lane in kept.items()},
+        lengths, {name: tuple(o for o in net.following.get(name, ()) if o in kept) for name in kept},
+        {name: tuple(others.items()) for name, others in beside.items()},
         Segments({name: lane.shape for name, lane in kept.items()}),
     )  # fmt: skip
 

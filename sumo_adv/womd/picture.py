@@ -42,7 +42,7 @@ def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity
     axes.plot(ego.x[ego.valid], ego.y[ego.valid], color=EGO, lw=1.8, ls=(0, (3, 2)), zorder=4, label="ego's log")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_aspect("equal")
     axes.legend(loc="best", fontsize=9)
     figure.text(0.05, 0.96, _title(fidelity), fontsize=12, va="top", parse_math=False)
     unfinished = target.with_name(f"{target.name}.part")

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from itertools import groupby
+from collections.abc import Sequence
+from itertools import groupby, pairwise
 
 from sumo_adv.womd.matching import Stretch
 from sumo_adv.womd.sumonet import Link, SumoNet
@@ -22,7 +22,7 @@ class Router:
         for link in net.links:
             if net.lanes[link.start].cars and net.lanes[link.end].cars:
                 self._from.setdefault(net.lanes[link.start].edge, []).append(link)
-                for lane in self._inner(link):
+                for lane in net.inner(link):
                     self._through[lane] = link
 
     def route(self, stretches: Sequence[Stretch], step: int) -> tuple[str, ...]:
@@ -34,14 +34,39 @@ class Router:
         chosen = next((s for s in stretches if s.steps[-1] >= step), stretches[-1] if stretches else None)
         if chosen is None:
             return ()
-        edges = [edge for edge, _ in groupby(self._edges(chosen.driven))]
-        return tuple(edges + self._on(edges, chosen.driven[-1]))
+        *before, last = self._parts(self.edges(chosen))
+        now = next(
+            lane for at, lane in zip(chosen.steps, chosen.lanes, strict=True) if at >= min(step, chosen.steps[-1])
+        )
+        for part in before:
+            if self._edge(now) in part:
+                return tuple(part + self._on(part, ""))
+        return tuple(last + self._on(last, chosen.driven[-1]))
 
-    def _edges(self, lanes: Iterable[str]) -> list[str]:
-        """Normal edges of a chain of lanes, with those at its ends that internal lanes lead from and to."""
+    def unbroken(self, stretches: Sequence[Stretch]) -> bool:
+        """Whether a track is one stretch (or none) whose edges follow one another."""
+        return len(stretches) <= 1 and all(len(self._parts(self.edges(s))) == 1 for s in stretches)
+
+    def _parts(self, edges: list[str]) -> list[list[str]]:
+        """The edges, parted where none leads to the next."""
+        parts = [edges[:1]]
+        for before, after in pairwise(edges):
+            if any(self._net.lanes[link.end].edge == after for link in self._from.get(before, ())):
+                parts[-1].append(after)
+            else:
+                parts.append([after])
+        return parts
+
+    def _edge(self, lane: str) -> str:
+        """A lane's edge, or for an internal one the edge before it."""
+        link = self._through.get(lane)
+        return self._net.lanes[link.start if link is not None else lane].edge
+
+    def edges(self, stretch: Stretch) -> list[str]:
+        """Normal edges of a stretch, with those at its ends that internal lanes lead from and to."""
         found: list[str] = []
         pending: Link | None = None
-        for lane in lanes:
+        for lane in stretch.driven:
             link = self._through.get(lane)
             if link is not None and not found:
                 found.append(self._net.lanes[link.start].edge)
@@ -50,7 +75,7 @@ class Router:
             pending = link
         if pending is not None:
             found.append(self._net.lanes[pending.end].edge)
-        return found
+        return [edge for edge, _ in groupby(found)]
 
     def _on(self, edges: Sequence[str], lane: str) -> list[str]:
         """The edges after the last one: where the lane leads, straight on if there is a choice."""
@@ -66,12 +91,3 @@ class Router:
             length += self._net.lanes[lane].length
             added.append(last)
         return added
-
-    def _inner(self, link: Link) -> list[str]:
-        """The internal lanes of a link in order."""
-        found: list[str] = []
-        lane = link.via
-        while lane and lane not in found and self._net.lanes[lane].internal:
-            found.append(lane)
-            lane = next(iter(self._net.following.get(lane, ())), "")
-        return found

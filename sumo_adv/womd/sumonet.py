@@ -56,6 +56,15 @@ class SumoNet:
     following: Mapping[str, tuple[str, ...]]
     links: tuple[Link, ...]
 
+    def inner(self, link: Link) -> tuple[str, ...]:
+        """The internal lanes of a link, in order."""
+        found: list[str] = []
+        lane = link.via
+        while lane in self.lanes and lane not in found and self.lanes[lane].internal:
+            found.append(lane)
+            lane = next(iter(self.following.get(lane, ())), "")
+        return tuple(found)
+
 
 def read_net(path: Path) -> SumoNet:
     """The network at ``path`` (one that we wrote: errors are not dressed up)."""

@@ -8,15 +8,20 @@ from typing import Any
 import numpy as np
 
 COLUMNS = (
-    "record", "lane km", "represented %", "in 0.1 m %", "in 0.5 m %", "p99 m", "connections", "signals", "inside %",
-    "by centre %", "broken / own / driven", "junctions %", "traffic", "s",
+    "record", "km", "kept %", "<0.1 m %", "<0.5 m %", "p99 m", "links", "signals", "inside %", "centre %", "broken",
+    "junct. %", "traffic", "s",
 )  # fmt: skip
+LEGEND = """\
+km of lanes, the share kept in SUMO, shares of samples so near to a SUMO lane, 99th percentile; connections and signal
+lanes kept; logged moving vehicles inside a SUMO lane, within 1.75 m of a centre line of the record; tracks whose lanes
+break in SUMO / in the record / driven; lane length inside junctions; random traffic: vehicles, collisions, teleports;
+seconds to the network."""
 
 Report = Mapping[str, Any]
 
 
 def row(report: Report) -> tuple[str, ...]:
-    """One record's cells. Traffic: vehicles, collisions, teleports."""
+    """One record's cells; ``LEGEND`` says what they are."""
     d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
     t = report["traffic"]
     return (
@@ -24,7 +29,7 @@ def row(report: Report) -> tuple[str, ...]:
         _percent(d["within_0.1"]), _percent(d["within_0.5"]), f"{d['p99']:.3f}", f"{c['kept']}/{c['wanted']}",
         f"{s['mapped']}/{s['lanes']}", _percent(v["inside"]), _percent(v["near_centre"]),
         f"{len(r['broken'])}/{len(r['own_broken'])}/{r['driven']}", _percent(report["in_junctions"]),
-        "-" if t is None else f"{t['vehicles']}, {t['collisions']} c, {t['teleports']} t",
+        "-" if t is None else f"{t['vehicles']}/{t['collisions']}/{t['teleports']}",
         f"{report['seconds']['network']:.2f}",
     )  # fmt: skip
 
