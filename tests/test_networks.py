@@ -61,8 +61,8 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
 
 
 def test_there_are_eleven_networks_and_24_scenarios() -> None:
-    assert len(NETWORKS) == 11
-    assert len(SCENARIOS) == 24
+    assert len(NETWORKS) == 12
+    assert len(SCENARIOS) == 25
     assert len(shipped_names()) == 35
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 

@@ -33,22 +33,19 @@ def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
 
 
 def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
+    from sumo_adv.cli.memory_common import open_for_run
     from sumo_adv.episode.cast import Cast
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.loop import make_task, meet
     from sumo_adv.episode.worker import body
     from sumo_adv.errors import UsageError
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.world.engine import Engine
-    from sumo_adv.world.inputs import data_folder
 
-    path = settings.memory or default_bank_path()
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
         with (
-            MemoryBank.open(path, seed_from=data_folder("memory_bank.sqlite")) as bank,
+            open_for_run(settings) as bank,
             Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
             Engine(body) as engine,
         ):

@@ -185,13 +185,14 @@ class Refiner:
                 tuner.add(fresh, 3 * len(fresh))
 
     def _rewritten(self, ways: Sequence[Family], found: Refinement) -> list[Proposal]:
-        """Without a tuner: the vehicles and moments of the attempts so far, with their planners rewritten."""
-        plans = []
-        for tried in {a.proposal.planner.hash: a.proposal for a in found.attempts}.values():
+        """Without a tuner: the vehicle and moment of the best attempt whose planner can still be rewritten, with its
+        new version."""
+        for attempt in sorted(found.attempts, key=lambda a: (rank(a.verdict), a.verdict.min_distance)):
+            tried = attempt.proposal
             changed = self._changed(tried.planner.hash, ways, found)
             if changed is not None:
-                plans.append(replace(tried, planner=changed, parameters=changed.defaults(), by=changed.origin))
-        return plans
+                return [replace(tried, planner=changed, parameters=changed.defaults(), by=changed.origin)]
+        return []
 
     def _changed(self, name: str, ways: Sequence[Family], found: Refinement) -> Planner | None:
         """The modifier's new version of a planner, asked for once; None if there is none."""
