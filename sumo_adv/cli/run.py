@@ -27,8 +27,10 @@ FAILED = {
 
 def run(
     source: Annotated[
-        Path | None, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a shipped name.")
+        Path | None,
+        typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
     ] = None,
+    record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 [default: 0].")] = None,
     ego: Annotated[str | None, typer.Option(help="krauss, idm, eidm, careful, replay, or module:Class.")] = None,
     ego_id: Annotated[str | None, typer.Option(help="The vehicle under test [default: chosen].")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
@@ -87,9 +89,9 @@ def run(
         return
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
-    from sumo_adv.world.inputs import load_input
+    from sumo_adv.cli.records import load
 
-    given = load_input(source)
+    given = load(source, record)
     settings = load_settings(
         settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
