@@ -26,6 +26,7 @@ BASE_FLAGS = (
     "--no-warnings", "--duration-log.disable", "--default.speeddev", "0",
 )  # fmt: skip
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HARD_BRAKING_MODE = 27  # SUMO's safe speed holds, its comfortable deceleration does not (mode 31 clips at 4.5 m/s2)
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
@@ -282,7 +283,7 @@ class Simulation:
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, FREE_SPEED_MODE)
                 vehicle.setSpeed(name, pose.speed)
-                vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE)
+                vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self._errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
