@@ -88,7 +88,8 @@ class Drive:
             self.simulation.set_type(vehicle, EGO_TYPE)
         if self.playback is not None:
             factor = float(self.controller.sumo_type.get("speedFactor", 1.0))
-            self.playback.take(vehicle, factor, replayed=isinstance(self.controller, ReplayEgo))
+            speed = self.snapshot.raw[vehicle][3]
+            self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         self.controller.reset(self.seed)
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
@@ -111,7 +112,7 @@ class Drive:
         self.simulation.step()
         snapshot = self.simulation.read()
         if self.playback is not None:
-            snapshot = Snapshot(snapshot.time, {**snapshot.raw, **self.playback.boxes(snapshot.time)})
+            snapshot = Snapshot(snapshot.time, self.playback.after_step(snapshot.raw, snapshot.time))
         self.recording.append(snapshot)
         return snapshot
 

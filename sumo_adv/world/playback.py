@@ -57,6 +57,7 @@ class Playback:
         self._stage = Stage(simulation)
         self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
         self._kept: set[str] = set()  # never handed over: a replayed ego
+        self._moved: dict[str, Pose] = {}  # by the log, in the present step
         self._shown: dict[str, str | None] = {}
         self._fleet = simulation.fleet
         for box in self._boxes.values():
@@ -75,15 +76,16 @@ class Playback:
             return True
         return now >= self.hand_over - 1e-6 and (replayed or raw[vehicle][4] in self._lanes)
 
-    def take(self, vehicle: str, factor: float, *, replayed: bool) -> None:
-        """The vehicle is the ego now, whose driver goes for ``factor`` times the limit, or ``replayed`` by the log."""
+    def take(self, vehicle: str, speed: float, factor: float, *, replayed: bool) -> None:
+        """The vehicle, going at ``speed`` [m/s], is the ego now: its driver goes for ``factor`` times the limit, or it
+        is ``replayed`` by the log."""
         if vehicle not in self._vehicles:
             return
         if replayed:
             self._kept.add(vehicle)
         elif vehicle not in self._free:
             self._free.add(vehicle)
-            self._stage.hand_over(vehicle, self.spec.routes.get(vehicle, ()), factor)
+            self._stage.hand_over(vehicle, speed, self.spec.routes.get(vehicle, ()), factor)
 
     def replays(self, vehicle: str) -> bool:
         """Whether the log moves the ego ``vehicle`` on."""
@@ -102,6 +104,7 @@ class Playback:
         ``raw``: SUMO's present states; ``driven``: who is put where by others in this step.
         """
         then = round(now + self._step, 6)
+        self._moved = {}
         handing = self.spec.background == "sumo" and now >= self.hand_over - 1e-6
         for name, vehicle in self._vehicles.items():
             if name in self._free:
@@ -122,9 +125,9 @@ class Playback:
                 self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
             elif mine and raw[name][4] in self._lanes:
                 self._free.add(name)
-                self._stage.hand_over(name, self.spec.routes[name])
+                self._stage.hand_over(name, raw[name][3], self.spec.routes[name])
                 continue
-            driven[name] = pose
+            driven[name] = self._moved[name] = pose
         self._stand(raw, then, driven)
         if self._signals is not None:
             self._show(self._signals, then)
@@ -148,7 +151,7 @@ class Playback:
                 continue
             if name not in raw:
                 self._spawn(prop, (edge,), pose)
-            driven[name] = pose
+            driven[name] = self._moved[name] = pose
 
     def _spawn(self, vehicle: Prop | Recorded, edges: tuple[str, ...], pose: Pose) -> None:
         self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
@@ -165,9 +168,16 @@ class Playback:
                 return False
         return True
 
-    def boxes(self, time: float) -> dict[str, RawState]:
-        """All that is there at ``time`` [s] and no SUMO vehicle."""
-        found = {}
+    def after_step(self, raw: Mapping[str, RawState], time: float) -> dict[str, RawState]:
+        """SUMO's states at ``time`` [s] with the log's speeds, and all that is there and no SUMO vehicle.
+
+        SUMO clips the speed of a moved vehicle in some steps in which it comes onto another lane.
+        """
+        found = dict(raw)
+        for name, pose in self._moved.items():
+            if name in raw:
+                x, y, angle_deg, _, lane = raw[name]
+                found[name] = (x, y, angle_deg, pose.speed, lane)
         for name, box in self._boxes.items():
             pose = box.pose(time)
             if pose is not None:

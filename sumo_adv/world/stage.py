@@ -47,18 +47,19 @@ class Stage:
         """Take a vehicle out."""
         self._sumo.vehicle.remove(name)
 
-    def hand_over(self, name: str, edges: Sequence[str], factor: float | None = None) -> None:
-        """From the next step on SUMO drives, along ``edges`` from where the vehicle is on them.
+    def hand_over(self, name: str, speed: float, edges: Sequence[str], factor: float | None = None) -> None:
+        """From the next step on SUMO drives, from ``speed`` [m/s], along ``edges`` from where the vehicle is on them.
 
         factor: of the speed limit that its driver goes for; None = 1, or what it goes at if that is more.
         """
         vehicle = self._sumo.vehicle
+        vehicle.setPreviousSpeed(name, speed)
         vehicle.setSpeed(name, -1.0)
         vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
         vehicle.setSpeedFactor(name, factor or 1.0)
         allowed = vehicle.getAllowedSpeed(name)
-        if factor is None and 0.0 < allowed < vehicle.getSpeed(name):
-            vehicle.setSpeedFactor(name, vehicle.getSpeed(name) / allowed)
+        if factor is None and 0.0 < allowed < speed:
+            vehicle.setSpeedFactor(name, speed / allowed)
         self.direct(name, tuple(edges))
 
     def direct(self, name: str, edges: tuple[str, ...]) -> None:
