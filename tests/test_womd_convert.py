@@ -1,0 +1,196 @@
+"""``convert`` and ``run`` on Waymo records: real netconvert, real SUMO, the real command line; the cache."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_samples import Program, files_of, lacking
+from womd_samples import WITH_MAP, empty, four_way, frame, no_map, straight, write
+
+from sumo_adv.cli.records import choice_of
+from sumo_adv.errors import UsageError
+from sumo_adv.womd.convert import cache_folder, conversion
+from sumo_adv.womd.reader import Choice, read_records
+from sumo_adv.womd.record import Record
+from sumo_adv.womd.table import COLUMNS, row, totals
+from sumo_adv.womd.traffic import random_traffic
+from sumo_adv.world.inputs import load_input
+
+FILES = {"network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml", "fidelity.json", "fidelity.png"}
+
+
+def read(path: Path) -> Record:
+    return next(read_records(path))
+
+
+@pytest.mark.parametrize("build", WITH_MAP, ids=lambda build: build.__name__)
+def test_every_sample_becomes_a_scenario_that_loads(tmp_path: Path, build: object) -> None:
+    record = read(write(tmp_path / "a.tfrecord", build()))  # type: ignore[operator]
+    with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
+        assert lacking(made.folder, FILES) == set()
+        given = load_input(made.scenario)
+        assert (given.name, given.ego, given.warm_up) == (record.scenario_id, "1", 1.0)
+        report = made.report
+        assert report["represented"] > 0.99
+        assert report["deviation"]["within_0.1"] > 0.99
+        assert report["connectivity"]["share"] == 1.0
+        assert report["vehicles"]["inside"] >= report["vehicles"]["near_centre"] - 0.01
+        assert report["routes"]["broken"] == [] or report["routes"]["own_broken"] != []
+
+
+def test_the_report_of_the_four_way_junction(tmp_path: Path) -> None:
+    """4 arms in and 4 out of 76 m each; all 24 connections and 12 signal lanes kept; two vehicles drive, one waits."""
+    record = read(write(tmp_path / "a.tfrecord", four_way()))
+    with conversion(record, traffic=True, cache=tmp_path / "cache") as made:
+        report = made.report
+    assert report["connectivity"]["wanted"] == report["connectivity"]["kept"] == 24
+    assert report["signals"] == {"lanes": 12, "known": 12, "mapped": 12}
+    turns = report["lane_length"] - 8 * 76.0
+    assert report["in_junctions"] == pytest.approx(turns / report["lane_length"], abs=0.02)
+    assert report["interpolating"] == pytest.approx(turns / report["lane_length"], abs=1e-6)
+    assert (report["routes"]["driven"], report["routes"]["broken"]) == (2, [])
+    assert report["scenario"]["ego"] == 1
+    assert report["traffic"]["vehicles"] > 10 and report["traffic"]["collisions"] == 0
+    assert len(row(report)) == len(COLUMNS)
+    total = totals([report, report])
+    assert (total["records"], total["signals_mapped"], total["connectivity"]) == (2, 24, 1.0)
+    assert total["disturbed"] == float(report["traffic"]["teleports"] > 0)
+
+
+def test_nothing_is_converted_twice(tmp_path: Path) -> None:
+    """The second time the same folder is given, with the same bytes; asked for traffic, only that is added."""
+    path, cache = write(tmp_path / "a.tfrecord", straight()), tmp_path / "cache"
+    with conversion(read(path), traffic=False, cache=cache) as first:
+        before = files_of(first.folder)
+    with conversion(read(path), traffic=False, cache=cache) as second:
+        assert (first.cached, second.cached) == (False, True)
+        assert second.folder == first.folder and files_of(second.folder) == before
+    with conversion(read(path), traffic=True, cache=cache) as third:
+        assert third.cached and third.report["traffic"]["vehicles"] > 0
+        after = files_of(third.folder)
+    assert {name for name in after if after[name] != before[name]} == {"fidelity.json"}
+    assert [p.name for p in cache.iterdir()] == [first.folder.parent.name]
+
+
+def test_another_record_of_the_same_id_is_converted(tmp_path: Path) -> None:
+    cache, changed = tmp_path / "cache", straight()
+    changed.map_features[0].lane.speed_limit_mph = 20.0
+    folders = []
+    for name, message in (("a", straight()), ("b", changed)):
+        with conversion(read(write(tmp_path / name, message)), traffic=False, cache=cache) as made:
+            assert not made.cached
+            folders.append(made.folder)
+    assert folders[0] != folders[1]
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file, no folder")
+    record = read(write(tmp_path / "a.tfrecord", straight()))
+    with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
+        assert lacking(made.folder, FILES) == set()
+    assert not made.folder.exists()
+
+
+def test_what_fails_leaves_nothing_in_the_cache(tmp_path: Path) -> None:
+    slow = straight()
+    for i in range(91):
+        slow.timestamps_seconds[i] = 0.2 * i
+    record = read(write(tmp_path / "a.tfrecord", slow))
+    with pytest.raises(UsageError, match="10 Hz"), conversion(record, traffic=False, cache=tmp_path / "cache"):
+        pass
+    assert [p for p in (tmp_path / "cache").rglob("*") if p.is_file()] == []
+
+
+def test_the_cache_is_where_the_platform_says() -> None:
+    home = Path("home")
+    assert cache_folder({}, "linux", home) == home / ".cache" / "sumo_adv" / "womd"
+    assert cache_folder({"XDG_CACHE_HOME": "relative"}, "linux", home) == home / ".cache" / "sumo_adv" / "womd"
+    absolute = str(Path.cwd())
+    assert cache_folder({"XDG_CACHE_HOME": absolute}, "linux", home) == Path(absolute) / "sumo_adv" / "womd"
+    assert cache_folder({}, "darwin", home) == home / "Library" / "Caches" / "sumo_adv" / "womd"
+    assert cache_folder({"LOCALAPPDATA": "local"}, "win32", home) == Path("local") / "sumo_adv" / "womd"
+
+
+def test_random_traffic_counts(tmp_path: Path) -> None:
+    """A straight road of three lanes has no collision; one of bike lanes has no traffic at all."""
+    from sumo_adv.world.inputs import data_folder
+
+    found = random_traffic(data_folder("networks") / "straight_3lane.net.xml", duration=30.0)
+    assert found["collisions"] == found["teleports"] == 0 and int(found["vehicles"]) > 5
+    bikes = straight("bikes")
+    for feature in bikes.map_features:
+        if feature.HasField("lane"):
+            feature.lane.type = 3
+    with conversion(read(write(tmp_path / "a", bikes)), traffic=True, cache=tmp_path / "cache") as made:
+        assert made.report["traffic"]["vehicles"] == 0 and "No route" in made.report["traffic"]["note"]
+
+
+@pytest.mark.parametrize(
+    ("name", "choice"),
+    [(None, Choice(index=0)), ("7", Choice(index=7)), ("637f20cafde22ff8", Choice(id="637f20cafde22ff8")),
+     ("1081039300000000", Choice(id="1081039300000000"))],
+)  # fmt: skip
+def test_what_record_means(name: str | None, choice: Choice) -> None:
+    assert choice_of(name) == choice
+
+
+# -- the command line ------------------------------------------------------------------------------------------------
+
+
+def test_convert_writes_a_folder_a_record(program: Program) -> None:
+    write(program.folder / "two.tfrecord", straight(), four_way())
+    done = program("convert", "two.tfrecord", "--out", "scenes", "--json", "--no-traffic")
+    assert (done.status, done.err) == (0, "")
+    said = json.loads(done.out)
+    assert [(r["scenario_id"], r["folder"], r["cached"]) for r in said["records"]] == [
+        ("straight", "scenes/straight", False), ("four_way", "scenes/four_way", False),
+    ]  # fmt: skip
+    assert said["failed"] == []
+    for name in ("straight", "four_way"):
+        assert lacking(program.folder / "scenes" / name, FILES) == set()
+    assert program.leftovers() == ["scenes", "two.tfrecord"]
+    refused = program("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--no-traffic")
+    assert refused.status == 2 and "scenes/straight is there already" in refused.err
+    again = program("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--force", "--no-traffic")
+    assert again.status == 0 and "straight: scenes/straight" in again.out and "signals" in again.out
+
+
+def test_convert_keeps_going_or_stops(program: Program) -> None:
+    """A record without a map between two good ones."""
+    messages = [straight(), no_map("nowhere"), four_way()]
+    write(program.folder / "three.tfrecord", *messages)
+    stopped = program("convert", "three.tfrecord", "--out", "a", "--no-traffic")
+    assert stopped.status == 2 and stopped.err.startswith("sumo-adv: Record 1 of three.tfrecord ('nowhere') has no map")
+    assert "Traceback" not in stopped.err and len(stopped.err.splitlines()) == 1
+    going = program("convert", "three.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
+    said = json.loads(going.out)
+    assert going.status == 0 and [r["scenario_id"] for r in said["records"]] == ["straight", "four_way"]
+    assert [s.split(":")[0] for s in said["failed"]] == ["Record 1 of three.tfrecord ('nowhere') has no map"]
+    assert sorted(p.name for p in (program.folder / "b").iterdir()) == ["four_way", "straight"]
+
+
+def test_convert_of_nothing_good_fails(program: Program) -> None:
+    (program.folder / "bad.tfrecord").write_bytes(frame(empty("bad").SerializeToString()) + b"cut")
+    done = program("convert", "bad.tfrecord", "--out", "scenes", "--keep-going")
+    assert done.status == 1 and len(done.err.splitlines()) == 2 and "Traceback" not in done.err
+    assert program.leftovers() == ["bad.tfrecord"]
+    both = program("convert", "bad.tfrecord", "--out", "scenes", "--id", "a", "--first", "2")
+    assert both.status == 2 and "not several" in both.err
+
+
+def test_run_on_a_record(program: Program) -> None:
+    """The whole job on a file of records; the second run finds the conversion."""
+    write(program.folder / "two.tfrecord", four_way(), straight())
+    done = program("run", "two.tfrecord", "--record", "straight", "--attempts", "2", "--json", "--out", "out")
+    assert done.status == 0, done.err
+    assert done.outcome["ego"]["id"] == "1" and done.outcome["ending"] in ("critical", "attempts_exhausted")
+    cache = program.home / ".cache" / "sumo_adv" / "womd"
+    (kept,) = list(cache.rglob("fidelity.json"))
+    stamp = kept.stat().st_mtime_ns
+    again = program("run", "two.tfrecord", "--record", "1", "--attempts", "2", "--json", "--out", "again")
+    assert again.status == 0 and list(cache.rglob("fidelity.json")) == [kept]
+    assert kept.stat().st_mtime_ns == stamp
+    wrong = program("run", "straight_3lane", "--record", "1")
+    assert wrong.status == 2 and "--record chooses among the records" in wrong.err
