@@ -301,7 +301,7 @@ class Attempt:
     proposal: Proposal
     trigger_time: float
     verdict: Verdict
-    ending: str  # contact | passed | time_limit | ego_left | planner_failed
+    ending: str  # contact | passed | time_limit | ego_left | ego_lost | planner_failed
     message: str = ""
     diagnosis: Diagnosis | None = None
 

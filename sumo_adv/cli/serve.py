@@ -22,6 +22,8 @@ from sumo_adv.serve.options import Mode, OnLoss, Options
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
     from sumo_adv.serve.clerk import Clerk
+    from sumo_adv.serve.events import Events
+    from sumo_adv.serve.gate_events import GateEvent
 
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
@@ -135,16 +137,13 @@ def _serve(
             listeners.append(file := EventFile(events_file))
             stack.callback(file.close)
         events = Events(*listeners)
-        if status_port is not None:
-            page = stack.enter_context(StatusPage(status_port, status.report))
-            events.tell("status_page", port=page.port)
         gate = stack.enter_context(
             Gate(
                 options.host,
                 options.port,
                 allow=options.allow,
                 deadline=options.turn,
-                on_event=lambda e: events.tell("client", state=str(e.kind), sentence=e.sentence),
+                on_event=_teller(events),
             )
         )
         _claim(target, force=force)
@@ -154,6 +153,9 @@ def _serve(
         stack.enter_context(terminal)
         house = House(given, options, task_for, road, cast, bank, gate, events, clerk, interrupts.check)
         server = Server(house)
+        if status_port is not None:
+            page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
+            events.tell("status_page", port=page.port)
         events.tell(
             "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens
         )
@@ -166,6 +168,21 @@ def _serve(
         events.tell("stopped", **summary)
         _note(target, given, settings, options, summary)
     _finish(ending, summary, clerk, options, as_json=as_json)
+
+
+def _teller(events: Events) -> Callable[[GateEvent], None]:
+    """Tells what happens at the gate; ``again`` where a client only comes back to a new simulation."""
+    from sumo_adv.serve.gate_events import EventKind
+
+    before = EventKind.CLOSED
+
+    def told(event: GateEvent) -> None:
+        nonlocal before
+        again = event.kind is EventKind.CONNECTED and before is EventKind.RESTARTED
+        before = event.kind
+        events.tell("client", state=str(event.kind), sentence=event.sentence, again=again)
+
+    return told
 
 
 def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Task]:
@@ -260,6 +277,8 @@ def _finish(
             f"{summary['encounters']} encounters, {summary['critical']} critical, "
             f"{summary['collisions']} collisions. Files: {summary['folder']}"
         )
+        if ending is None and summary["reason"]:
+            typer.echo(summary["reason"])
     if clerk.failure is not None:
         raise SumoAdvError(str(clerk.failure))
     asked = ending is Ending.INTERRUPTED and options.encounters is None  # Ctrl-C is how such a server ends

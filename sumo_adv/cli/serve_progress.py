@@ -102,7 +102,7 @@ def line(event: Event) -> str:
     if kind == "status_page":
         return f"Status: http://127.0.0.1:{event['port']}/status"
     if kind == "client":
-        return "" if event["state"] == "restarted" else str(event["sentence"])
+        return "" if event["state"] == "restarted" or event["again"] else str(event["sentence"])
     if kind == "encounter":
         near = ", ".join(f"{c['id']} ({c['relation']})" for c in event["ranking"])
         return f"Encounter {event['number']} at {event['time']:.1f} s: near {event['ego']} are {near}"

@@ -83,7 +83,7 @@ def run_episode(
     except KeyboardInterrupt:
         episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
     except ModelError as error:
-        episode.ending, episode.reason = _model_ending(error), str(error)
+        episode.ending, episode.reason = model_ending(error), str(error)
     except SumoAdvError as error:
         if error.exit_status == 2:
             raise
@@ -98,7 +98,7 @@ def run_episode(
     return episode
 
 
-def _model_ending(error: ModelError) -> Ending:
+def model_ending(error: ModelError) -> Ending:
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
@@ -140,7 +140,7 @@ def pursue(
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
     except ModelError as error:  # what was tried until then counts
-        episode.ending, episode.reason = _model_ending(error), str(error)
+        episode.ending, episode.reason = model_ending(error), str(error)
     finally:  # also of what was interrupted or failed
         _keep_intent(episode, met.library)
         episode.isolation = cast.sandbox.isolation

@@ -8,16 +8,16 @@ from __future__ import annotations
 import random
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sumo_adv.datatypes import Attempt, Ending, LibraryEntry
+from sumo_adv.datatypes import Attempt, Ending, LibraryEntry, Proposal
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import Met, decide, predicted, pursue
+from sumo_adv.episode.loop import Met, decide, model_ending, predicted, pursue
 from sumo_adv.episode.task import Prefix, Task
-from sumo_adv.errors import SimulationError, SumoAdvError
+from sumo_adv.errors import ModelError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve.clerk import Clerk
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
@@ -71,6 +71,12 @@ class Server:
         """The vehicle that the client drives."""
         return self._task.ego if isinstance(self._task.ego, str) else INSERTED_EGO
 
+    @property
+    def time(self) -> float | None:
+        """Simulated time [s]; None while nothing runs. Any thread may ask."""
+        session = self._session
+        return None if session is None else session.now
+
     def run(self) -> Ending | None:
         """Serve. An Ending where something failed (``reason`` says what), else None."""
         house = self._house
@@ -88,6 +94,9 @@ class Server:
         except KeyboardInterrupt:
             self.reason = "Ctrl-C."
             return Ending.INTERRUPTED
+        except ModelError as error:
+            self.reason = str(error)
+            return model_ending(error)
         except SumoAdvError as error:
             if error.exit_status == 2:
                 raise
@@ -173,14 +182,20 @@ class Server:
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
         )  # fmt: skip
         episode = self._episode(scene)
-        decision = self._decided(session, episode, scene)
+        try:
+            decision = self._decided(session, episode, scene)
+        except ModelError as error:
+            self._number += 1
+            episode.ending, episode.reason = model_ending(error), str(error)
+            house.clerk.keep(episode, self._number)
+            raise
         if not decision.met.reaches and self._task.trigger is None:
             self._pass_over(session, "no intent reaches the ego, by prediction", passed)
             return False
         if decision.entries is None:
             self._pass_over(session, episode.reason, passed)
             return False
-        stale = self._stale(session, watch, scene, decision)
+        stale = self._stale(session, watch, scene, {episode.intents[0].bv, decision.best.bv})
         if stale:
             house.events.tell("dropped", time=session.now, reason=stale)
             return False
@@ -269,15 +284,14 @@ class Server:
         )  # fmt: skip
         return decision
 
-    def _stale(self, session: Session, watch: Watch, scene: Scene, decision: Decision) -> str:
-        """Why a decision no longer fits the world; empty if it does."""
+    def _stale(self, session: Session, watch: Watch, scene: Scene, wanted: Collection[str]) -> str:
+        """Why a decision for ``wanted`` vehicles no longer fits the world; empty if it does."""
         age = session.now - scene.found.time
         if age == 0.0:
             return ""
         if age > MOST_AGE:
             return f"the decision is {age:.1f} s old"
-        best = min(decision.met.expert.pool, key=lambda p: p.score)
-        return watch.changed(scene.tracks, best.bv, scene.relation(best.bv))
+        return next(filter(None, (watch.changed(scene.tracks, bv, scene.relation(bv)) for bv in sorted(wanted))), "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,6 +300,11 @@ class Decision:
 
     met: Met
     entries: Sequence[LibraryEntry] | None
+
+    @property
+    def best(self) -> Proposal:
+        """What is predicted to be most dangerous."""
+        return min(self.met.expert.pool, key=lambda p: p.score)
 
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:

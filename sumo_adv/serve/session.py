@@ -157,7 +157,10 @@ class Session(Drive):
         assert self.simulation.remote is not None
         self.simulation.remote.close() if clean else self.simulation.remote.drop()
         self._sumo.close(2.0 if clean else 0.0)
-        self._events.tell("simulation", state="ended", time=self.now, seed=self.spec.seed)
+        self._events.tell(
+            "simulation", state="ended", time=self.now, seed=self.spec.seed, steps=self.steps,
+            client_steps=self._gate.client_steps,
+        )  # fmt: skip
 
     def deserted(self) -> bool:
         """Whether nobody but the ego is on the road or still to come."""

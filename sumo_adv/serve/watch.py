@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 
 from sumo_adv.config import Settings
+from sumo_adv.datatypes import Track
 from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter
 from sumo_adv.episode.outlook import apart
 from sumo_adv.serve.session import EgoLost, Session
@@ -63,11 +64,11 @@ class Watch:
                 return False
         return session.ready(0.0)
 
-    def changed(self, tracks: object, bv: str, relation: str) -> str:
+    def changed(self, tracks: Mapping[str, Track], bv: str, relation: str) -> str:
         """Why the scene is no longer the one that was foreseen; empty if it is."""
         session = self._session
         raw = session.snapshot.raw
-        assert session.ego is not None and isinstance(tracks, dict)
+        assert session.ego is not None
         for name in (session.ego, bv):
             if name not in raw:
                 return f"{name} is gone"
@@ -79,8 +80,3 @@ class Watch:
 
     def _fresh(self) -> Encounter:
         return Encounter(self._road, self._settings.shortlist, self._only)
-
-
-def relations(ranking: Sequence[Candidate]) -> dict[str, str]:
-    """How each candidate stands to the ego."""
-    return {c.id: c.relation for c in ranking}
