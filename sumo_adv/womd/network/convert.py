@@ -68,5 +68,5 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
         shutil.copyfile(work / NAME, unfinished)
     path = unfinished.replace(folder / NAME)
     pieces = find_pieces(kept.lanes, layout, roads, via)
-    report = make_report(record, kept, layout, roads, widths, order, signals, pieces)
+    report = make_report(record, kept, layout, roads, widths, order, signals, pieces, via)
     return ConvertedNetwork(path, pieces, report, time.perf_counter() - began)

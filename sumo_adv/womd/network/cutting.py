@@ -17,7 +17,7 @@ from sumo_adv.womd.network.strands import Strand, Strands
 CUT = 0.1  # m, half of the span where one edge is cut in two
 SNAP = 6.0  # m, a cut this near to another is the same
 ALIKE = 1.5  # m by which spans of lanes beside one another may differ
-MIN_EDGE = 8.0  # m, shorter stretches between two spans join them
+MIN_EDGE = 6.0  # m, shorter stretches between two spans join them
 MIN_TURNING_EDGE = 25.0  # m, the same on lanes that turn in a junction
 STOP_LINE = 15.0  # m that a span reaches back to the line where a signal or stop sign holds
 STUB = 3.0  # m of edge kept where a strand begins or ends in a conflict and nothing leads there
@@ -84,12 +84,12 @@ def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -
         if strand.exits:
             spans.add(strand.number, strand.length - CUT, strand.length)
     for lane in held:
-        number, start = strands.of_lane[lane]
-        ahead = [a for a, b in spans.of[number] if start < a < start + STOP_LINE]
-        if ahead:
-            spans.add(number, start, ahead[0] + CUT)
-        elif start > SNAP and not spans.covers(number, start - CUT, start + CUT, CUT):
-            spans.add(number, start - CUT, start + CUT)
+        number, start = strands.start_of(lane)
+        ends = [a for a, _ in spans.of[number] if start <= a < start + STOP_LINE]
+        ends += [b for _, b in spans.of[number] if start - SNAP < b <= start]
+        nearest = min(ends, key=lambda end: abs(end - start), default=start)
+        if not spans.covers(number, start - CUT, start + CUT, CUT):
+            spans.add(number, min(start, nearest) - CUT, max(start, nearest) + CUT)
     return spans
 
 

@@ -32,7 +32,7 @@ class Layout:
 
 def make_layout(lanes: dict[int, KeptLane], held: Collection[int]) -> Layout:
     """Lay the network out; ``held``: lanes that begin at a signal or a stop sign."""
-    strands = make_strands(lanes)
+    strands = make_strands(lanes, held)
     conflicts = find_conflicts(strands.all)
     spans = first_spans(strands, conflicts, held)
     besides = find_beside(lanes, strands)

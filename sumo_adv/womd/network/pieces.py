@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from sumo_adv.womd.network.lanes import KeptLane
@@ -9,6 +10,7 @@ from sumo_adv.womd.network.layout import Layout
 from sumo_adv.womd.network.paths import Leg
 from sumo_adv.womd.network.roads import Roads
 from sumo_adv.womd.network.rows import Stretch
+from sumo_adv.womd.network.strands import Run
 
 SCRAP = 0.01  # m, shorter parts are not told
 
@@ -32,19 +34,29 @@ def find_pieces(
     for link, internal_lane in zip(roads.links, via, strict=True):
         for leg in link.legs:
             inner.setdefault(leg, []).append((abs(link.turn), internal_lane))
-    found = {}
-    for number, lane in lanes.items():
-        strand, offset = layout.strands.of_lane[number]
-        parts: list[tuple[float, float, float, str, bool]] = []
+
+    def parts(strand: int) -> list[tuple[float, float, float, str, bool]]:
+        made: list[tuple[float, float, float, str, bool]] = []
         for k, (a, b) in enumerate(layout.spans.of[strand]):
-            parts += [(a, b, turn, name, True) for turn, name in inner.get((strand, k), [])]
+            made += [(a, b, turn, name, True) for turn, name in inner.get((strand, k), [])]
         for a, b in layout.spans.stretches(strand):
             edge, index = roads.place[Stretch(strand, a, b)]
-            parts.append((a, b, 0.0, f"{edge}_{index}", False))
-        pieces = []
-        for a, b, _, name, internal in sorted(parts):
-            start, end = max(a - offset, 0.0), min(b - offset, lane.length)
-            if end - start > SCRAP:
-                pieces.append(Piece(name, start, end, internal))
+            made.append((a, b, 0.0, f"{edge}_{index}", False))
+        return sorted(made)
+
+    of_strand = [parts(strand.number) for strand in layout.strands.all]
+    found = {}
+    for number in lanes:
+        pieces = [piece for strand, run in layout.strands.of_lane[number] for piece in _on(run, of_strand[strand])]
         found[number] = tuple(pieces)
     return found
+
+
+def _on(run: Run, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[Piece]:
+    """The pieces of one run of a lane; parts: (start, end, turn, SUMO lane, internal) of its strand in order."""
+    scale = (run.lane_end - run.lane_start) / max(run.end - run.start, 1e-9)
+    for a, b, _, name, internal in parts:
+        start, end = max(a, run.start), min(b, run.end)
+        if end - start > SCRAP:
+            low, high = (run.lane_start + scale * (v - run.start) for v in (start, end))
+            yield Piece(name, low, high, internal)

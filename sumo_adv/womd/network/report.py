@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sumo_adv.womd.network.lanes import Kept
@@ -19,14 +18,14 @@ from sumo_adv.womd.record import Record
 
 def make_report(
     record: Record, kept: Kept, layout: Layout, roads: Roads, widths: Widths, order: RightOfWay, signals: SignalPlan,
-    pieces: Mapping[int, tuple[Piece, ...]],
+    pieces: Mapping[int, tuple[Piece, ...]], via: list[str],
 ) -> dict[str, Any]:  # fmt: skip
     """JSON-ready. Lengths in m."""
     total = sum(lane.length for lane in kept.lanes.values())
     inside = sum(b - a for found in layout.spans.of for a, b in found)
     shown = sum(end - start for found in pieces.values() for start, end in {(p.start, p.end) for p in found})
     wanted = {(a, b) for a, lane in kept.lanes.items() for b in lane.exits}
-    missing = sorted(wanted - _chained(layout, roads))
+    missing = _missing(wanted, pieces, roads, via)
     areas = Counter(area.kind for area in record.areas)
     return {
         "lanes": len(record.lanes),
@@ -41,7 +40,7 @@ def make_report(
         "edges_closed_in_a_junction": layout.loops,
         "connections_wanted": len(wanted),
         "connections_kept": len(wanted) - len(missing),
-        "connections_missing": [list(pair) for pair in missing],
+        "connections_missing": missing,
         "connections_with_a_gap": [list(pair) for pair in kept.gaps],
         "speeds_assumed": kept.assumed_speeds,
         "widths_from": widths.sources,
@@ -55,18 +54,20 @@ def make_report(
     }
 
 
-def _chained(layout: Layout, roads: Roads) -> set[tuple[int, int]]:
-    """Pairs of WOMD lanes that follow one another on a lane or a link of the network."""
-    found: set[tuple[int, int]] = set()
-    strands = layout.strands.all
-    for link in roads.links:
-        source = roads.edges[link.source].lanes[link.from_lane].stretch
-        target = roads.edges[link.target].lanes[link.to_lane].stretch
-        before = strands[source.strand].lanes_between(source.start, source.end)
-        after = strands[target.strand].lanes_between(target.start, target.end)
-        found |= set(pairwise([*before, *link.lanes, *after]))
-    for edge in roads.edges.values():
-        for lane in edge.lanes:
-            on = lane.stretch
-            found |= set(pairwise(strands[on.strand].lanes_between(on.start, on.end)))
-    return found
+def _missing(
+    wanted: Iterable[tuple[int, int]], pieces: Mapping[int, tuple[Piece, ...]], roads: Roads, via: list[str]
+) -> list[list[int]]:
+    """Pairs of lanes whose ends are neither on one SUMO lane nor joined by a link."""
+    joined = set()
+    for link, inner in zip(roads.links, via, strict=True):
+        source, target = f"{link.source}_{link.from_lane}", f"{link.target}_{link.to_lane}"
+        joined |= {(source, inner), (inner, target), (source, target)}
+
+    def kept(a: int, b: int) -> bool:
+        end = max((piece.end for piece in pieces[a]), default=0.0)
+        start = min((piece.start for piece in pieces[b]), default=0.0)
+        before = {piece.sumo_lane for piece in pieces[a] if piece.end > end - 0.02}
+        after = {piece.sumo_lane for piece in pieces[b] if piece.start < start + 0.02}
+        return bool(before & after) or any((x, y) in joined for x in before for y in after)
+
+    return [[a, b] for a, b in sorted(wanted) if not kept(a, b)]

@@ -52,7 +52,7 @@ class Link:
     """A way through ``junction`` from lane ``from_lane`` of edge ``source`` to ``to_lane`` of ``target``.
 
     shape ``(n, 2)`` [m]; heights ``(n,)`` [m]; width m; speed m/s; turn rad, left positive; legs: the spans it uses;
-    lanes: WOMD lanes it passes, in order; turning: some of it is a lane that turns in a junction.
+    lanes: WOMD lanes that begin on it, in order; turning: some of it is a lane that turns in a junction.
     """
 
     junction: str
@@ -132,7 +132,7 @@ def _link(
         strand = layout.strands.all[number]
         a, b = layout.spans.of[number][k]
         parts.append(part(strand.points, strand.along, a, b))
-        lanes += strand.lanes_between(a, b)
+        lanes += strand.begin_between(a, b)
     line = joined(parts)
     shape = line[:, :2]
     before, after = edges[source].lanes[from_lane], edges[target].lanes[to_lane]

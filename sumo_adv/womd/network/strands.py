@@ -1,7 +1,8 @@
-"""Strands: lanes strung together where nothing but the next lane follows, so that cuts need not lie at lane ends."""
+"""Strands: sections strung together where nothing but the next one follows, so that cuts need not lie at lane ends."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -10,19 +11,31 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.womd.network.lanes import KeptLane
 from sumo_adv.womd.network.polyline import stations
+from sumo_adv.womd.network.sections import Section, make_sections
 
-SAME_SPEED = 0.5  # m/s, lanes whose limits differ by less are one road
+SAME_SPEED = 0.5  # m/s, sections whose limits differ by less are one road
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Lane ``lane`` from its station lane_start to lane_end lies on a strand from start to end [m]."""
+
+    lane: int
+    lane_start: float
+    lane_end: float
+    start: float
+    end: float
 
 
 @dataclass(frozen=True, slots=True)
 class Strand:
-    """Lanes one after the other. points ``(n, 3)``, along ``(n,)`` [m]; lanes: id and station of its start, in order;
-    exits, entries: numbers of strands; turning: every lane interpolates, as in a junction."""
+    """Lanes one after the other. points ``(n, 3)``, along ``(n,)`` [m]; runs: the lanes on it in order; exits, entries:
+    numbers of strands; turning: every lane interpolates, as in a junction."""
 
     number: int
     points: Floats
     along: Floats
-    lanes: tuple[tuple[int, float], ...]
+    runs: tuple[Run, ...]
     speed: float
     bike: bool
     turning: bool
@@ -36,60 +49,70 @@ class Strand:
 
     def lane_at(self, station: float) -> int:
         """The WOMD lane at a station."""
-        found = self.lanes[0][0]
-        for lane, start in self.lanes:
-            if start <= station:
-                found = lane
-        return found
+        return next((run.lane for run in self.runs if station < run.end - 1e-6), self.runs[-1].lane)
 
-    def lanes_between(self, start: float, end: float) -> list[int]:
-        """The WOMD lanes that have a part between two stations, in order."""
-        ends = [*(begin for _, begin in self.lanes[1:]), self.length]
-        return [lane for (lane, begin), stop in zip(self.lanes, ends, strict=True) if begin < end and stop > start]
+    def begin_between(self, start: float, end: float) -> list[int]:
+        """The WOMD lanes that begin between two stations, in order."""
+        return [run.lane for run in self.runs if run.lane_start == 0.0 and start - 1e-6 <= run.start < end]
 
 
 @dataclass(frozen=True, slots=True)
 class Strands:
-    """All strands, and for each lane its strand and where on it the lane begins."""
+    """All strands; for each lane its runs in order, each with its strand."""
 
     all: tuple[Strand, ...]
-    of_lane: dict[int, tuple[int, float]]
+    of_lane: dict[int, tuple[tuple[int, Run], ...]]
+
+    def start_of(self, lane: int) -> tuple[int, float]:
+        """Strand and station where a lane begins."""
+        strand, run = self.of_lane[lane][0]
+        return strand, run.start
 
 
-def make_strands(lanes: dict[int, KeptLane]) -> Strands:
-    """String the lanes together."""
-    follows = {}
-    for number, lane in lanes.items():
-        if len(lane.exits) == 1:
-            after = lanes[lane.exits[0]]
-            alike = after.bike == lane.bike and abs(after.speed - lane.speed) < SAME_SPEED
-            if after.entries == (number,) and alike:
-                follows[number] = after.feature.id
-    chains = _chains(sorted(lanes), follows)
+def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
+    """String the lanes together; ``held``: lanes that begin at a signal or a stop sign."""
+    sections = make_sections(lanes, held)
+    chains = _chains(sorted(sections), _follows(sections))
     first = {chain[0]: k for k, chain in enumerate(chains)}
     last = {chain[-1]: k for k, chain in enumerate(chains)}
     made: list[Strand] = []
-    of_lane: dict[int, tuple[int, float]] = {}
+    runs_of: dict[int, list[tuple[int, Run]]] = {}
     for k, chain in enumerate(chains):
-        line, placed = _string([lanes[number].points for number in chain])
-        for number, start in zip(chain, placed, strict=True):
-            of_lane[number] = (k, start)
-        head, tail = lanes[chain[0]], lanes[chain[-1]]
+        line, placed = _string([sections[key].points for key in chain])
+        runs = []
+        for key, (start, end) in zip(chain, placed, strict=True):
+            for use in sections[key].uses:
+                runs.append(Run(use.lane, use.start, use.end, start, end))
+                runs_of.setdefault(use.lane, []).append((k, runs[-1]))
+        head, tail = sections[chain[0]], sections[chain[-1]]
         made.append(
             Strand(
-                k, line, stations(line), tuple(zip(chain, placed, strict=True)), head.speed, head.bike,
-                all(lanes[number].feature.interpolating for number in chain),
+                k, line, stations(line), tuple(runs), head.speed, head.bike, all(sections[n].turning for n in chain),
                 tuple(last[n] for n in head.entries), tuple(first[n] for n in tail.exits),
             )
         )  # fmt: skip
+    of_lane = {lane: tuple(sorted(found, key=lambda f: f[1].lane_start)) for lane, found in runs_of.items()}
     return Strands(tuple(made), of_lane)
 
 
-def _string(parts: list[Floats]) -> tuple[Floats, list[float]]:
-    """One line through lanes that follow one another, and the station where each begins."""
-    placed = [0.0]
+def _follows(sections: dict[int, Section]) -> dict[int, int]:
+    """Section -> the one that goes on from it, where there is no other and both are alike."""
+    found = {}
+    for key, section in sections.items():
+        if len(section.exits) == 1 and section.exits[0] != key:
+            after = sections[section.exits[0]]
+            alike = after.bike == section.bike and abs(after.speed - section.speed) < SAME_SPEED
+            if after.entries == (key,) and alike:
+                found[key] = section.exits[0]
+    return found
+
+
+def _string(parts: list[Floats]) -> tuple[Floats, list[tuple[float, float]]]:
+    """One line through parts that follow one another, and the stations where each begins and ends."""
+    placed = [(0.0, float(stations(parts[0])[-1]))]
     for before, after in pairwise(parts):
-        placed.append(placed[-1] + float(stations(before)[-1]) + float(np.hypot(*(after[0] - before[-1])[:2])))
+        start = placed[-1][1] + float(np.hypot(*(after[0] - before[-1])[:2]))
+        placed.append((start, start + float(stations(after)[-1])))
     line = np.vstack(parts)
     step = np.hypot(*np.diff(line[:, :2], axis=0).T)
     return line[np.concatenate([[True], step > 1e-9])], placed
