@@ -291,3 +291,20 @@ def test_the_example_of_a_novel_behaviour_runs_from_its_recording(tmp_path: Path
     assert again.outcome["llm"]["calls"] == 0
     assert again.outcome["agents"]["calls"] == {"analyzer": 0, "generator": 0, "modifier": 0}
     assert again.outcome["ending"] == "critical"
+
+
+def test_a_planner_is_generated_by_hand_from_words(tmp_path: Path) -> None:
+    program = Program(tmp_path, tmp_path)
+    common = ("memory", "generate", NOVEL.description, "--label", NOVEL.label, "--applies", "neighbour", "--json")
+    bank = ("--memory", "bank.sqlite")
+    with ModelServer(replace(NOVEL, questions=[])) as server:
+        program.variables = server.environment()
+        done = program(*common, *bank, "--llm", "scripted")
+        instructed = program(*common, *bank, "--llm", "scripted", "--trajectory", "a cubic spline", "--dry-run")
+        nobody = program(*common, *bank)
+    value = json.loads(done.out)
+    assert (value["label"], value["mode"], value["by"], value["added"]) == (NOVEL.label, "direct", "scripted", True)
+    shown = program("memory", "show", NOVEL.label, *bank, "--json")
+    assert [p["mode"] for p in json.loads(shown.out)["planners"]] == ["direct"]
+    assert instructed.status == 1 and "lacks trajectory(bv, endpoint, road, dt)" in instructed.err
+    assert nobody.status == 2 and "--llm" in nobody.err

@@ -49,7 +49,7 @@ class ModelGenerator:
         self._helpers, self._make, self._trial = helpers, make, trial
         self._tries, self._instruction = tries, instruction
 
-    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner | None:
+    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner:
         """A planner that the sandbox ran on its probe set. ``examples``: nearest first; without a situation the text
         is written from the description alone.
 

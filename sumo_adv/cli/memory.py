@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sumo_adv.cli import memory_check, memory_edit, memory_exchange
+from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_generate
 from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent, open_bank
 
 app = typer.Typer(
@@ -110,5 +110,10 @@ def stats(
     ])  # fmt: skip
 
 
-for _name, _command, _example in (*memory_edit.COMMANDS, *memory_exchange.COMMANDS, *memory_check.COMMANDS):
+for _name, _command, _example in (
+    *memory_edit.COMMANDS,
+    *memory_generate.COMMANDS,
+    *memory_exchange.COMMANDS,
+    *memory_check.COMMANDS,
+):
     app.command(_name, epilog=f"Example: sumo-adv memory {_example}")(_command)

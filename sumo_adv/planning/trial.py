@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sumo_adv.datatypes import Planner
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.planning.probes import HORIZON, Probe, probes
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
 
 FASTEST = 60.0  # m/s: no vehicle on a road gets farther than this from where it is, and
 NEAR = 20.0  # m more
+OFF_ROAD, DRIFT = 10.0, 0.5  # m from every centreline, and that more for each m it is away: bends may be cut
 ACCELERATIONS = (0.0, -6.0)  # m/s2
 
 
@@ -22,7 +25,8 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_ch
     """None if the planner answers well in every situation of the relations, else one sentence on what it does not.
 
     It must load, pass the sandbox's checks of each endpoint with its parameters at their defaults, low and high ends,
-    stay where a vehicle can get, answer alike in whatever order it is asked, and its own ``trajectory`` must work.
+    stay where a vehicle can get and by the road, answer alike in whatever order it is asked, and its own
+    ``trajectory`` must work.
     ``type_check``: have its text type checked too.
     """
     situations = [probe for relation in applies for probe in probes(relation)]
@@ -36,7 +40,7 @@ def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_ch
                 return f"In the situation {named[0][0]!r}: {first}"
             forth = session.endpoints(calls)
         for (name, call), answer in zip(named, forth, strict=True):
-            if (wrong := _wrong(call, answer)) is not None:
+            if (wrong := _wrong(call, roads[call[0]], answer)) is not None:
                 return f"In the situation {name!r}: {wrong}"
         with sandbox.session(planner, roads) as session:
             back = session.endpoints(calls[::-1])[::-1]
@@ -75,14 +79,34 @@ def _calls(planner: Planner, situations: Sequence[Probe]) -> list[tuple[str, Cal
     ]
 
 
-def _wrong(call: Call, answer: dict[str, float] | SandboxError) -> str | None:
+def _wrong(call: Call, road: Mapping[str, Any], answer: dict[str, float] | SandboxError) -> str | None:
     if isinstance(answer, SandboxError):
         return str(answer)
     _, bv, *_ = call
     distance = math.hypot(answer["x"] - bv["x"], answer["y"] - bv["y"])
     if distance > NEAR + FASTEST * answer["time"]:
         return f"it asks for a place {distance:.0f} m away within {answer['time']:.1f} s, which no vehicle reaches."
+    aside = _aside(road, answer["x"], answer["y"])
+    if aside > OFF_ROAD + DRIFT * distance:
+        return f"it asks for a place {aside:.0f} m beside the road."
     return None
+
+
+def _aside(road: Mapping[str, Any], x: float, y: float) -> float:
+    """Metres from a place to the nearest centreline, each going straight on beyond its ends."""
+    lines = [road["ego_centreline"], *(way["centreline"] for way in road["ways"])]
+    return min(_from_line(np.asarray(line, float), x, y) for line in lines)
+
+
+def _from_line(line: Floats, x: float, y: float) -> float:
+    a, b = line[:-1], line[1:]
+    d = b - a
+    length = np.hypot(d[:, 0], d[:, 1])
+    along = ((x - a[:, 0]) * d[:, 0] + (y - a[:, 1]) * d[:, 1]) / length
+    low = np.where(np.arange(len(a)) == 0, -np.inf, 0.0)
+    high = np.where(np.arange(len(a)) == len(a) - 1, np.inf, length)
+    share = np.clip(along, low, high) / length
+    return float(np.hypot(x - a[:, 0] - share * d[:, 0], y - a[:, 1] - share * d[:, 1]).min())
 
 
 def _own_trajectory(
