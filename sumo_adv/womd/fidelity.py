@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sumo_adv.womd.network import ConvertedNetwork, Piece
 
 SAMPLE_STEP = 0.5  # m between samples of a lane
+NEAR = 1.0  # m within which a lane's own SUMO lane is looked for
 FAR = 20.0  # m: deviations are not looked for beyond
 ALONG = 0.8  # rad within which a SUMO lane leads the same way
 MAX_GAP = 1.0  # m between a lane and its exit that still counts as a connection
@@ -36,7 +37,7 @@ VEHICLE = 1  # index of TRACK_KINDS
 @dataclass(frozen=True, slots=True)
 class Deviations:
     """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at
-    most ``FAR``; own ``(n,)`` m to the SUMO lane that is said to stand for it, ``FAR`` where none is."""
+    most ``FAR``; own ``(n,)`` m to the SUMO lane that is said to stand for it, ``FAR`` where that is over ``NEAR``."""
 
     xy: Floats
     distance: Floats
@@ -94,7 +95,7 @@ def _deviations(
     headings = np.concatenate([s[2] for s in samples.values()])
     segments = Segments(usable)
     distance = np.full(len(xy), FAR)
-    for radius in (1.0, FAR):
+    for radius in (NEAR, FAR):
         left = np.flatnonzero(distance == FAR)
         hits = segments.near(xy[left], radius, headings[left])
         distance[left] = hits.where(hits.turned < ALONG).least(len(left), FAR)
@@ -110,7 +111,7 @@ def _own(sample: tuple[Floats, Floats, Floats], pieces: Sequence[Piece], net: Su
         over = np.flatnonzero((at >= piece.start - ENDS) & (at <= piece.end + ENDS))
         if len(over) and piece.sumo_lane in net.lanes:
             lane = Segments({0: net.lanes[piece.sumo_lane].shape})
-            found[over] = np.minimum(found[over], lane.near(xy[over], FAR).least(len(over), FAR))
+            found[over] = np.minimum(found[over], lane.near(xy[over], NEAR).least(len(over), FAR))
     return found
 
 
