@@ -157,12 +157,12 @@ class Playback:
         self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
 
     def _room(self, vehicle: Recorded, pose: Pose, raw: Mapping[str, RawState]) -> bool:
-        """Whether nothing is where a vehicle is to be inserted, or just before or behind it."""
+        """Whether nothing will be where a vehicle is to be inserted, or just before or behind it."""
         c, s = math.cos(pose.heading), math.sin(pose.heading)
-        for name, (x, y, angle_deg, _, _) in raw.items():
+        for name, (x, y, angle_deg, speed, _) in raw.items():
             length, width = self._fleet.sizes[name]
-            h = heading_of(angle_deg)
-            dx, dy = x - length / 2 * math.cos(h) - pose.x, y - length / 2 * math.sin(h) - pose.y
+            h, ahead = heading_of(angle_deg), speed * self._step - length / 2
+            dx, dy = x + ahead * math.cos(h) - pose.x, y + ahead * math.sin(h) - pose.y
             along = (vehicle.length + length) / 2 + ROOM
             if abs(c * dx + s * dy) < along and abs(c * dy - s * dx) < (vehicle.width + width) / 2:
                 return False

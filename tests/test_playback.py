@@ -1,0 +1,249 @@
+"""A log played back through SUMO: where everybody is, who is handed over, what is a box, and that it repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import LEFT, MIDDLE, RIGHT, STEPS, moving, write_scenario
+
+from sumo_adv.datatypes import Role
+from sumo_adv.episode.danger import danger
+from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.encounter import ego_path
+from sumo_adv.world.egos import CarefulEgo, EgoController, ReplayEgo, SumoEgo
+from sumo_adv.world.inputs import load_input
+from sumo_adv.world.network import read_network
+from sumo_adv.world.playback import Playback
+from sumo_adv.world.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.world.tracks import LoggedTrack
+
+EGO = moving("e", 60.0, RIGHT + 0.3, 14.0)
+LEADER = moving("lead", 90.0, RIGHT, 14.0)
+LATE = moving("late", 20.0, LEFT - 0.4, 15.0, gone=(range(30),))  # first seen at 3.0 s
+UNSEEN = moving("gap", 150.0, MIDDLE, 10.0, gone=(range(40, 45),))  # not at 4.0 to 4.4 s
+OFF = moving("off", 100.0, 30.0, 2.0)  # on a car park: no route
+WALKER = moving("walker", 120.0, -8.0, 1.2, kind="pedestrian", heading=np.pi / 2, size=(0.6, 0.6))
+EVERYBODY = [EGO, LEADER, LATE, UNSEEN, OFF, WALKER]
+PARKED = "[[parked]]\nx = {x}\ny = {y}\nheading = 0.05\nlength = 4.0\nwidth = 2.0\n"
+
+
+@contextmanager
+def playing(
+    folder: Path,
+    tracks: Sequence[LoggedTrack],
+    driver: EgoController | None = None,
+    background: str = "log",
+    more: str = "",
+    routed: Sequence[str] = ("e", "lead", "late", "gap"),
+) -> Iterator[Drive]:
+    """The drive of a run on these tracks, before its first step."""
+    names = [t.id for t in tracks]
+    top = {"background": f'"{background}"'}
+    path = write_scenario(folder, list(tracks), routed=tuple(n for n in routed if n in names), more=more, top=top)
+    source = load_input(path)
+    assert source.playback is not None
+    controller = driver or ReplayEgo()
+    spec = SimulationSpec(source.network, source.routes, (ego_type_file(controller, folder),), 0.0, 3)
+    log = Playback(source.playback, read_network(spec.network), begin=0.0, step=0.1, ego="e", warm_up=source.warm_up)
+    drive = Drive(spec, controller, 3, playback=log)
+    try:
+        yield drive
+    finally:
+        drive.simulation.close()
+
+
+def go(drive: Drive, seconds: float) -> None:
+    """Step on, with the ego taken over as soon as it may be."""
+    for _ in range(round(seconds * 10)):
+        drive.tick()
+        if drive.ego is None and drive.may_take_over("e"):
+            drive.take_over("e")
+
+
+def centre(drive: Drive, name: str) -> tuple[float, float]:
+    state = drive.state(name)
+    return state.x, state.y
+
+
+# ---- where everybody is
+
+
+def test_all_are_where_and_when_the_log_says(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY) as drive:
+        go(drive, 9.0)
+        tracks = {t.id: t for t in drive.tracks()}
+        for logged in EVERYBODY:
+            track = tracks[logged.id]
+            steps = np.rint(track.time / 0.1).astype(int)
+            assert steps.tolist() == [k for k in range(1, STEPS) if logged.valid[k]]
+            assert np.hypot(track.x - logged.x[steps], track.y - logged.y[steps]).max() < 1e-6
+            assert track.speed == pytest.approx(logged.speed[steps])
+            assert (track.length, track.width) == (logged.length, logged.width)
+        roles = {name: t.role for name, t in tracks.items()}
+        assert roles["e"] is Role.EGO
+        assert roles["walker"] is Role.OBSTACLE
+        assert {roles[n] for n in ("lead", "late", "gap", "off")} == {Role.BACKGROUND}
+        assert set(tracks["off"].lane) == {""}
+
+
+def test_the_driver_begins_when_the_warm_up_is_over(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY, SumoEgo("krauss", {})) as drive:
+        go(drive, 0.9)
+        assert drive.ego is None
+        go(drive, 0.1)
+        assert (drive.ego, drive.now) == ("e", 1.0)
+        assert centre(drive, "e") == pytest.approx((74.0, RIGHT + 0.3))
+        go(drive, 0.1)
+        assert drive.state("e").speed == pytest.approx(14.26)  # krauss: + 2.6 m/s2 from the logged 14
+        go(drive, 7.0)
+        assert centre(drive, "lead") == pytest.approx((90.0 + 14.0 * 8.1, RIGHT))  # still the log's
+        assert drive.simulation.route("e")[0] == ("eastbound",)
+
+
+def test_the_background_is_handed_to_sumo_with_its_speed_and_stays_beyond_the_log(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY, SumoEgo("idm", {}), "sumo") as drive:
+        go(drive, 1.0)
+        assert centre(drive, "lead") == pytest.approx((104.0, RIGHT))
+        go(drive, 0.1)
+        assert drive.state("lead").speed == pytest.approx(14.26, abs=0.27)  # SUMO's, at most + 2.6 m/s2
+        go(drive, 2.0)
+        assert drive.state("lead").x > 90.0 + 14.0 * 3.1 + 1.0
+        assert centre(drive, "late")[0] == pytest.approx(20.0 + 15.0 * 3.1, abs=0.1)  # it came, and drives
+        assert centre(drive, "off") == pytest.approx((106.2, 30.0))  # no route: never handed over
+        go(drive, 8.0)
+        assert drive.left() is None
+        assert {"e", "lead", "late", "gap"} <= drive.snapshot.raw.keys()
+        assert not {"off", "walker"} & drive.snapshot.raw.keys()  # the log is over at 9 s
+
+
+def test_a_late_vehicle_waits_until_its_place_is_free(tmp_path: Path) -> None:
+    fast = moving("late", 75.0 - 15.0 * 3.0, RIGHT, 28.0, gone=(range(30),))  # comes on top of the ego's lane
+    behind = moving("lead", 74.0, RIGHT, 14.0)
+    with playing(tmp_path, [EGO, behind, fast], SumoEgo("idm", {}), "sumo") as drive:
+        go(drive, 2.9)
+        for _ in range(15):
+            go(drive, 0.1)
+            if "late" in drive.snapshot.raw:
+                break
+        others = [drive.state(n) for n in ("e", "lead")]
+        late = drive.state("late")
+        assert min(abs(late.x - o.x) for o in others) > 4.5
+
+
+def test_with_a_replayed_background_or_ego_nothing_counts_beyond_the_log(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY, SumoEgo("idm", {})) as drive:
+        go(drive, 2.0)
+        assert (drive.left(), drive.within(200), drive.within(5)) == (70, 70, 5)
+    with playing(tmp_path, EVERYBODY, ReplayEgo(), "sumo") as drive:
+        go(drive, 2.0)
+        assert drive.left() == 70
+
+
+# ---- boxes
+
+
+def test_a_parked_vehicle_in_a_lane_is_one_that_sumos_drivers_see(tmp_path: Path) -> None:
+    places = [(180.0, RIGHT), (140.0, -9.0), (180.0, MIDDLE), (180.0, LEFT)]
+    more = "".join(PARKED.format(x=x, y=y) for x, y in places)
+    with playing(tmp_path, [EGO], SumoEgo("idm", {}), "sumo", more) as drive:
+        go(drive, 25.0)
+        assert drive.state("e").speed == pytest.approx(0.0, abs=0.1)
+        assert 150.0 < drive.state("e").x < 176.0  # it stopped behind those in the lanes
+        assert centre(drive, "parked0") == pytest.approx((180.0, RIGHT))
+        assert centre(drive, "parked1") == pytest.approx((140.0, -9.0))
+        roles = {t.id: t.role for t in drive.tracks()}
+        assert roles["parked0"] is roles["parked1"] is Role.OBSTACLE
+        assert "parked0" in drive.simulation.api.vehicle.getIDList()
+        assert "parked1" not in drive.simulation.api.vehicle.getIDList()
+
+
+def test_a_scenarios_walker_comes_goes_on_and_leaves(tmp_path: Path) -> None:
+    walker = "x = 100.0\ny = -6.0\nheading = 1.5707963\nlength = 0.5\nwidth = 0.5\nspeed = 1.0\ntimes = [2.0, 5.0]\n"
+    with playing(tmp_path, [EGO], more=f"[[pedestrians]]\n{walker}") as drive:
+        go(drive, 1.9)
+        assert "pedestrian0" not in drive.snapshot.raw
+        go(drive, 1.1)
+        assert centre(drive, "pedestrian0") == pytest.approx((100.0, -5.0))
+        go(drive, 2.1)
+        assert "pedestrian0" not in drive.snapshot.raw
+
+
+def test_a_careful_driver_sees_a_box_that_sumo_does_not(tmp_path: Path) -> None:
+    """A walker stands in the ego's lane: the careful driver brakes, IDM drives on."""
+    walker = moving("walker", 150.0, RIGHT, 0.0, kind="pedestrian", size=(0.6, 0.6))
+    speeds = {}
+    for driver in (CarefulEgo(), SumoEgo("idm", {})):
+        with playing(tmp_path, [EGO, walker], driver, "sumo") as drive:
+            go(drive, 6.0)
+            speeds[driver.name] = drive.state("e").speed
+    assert speeds["idm"] > 14.0
+    assert speeds["careful"] < speeds["idm"] - 3.0
+
+
+# ---- what the log's own faults mean
+
+
+def test_boxes_that_overlap_in_the_log_endanger_nobody(tmp_path: Path) -> None:
+    ghost = moving("ghost", 61.0, RIGHT + 0.3, 14.0)  # inside the ego all the time
+    with playing(tmp_path, [EGO, ghost]) as drive:
+        go(drive, 9.0)
+        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == ""
+
+
+def test_an_ego_that_is_really_driven_into_a_box_collides(tmp_path: Path) -> None:
+    """Logged, the ego stops short of a walker at 100 m; IDM does not know of it."""
+    stops = moving("e", 60.0, RIGHT, 4.0)
+    walker = moving("walker", 100.0, RIGHT, 0.0, kind="pedestrian", size=(0.6, 0.6))
+    with playing(tmp_path, [stops, walker], SumoEgo("idm", {}), "sumo") as drive:
+        go(drive, 9.0)
+        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == "the ego collides unattacked"
+    with playing(tmp_path, [stops, walker]) as drive:
+        go(drive, 9.0)
+        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == ""
+
+
+# ---- the adversary, and again
+
+
+def test_whom_an_attack_drives_the_log_leaves_alone_for_good(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY) as drive:
+        go(drive, 2.0)
+        for k in range(10):
+            drive.tick({"lead": Pose(118.0 + 1.2 * (k + 1), RIGHT + 0.1 * (k + 1), 0.08, 12.0)})
+            assert centre(drive, "lead") == pytest.approx((118.0 + 1.2 * (k + 1), RIGHT + 0.1 * (k + 1)))
+
+
+def test_the_path_of_a_replayed_ego_is_the_logs_and_then_its_lane(tmp_path: Path) -> None:
+    with playing(tmp_path, [EGO]) as drive:
+        go(drive, 3.0)
+        path = ego_path(read_network(drive.simulation.spec.network), drive)
+        assert path is not None
+        assert (path.x[0], path.y[0]) == pytest.approx((102.0, RIGHT + 0.3))
+        x, y, _ = path.at(np.array([50.0, 200.0]))
+        assert (x[0], y[0]) == pytest.approx((152.0, RIGHT + 0.3), abs=1e-3)
+        assert y[1] == pytest.approx(RIGHT, abs=0.05)  # beyond the log: the lane's centre
+
+
+@pytest.mark.parametrize("background", ["log", "sumo"])
+@pytest.mark.parametrize("name", ["idm", "replay", "careful"])
+def test_rewound_it_repeats_bit_for_bit(tmp_path: Path, name: str, background: str) -> None:
+    driver: EgoController = {"idm": SumoEgo("idm", {}), "replay": ReplayEgo(), "careful": CarefulEgo()}[name]
+    more = PARKED.format(x=300.0, y=MIDDLE)
+    with playing(tmp_path, EVERYBODY, driver, background, more) as drive:
+        go(drive, 3.5)
+        before = list(drive.recording.snapshots)
+
+        def attack() -> list[Snapshot]:
+            for k in range(30):
+                drive.tick({"lead": Pose(139.0 + 1.0 * (k + 1), RIGHT, 0.0, 10.0)})
+            return list(drive.recording.snapshots)
+
+        first = attack()
+        drive.rewind(35)
+        assert drive.recording.snapshots == before
+        assert drive.ego == "e"
+        assert attack() == first
