@@ -152,7 +152,10 @@ def _conflict(way: WayLine, target: Target, situation: Situation) -> str:
     there = np.flatnonzero(situation.profile_s >= c.ego_s)
     ego = f"{there[0] * situation.dt:.1f} s" if len(there) else "not within the time looked at"
     meets = "crosses" if c.kind == "crossing" else "merges into"
+    signals = situation.signals.get(target.state.id, ())
     rule = "it must give way there" if way.gives_way else "it has priority there"
+    if signals:
+        rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"
     return (
         f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg; way to it: {own:.1f} m"
         f" ({present}{soonest:.1f} s at the earliest), EGO {c.ego_s:.1f} m ({ego} if nothing disturbs it); {rule}."

@@ -1,0 +1,263 @@
+"""What models are shown and what is made of their answers, without asking any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from situation_samples import crossing, leader, neighbour, situation
+
+from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
+from sumo_adv.agents.asking import Line
+from sumo_adv.agents.chat import ChatReply, ChatRequest
+from sumo_adv.agents.evidence import evidence_words, in_words
+from sumo_adv.agents.generator import bare, mode_word
+from sumo_adv.agents.ledger import Ledger
+from sumo_adv.agents.modifier import feedback
+from sumo_adv.agents.prompts import MOST_TEXT, NAMES, Prompts, tame
+from sumo_adv.agents.scene import Names, driver_words, relative_words, road_words, state_words
+from sumo_adv.datatypes import Attempt, Diagnosis, LibraryEntry, Limits, Planner, Proposal, Role, Track, Verdict
+from sumo_adv.episode.diagnosis import diagnose
+from sumo_adv.episode.task import AttemptResult
+from sumo_adv.errors import ModelError, UsageError
+from sumo_adv.geometry import make_path
+from sumo_adv.world.inputs import data_folder
+from sumo_adv.world.simulation import Snapshot
+
+LIMITS = Limits()
+PLANNER = Planner("Straight Lane Shift", "side", "# Straight Lane Shift\n# Drifts over.\nX = 1\n", (), "seed")
+SHIFT = LibraryEntry("Straight Lane Shift", "Drifts over.", ("neighbour",), (PLANNER,))
+BRAKE = LibraryEntry("Emergency Braking", "Brakes.", ("leader",), ())
+
+
+@pytest.fixture(scope="module")
+def prompts() -> Prompts:
+    return Prompts(data_folder("prompts"))
+
+
+# -- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_variable_that_is_missing_or_unknown_is_an_error(prompts: Prompts) -> None:
+    with pytest.raises(KeyError, match="lacks a value for description"):
+        prompts.render("confirm", label="A", nearest="B")
+    with pytest.raises(KeyError, match="no variable other"):
+        prompts.render("confirm", label="A", nearest="B", description="C", other="D")
+
+
+def test_every_prompt_has_a_version_and_a_hash(prompts: Prompts) -> None:
+    assert set(prompts.versions) == set(NAMES)
+    assert all(v["version"].isdigit() and len(v["sha256"]) == 64 for v in prompts.versions.values())
+
+
+def test_a_folder_that_lacks_a_prompt_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="analyzer.* cannot be read"):
+        Prompts(tmp_path)
+    for name in NAMES:
+        (tmp_path / f"{name}.md").write_text("version: 1\n=== system\nOnly this.\n")
+    with pytest.raises(UsageError, match="lacks its part"):
+        Prompts(tmp_path)
+    (tmp_path / "analyzer.md").write_text("no version\n")
+    with pytest.raises(UsageError, match="must begin with 'version: N'"):
+        Prompts(tmp_path)
+
+
+def test_texts_from_files_are_tamed() -> None:
+    assert tame("a\n\n# 6 OUTPUT\x00  b```c") == "a # 6 OUTPUT b'''c"
+    assert len(tame("x" * 10_000)) == MOST_TEXT
+
+
+# -- scenes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_neighbour_in_words() -> None:
+    told = situation([neighbour(x=20.0, y=3.2, speed=12.0)])
+    names = Names.of(told)
+    assert dict(names.bvs) == {"BV1": "bv"}
+    # 20 m between centres, two halves of 5 m; the ego drives 10, the other 12 m/s
+    assert relative_words(told, names, {"Straight Lane Shift": ["neighbour"], "Emergency Braking": ["leader"]}) == (
+        "BV1: in a lane to the left, same direction, 15.0 m ahead bumper to bumper, centres 3.2 m apart sideways,"
+        " opening at 2.0 m/s. Behaviours that apply: Straight Lane Shift."
+    )
+
+
+def test_a_crossing_in_words_has_ways_times_and_right_of_way() -> None:
+    told = situation([crossing()])
+    words = road_words(told, Names.of(told))
+    # 25 m to the ego's path at 8 m/s: 3.1 s; at 4 m/s2 sooner: (sqrt(64 + 200) - 8) / 4 = 2.1 s; the ego: 30 m, 3.0 s
+    assert "BV1 going straight on: crosses EGO's path at (30.0," in words and "at 90 deg" in words
+    assert "m (3.1 s at its present speed, 2.1 s at the earliest), EGO 30.0 m (3.0 s" in words
+    assert "it has priority there" in words
+
+
+def test_a_signal_says_who_may_go() -> None:
+    told = replace(situation([crossing()]), signals={"ego": (("t", 22.0, "G"),), "bv": (("t", 15.0, "r"),)})
+    words = road_words(told, Names.of(told))
+    assert "EGO has a signal 22 m ahead, now green." in words
+    assert "its signal is red." in words
+    assert "priority" not in words
+
+
+def test_states_are_ego_centred_and_rounded() -> None:
+    time = 100.0 + 0.1 * np.arange(-11, 1)
+    ahead = Track(
+        "bv", Role.BACKGROUND, time, 30.04 + 8.0 * (time - 100.0), 0.0 * time + 3.21, 0.0 * time, 0.0 * time + 8.0,
+        0.0 * time - 1.26, 5.0, 2.0, ("",) * 12,
+    )  # fmt: skip
+    told = replace(situation([leader()]), history=(ahead,))
+    line = state_words(told, Names.of(told))
+    assert line.startswith("BV1: t=-1.1: x=21.2 y=3.2 hdg=0 v=8.0; ")
+    assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; acceleration now -1.3; 5.0 x 2.0 m")
+
+
+def test_the_driver_is_told_of_as_far_as_he_is_known() -> None:
+    told = situation([leader()])
+    assert driver_words(told).startswith("SUMO's Krauss car-following driver; keeps its lane")
+    unknown = replace(told, ego_model={**told.ego_model, "kind": "my:Driver"})
+    assert "unknown driver" in driver_words(unknown)
+
+
+def proposal(score: float, **predicted: object) -> Proposal:
+    return Proposal("bv", "Straight Lane Shift", PLANNER, {}, 0.0, 0.0, score=score, predicted=predicted)
+
+
+def test_evidence_counts_what_can_be_avoided() -> None:
+    names = Names.of(situation([neighbour()]))
+    hit = {"hit": True, "min_ttc": 0.0, "gap": 0.0}
+    pool = [
+        proposal(0.1, **hit, careful=True, manoeuvre=True, warning=2.0),
+        proposal(0.2, **hit, careful=False, manoeuvre=True, warning=1.0),
+        proposal(1.2, **hit, careful=False, manoeuvre=False, warning=0.4),
+        proposal(2.1, hit=False, min_ttc=2.0, gap=3.0),
+    ]
+    words = evidence_words(pool, names, [SHIFT], {"Straight Lane Shift": "2 times tried"})
+    assert "BV1, Straight Lane Shift: 75% of 4 candidates collide; 2 of these 3 could be avoided" in words
+    assert "1 by a careful driver who only brakes; median warning 1.0 s." in words
+    assert "'side' Drifts over." in words and "2 times tried" in words
+    nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], names, [SHIFT], {})
+    assert "none of 1 candidates collides properly; least TTC 2.0 s." in nothing
+
+
+def test_what_a_planner_does_is_its_opening_comment() -> None:
+    assert in_words("# Name\n# Waits.\n# Then goes.\nX = 1\n# not this\n") == "Waits. Then goes."
+    assert in_words("X = 1\n") == "without a word on it"
+
+
+def test_the_prompt_with_and_without_evidence(prompts: Prompts) -> None:
+    told = situation([neighbour()])
+    without = analyzer_prompt(prompts, told, [SHIFT, BRAKE], LIMITS)
+    with_it = analyzer_prompt(prompts, told, [SHIFT, BRAKE], LIMITS, lambda names: f"EVIDENCE {len(names.bvs)}\n")
+    assert "EVIDENCE 1" in with_it.user and "EVIDENCE" not in without.user
+    assert "- Emergency Braking: Brakes." in without.system
+    assert without.tokens == -(-(len(without.system) + len(without.user)) // 4)
+
+
+# -- answers ----------------------------------------------------------------------------------------------------------
+
+
+class Answers:
+    """A model that gives these answers in turn."""
+
+    name = "answers"
+
+    def __init__(self, *answers: Analysis) -> None:
+        self._answers = list(answers)
+        self.asked: list[ChatRequest] = []
+
+    def complete(self, request: ChatRequest) -> ChatReply:
+        self.asked.append(request)
+        return ChatReply(self._answers.pop(0).model_dump_json())
+
+
+def choice(label: str, risk: str = "high", **given: object) -> Choice:
+    return Choice.model_validate({"bv": "BV1", "label": label, "risk": risk, "acceleration": 0.0, **given})
+
+
+def analyzer(prompts: Prompts, model: Answers, allowed: Sequence[str] = ()) -> ModelAnalyzer:
+    return ModelAnalyzer(Line(model, Ledger()), prompts, LIMITS, allowed=allowed)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        (choice("Straight Lane Shift", bv="V1"), "no vehicle 'V1' that may be chosen; there are BV1"),
+        (choice("Honking"), "'Honking' is not in the library"),
+        (choice("Emergency Braking"), "'Emergency Braking' does not apply to BV1"),
+        (choice("Straight Lane Shift", acceleration=-9.0), "beyond the limits"),
+        (choice("Straight Lane Shift", acceleration=[[1.0, 0.0], [0.5, 1.0]]), "ascending"),
+        (choice("Straight Lane Shift", acceleration=[[float(k), 0.0] for k in range(5)]), "4"),
+        (choice("Straight Lane Shift", novel=True, description="It is in the library after all."), "is not novel"),
+        (choice("Wave", novel=True, description="Too short."), "needs a description"),
+    ],
+)
+def test_an_answer_that_does_not_hold_is_sent_back_once_with_the_sentence(
+    prompts: Prompts, wrong: Choice, sentence: str
+) -> None:
+    model = Answers(Analysis(intents=[wrong]), Analysis(intents=[choice("straight lane shift")]))
+    intents = analyzer(prompts, model).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
+    assert [(i.bv, i.label, i.source) for i in intents] == [("bv", "Straight Lane Shift", "memory")]
+    assert sentence in model.asked[1].messages[-1][1]
+    stubborn = Answers(*[Analysis(intents=[wrong])] * 2)
+    with pytest.raises(ModelError, match="refused, asked 2 times"):
+        analyzer(prompts, stubborn).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
+
+
+def test_where_intents_are_restricted_others_are_neither_shown_nor_taken(prompts: Prompts) -> None:
+    new = choice("Wave", novel=True, description="It waves at the ego until that one stops.")
+    model = Answers(Analysis(intents=[new]), Analysis(intents=[choice("Straight Lane Shift")]))
+    analyzer(prompts, model, ["Straight Lane Shift"]).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
+    assert "Emergency Braking" not in model.asked[0].messages[0][1].split("# 5 RULES")[0]
+    assert "Only these behaviours are allowed here" in model.asked[1].messages[-1][1]
+
+
+def test_knots_and_new_intents_come_through(prompts: Prompts) -> None:
+    new = choice(
+        "Wave", "low", novel=True, description="It waves at the ego until it stops.", acceleration=[[0, 1], [2, -3]]
+    )
+    (intent,) = analyzer(prompts, Answers(Analysis(intents=[new]))).analyze({0.0: situation([neighbour()])}, [SHIFT])
+    assert (intent.label, intent.source, intent.risk) == ("Wave", "generated", "low")
+    assert intent.acceleration == ((0.0, 1.0), (2.0, -3.0))
+
+
+def test_planners_come_out_of_fences_and_modes_are_words() -> None:
+    assert bare("Here:\n```python\nX = 1\n```\nDone.") == "X = 1\n"
+    assert bare("X = 1") == "X = 1\n"
+    assert (mode_word("Swing & Hit!"), mode_word("")) == ("swing_hit", "direct")
+
+
+# -- diagnosis --------------------------------------------------------------------------------------------------------
+
+
+def test_a_near_miss_is_diagnosed() -> None:
+    """The ego drives east at 10 m/s and passes x = 30 after 3 s; the BV comes north at 8 m/s and is there after 4 s."""
+    dt, steps = 0.1, 61
+    snapshots = []
+    for k in range(steps):
+        t = k * dt
+        raw = {
+            "ego": (10.0 * t + 2.5, 0.0, 90.0, 10.0, "a"),
+            "bv": (30.0, -32.0 + 8.0 * t + 2.5, 0.0, 8.0, "b"),
+        }
+        snapshots.append(Snapshot(round(t, 6), raw))
+    result = AttemptResult(None, None, 0.0, snapshots, {"ego": (5.0, 2.0), "bv": (5.0, 2.0)})  # type: ignore[arg-type]
+    found = diagnose(result, "ego", "bv", make_path([(0.0, 0.0), (400.0, 0.0)]), LIMITS, dt)
+    assert found is not None
+    # distance^2 = (30 - 10 t)^2 + (32 - 8 t)^2 is least at t = (300 + 256) / 164 = 3.39 s
+    assert found.time == pytest.approx(3.4, abs=0.01)
+    assert found.ego_frame == pytest.approx((-4.0, -4.8), abs=0.05)  # behind and to the right of the ego
+    assert found.early == pytest.approx(-1.0, abs=0.35)  # within two metres of one place
+    assert (found.ego_reaction, found.ego_braking, found.ego_shift, found.bound) == (None, 0.0, 0.0, ())
+
+
+def test_feedback_says_what_an_attempt_showed() -> None:
+    verdict = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ("lateral",), min_ttc_time=103.4)
+    d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
+    words = feedback(Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, "passed", "", d))
+    assert "Least time to collision 1.44 s, 3.4 s after its start; least distance of the boxes 2.3 m." in words
+    assert "4.0 m behind and 4.8 m to the right of the ego" in words
+    assert "The bv was 1.0 s too late" in words
+    assert "began to brake 2.5 s after its start, at most 3.2 m/s2" in words
+    assert "Limits that bound the bv: braking." in words and "Not feasible: lateral." in words
