@@ -54,7 +54,7 @@ def test_every_prompt_has_a_version_and_a_hash(prompts: Prompts) -> None:
 
 
 def test_a_folder_that_lacks_a_prompt_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="analyzer.* cannot be read"):
+    with pytest.raises(UsageError, match=r"analyzer\.md cannot be read"):
         Prompts(tmp_path)
     for name in NAMES:
         (tmp_path / f"{name}.md").write_text("version: 1\n=== system\nOnly this.\n")
