@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 from cli_samples import ROOT, Program
+from womd_samples import four_way, merge, write
 
 FOLDER = ROOT / "benchmarks"
 NUMBER = r"\s+([\d.]+)"
@@ -54,3 +55,15 @@ def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     call, batch = (re.search(rf"{re.escape(n)}{NUMBER * 3}", said) for n in ("sandbox: a call", "in a batch of 100"))
     assert call is not None and batch is not None
     assert 1e-3 * float(batch[2]) < float(call[2])  # us a call in a batch, ms a call by itself
+
+
+def test_womd_prints_totals_and_targets(program: Program) -> None:
+    """Two records of this project's own; whether they meet a target of time is not asked."""
+    records = program.home / "records"
+    records.mkdir()
+    write(records / "two.tfrecord", four_way(), merge())
+    said = printed(program, "womd.py", str(records), "--no-traffic", statuses=(0, 1))
+    for name, value in (("records", "2"), ("connectivity", "1"), ("broken", "0"), ("signals_mapped", "12")):
+        assert re.search(rf"^{name} +{value}$", said, re.MULTILINE), said
+    assert "met    connectivity: 1 >= 0.995" in said and "met    within_0.5" in said
+    assert "nothing to do" in printed(program, "womd.py")

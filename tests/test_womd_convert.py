@@ -18,6 +18,7 @@ from sumo_adv.womd.table import COLUMNS, row, totals
 from sumo_adv.womd.traffic import random_traffic
 from sumo_adv.world.inputs import load_input
 
+SHARED = Path(__file__).parents[2] / "shared" / "womd"
 FILES = {"network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml", "fidelity.json", "fidelity.png"}
 
 
@@ -134,6 +135,19 @@ def test_random_traffic_counts(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_record_means(name: str | None, choice: Choice) -> None:
     assert choice_of(name) == choice
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the Waymo records (shared/womd) are not here")
+@pytest.mark.parametrize("name", ["10810393add927f8", "1663adf01133d82", "4d320edc9cb801a3"])
+def test_real_records_are_kept(tmp_path: Path, name: str) -> None:
+    (path,) = SHARED.glob(f"{name}*.tfrecord")
+    with conversion(read(path), traffic=False, cache=tmp_path / "cache") as made:
+        report = made.report
+        assert load_input(made.scenario).name == name
+    assert report["deviation"]["within_0.5"] >= 0.999 and report["deviation"]["own_within_0.1"] >= 0.99
+    assert report["connectivity"]["share"] >= 0.995
+    assert report["vehicles"]["inside"] >= report["vehicles"]["near_centre"] - 0.01
+    assert len(report["routes"]["broken"]) <= 2 * len(report["routes"]["own_broken"])
 
 
 # -- the command line ------------------------------------------------------------------------------------------------

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ def doctor() -> None:
     checks: list[tuple[str, Callable[[], str], bool]] = [
         ("libsumo", _libsumo, True), ("sandbox", _sandbox, True), ("memory bank", _bank, True),
         ("output folder", _write, True), ("netconvert", _netconvert, False),
+        ("Waymo records", _protobuf, False),
     ]  # fmt: skip
     failed = False
     for name, check, needed in checks:
@@ -60,7 +60,14 @@ def _write() -> str:
 
 
 def _netconvert() -> str:
-    path = shutil.which("netconvert")
-    if path is None:
-        raise RuntimeError("not found; only needed to build networks: pip install eclipse-sumo")
-    return "found"
+    from sumo_adv.womd.network.netconvert import find_netconvert
+
+    return f"{find_netconvert().name} found"
+
+
+def _protobuf() -> str:
+    try:
+        import google.protobuf
+    except ImportError as error:
+        raise RuntimeError("protobuf is not installed: pip install 'sumo-adv[womd]'") from error
+    return f"protobuf {google.protobuf.__version__}"

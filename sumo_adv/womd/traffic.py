@@ -8,6 +8,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.womd.network.netconvert import find_netconvert
 from sumo_adv.world.demand import generate
 
 DURATION = 120.0  # s
@@ -18,7 +19,8 @@ TIME_LIMIT = 120.0  # s of wall time
 def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) -> dict[str, int | str]:
     """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports.
 
-    A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails.
+    A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails,
+    UsageError if it is not installed.
     """
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         folder = Path(scratch)
@@ -39,10 +41,10 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) 
 
 
 def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float) -> None:
-    import sumolib
-
+    netconvert = find_netconvert()
+    sumo = netconvert.with_name(netconvert.name.replace("netconvert", "sumo"))  # they are installed together
     command = [
-        sumolib.checkBinary("sumo"), "-n", str(network), "-r", str(demand), "--end", str(duration), "--seed", str(seed),
+        str(sumo), "-n", str(network), "-r", str(demand), "--end", str(duration), "--seed", str(seed),
         "--step-length", "0.1", "--collision.action", "warn", "--collision.mingap-factor", "0",
         "--collision.check-junctions", "true", "--lanechange.duration", "3", "--time-to-teleport", str(PATIENCE),
         "--statistic-output", str(folder / "statistics.xml"), "--collision-output", str(folder / "collisions.xml"),
