@@ -1,8 +1,8 @@
 """What will happen if nobody attacks, from the states up to now alone: for simulations that cannot be forked.
 
 Everybody goes on along the way of his route (straight on where it is not known). The present acceleration dies away
-within about a second; then the speed holds, but for leaders (Krauss's safe speed), bends, the speed limits of the lanes
-ahead and red lights.
+within about a second; then the speed holds, but for leaders (Krauss's safe speed), the speed limits of the lanes ahead
+and red lights.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ CENTRING = 1.5  # s, time constant of the way back to the lane's centre
 COMFORT = 3.0  # m/s2, braking for what is ahead
 TAU, BRAKING, MIN_GAP = 1.0, 4.5, 2.0  # s, m/s2, m: of the safe speed behind a leader
 IN_LINE, SAME_WAY = 1.5, 0.6  # m, rad: who is a leader
+AHEAD, TURNED = 150.0, 2.2  # m, rad: who is looked at for that
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +82,12 @@ def _stations(path: Path) -> Floats:
 
 
 def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
-    """The speed [m/s] at each sample: bends and limits ahead; as much over the limit as now."""
+    """The speed [m/s] at each sample: for the limits ahead (ways through junctions have theirs), as much over as now."""
     here = road.lanes[lanes[0]].speed
     over = max(1.0, state.speed / max(here, 0.1))
     place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
     limits = np.array([over * road.lanes[n].speed for n in lanes])[place]
-    return np.asarray(np.minimum(path.speed, _towards(path, limits**2)))
+    return _towards(path, limits**2)
 
 
 def _towards(path: Path, square: Floats) -> Floats:
@@ -129,7 +130,8 @@ def _leaders(courses: Sequence[Course]) -> tuple[np.ndarray, Floats]:
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
     for k, c in enumerate(courses):
         forth = np.cos(c.state.heading) * (x - c.state.x) + np.sin(c.state.heading) * (y - c.state.y)
-        for j in np.flatnonzero((forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < 100.0)):
+        near = (forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < AHEAD)
+        for j in np.flatnonzero(near & (np.abs(wrap_all(h - c.state.heading)) < TURNED)):
             s, d = c.path.project(float(x[j]), float(y[j]))
             free = s - c.station - half[k] - half[j] - MIN_GAP
             turned = abs(wrap_all(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
