@@ -82,7 +82,7 @@ def _stations(path: Path) -> Floats:
 
 
 def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
-    """The speed [m/s] at each sample: for the limits ahead (ways through junctions have theirs), as much over as now."""
+    """The speed [m/s] at each sample, for the limits ahead (those of junctions too); as much over them as now."""
     here = road.lanes[lanes[0]].speed
     over = max(1.0, state.speed / max(here, 0.1))
     place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
