@@ -12,6 +12,7 @@ from sumo_adv.datatypes import Floats
 
 PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged (ALGORITHM, Planning)
+ROUNDING = (2, 4, 8, 16)  # passes of the average over a path with a bend that is too tight, each on top of the last
 
 
 def wrap(angle: float) -> float:
@@ -109,10 +110,17 @@ class Path:
         )  # fmt: skip
 
 
-def make_path(points: Sequence[tuple[float, float]] | Floats, *, lateral: float = 3.2, braking: float = 4.0) -> Path:
+def make_path(
+    points: Sequence[tuple[float, float]] | Floats,
+    *,
+    lateral: float = 3.2,
+    braking: float = 4.0,
+    tightest: float = math.inf,
+) -> Path:
     """A path through ``points`` (n, 2).
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking`` (ALGORITHM, Planning).
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking`` (ALGORITHM, Planning).  Bends with
+    more than ``tightest`` [1/m] are rounded, as a driver does who cannot turn as sharply as a lane's centre line.
     """
     p = np.asarray(points, float)
     step = np.hypot(*np.diff(p, axis=0).T)
@@ -120,16 +128,38 @@ def make_path(points: Sequence[tuple[float, float]] | Floats, *, lateral: float 
     p = p[keep]
     if len(p) < 2:
         p = np.vstack([p[0], p[0] + [PATH_STEP, 0.0]])
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(p, axis=0).T))])
-    n = max(2, int(station[-1] / PATH_STEP) + 1)
-    s = PATH_STEP * np.arange(n)
-    x, y = np.interp(s, station, p[:, 0]), np.interp(s, station, p[:, 1])
+    station = _stations(p[:, 0], p[:, 1])
+    x, y = _even(p[:, 0], p[:, 1])
     if station[-1] < PATH_STEP:
         x[1], y[1] = p[-1] + (p[-1] - p[0]) / station[-1] * (PATH_STEP - station[-1])
     x, y = _smooth(x), _smooth(y)
-    heading = _smooth(np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))))
-    curvature = np.gradient(heading, PATH_STEP)
+    heading, curvature = _turning(x, y)
+    for passes in ROUNDING:
+        if np.abs(curvature).max() <= tightest:
+            break
+        for _ in range(passes):
+            x, y = _smooth(x), _smooth(y)
+        x, y = _even(x, y)
+        heading, curvature = _turning(x, y)
     return Path(x, y, heading, curvature, _bend_speed(curvature, lateral, braking))
+
+
+def _stations(x: Floats, y: Floats) -> Floats:
+    """Metres from the first point along a polyline."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+
+
+def _even(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """A polyline's points every ``PATH_STEP`` metres, at least two."""
+    station = _stations(x, y)
+    s = PATH_STEP * np.arange(max(2, int(station[-1] / PATH_STEP) + 1))
+    return np.interp(s, station, x), np.interp(s, station, y)
+
+
+def _turning(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Heading [rad, unwrapped] and curvature [1/m] of evenly spaced points."""
+    heading = _smooth(np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))))
+    return heading, np.gradient(heading, PATH_STEP)
 
 
 def _smooth(values: Floats) -> Floats:

@@ -145,3 +145,23 @@ def test_points_that_repeat_or_are_too_few_still_make_a_path() -> None:
     short = make_path([(0.0, 0.0), (0.0, 0.2)])
     assert (short.length, float(short.y[1])) == (0.5, pytest.approx(0.5))
     assert short.heading == pytest.approx([math.pi / 2] * 2)
+
+
+def test_a_bend_that_no_car_can_follow_is_rounded() -> None:
+    """A right angle with a radius of 2.9 m (1/m: 0.34), as lanes at tight corners have it."""
+    turn = [(2.9 * math.sin(a), 2.9 * (1 - math.cos(a))) for a in np.linspace(0.0, math.pi / 2, 20)]
+    corner = [(-30.0, 0.0), *turn, (2.9, 32.9)]
+    sharp, rounded = make_path(corner), make_path(corner, tightest=0.195)
+    assert np.abs(sharp.curvature).max() > 0.25
+    assert np.abs(rounded.curvature).max() <= 0.195
+    step = np.hypot(np.diff(rounded.x), np.diff(rounded.y))
+    assert step == pytest.approx(0.5, abs=0.01)
+    assert (rounded.x[0], rounded.y[0]) == (-30.0, 0.0)
+    apart = [
+        min(math.dist((x, y), p) for p in zip(sharp.x, sharp.y, strict=True))
+        for x, y in zip(rounded.x, rounded.y, strict=True)
+    ]
+    assert max(apart) < 1.6  # the arc itself of 5.1 m cuts the corner by 0.9 m
+    assert rounded.length > sharp.length - 4.0
+    gentle = [(0.0, 0.0), (100.0, 0.0)]
+    assert (make_path(gentle, tightest=0.195).x == make_path(gentle).x).all()

@@ -18,6 +18,7 @@ from sumo_adv.geometry import Path, make_path, wrap
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
 IN_LINE = 0.6  # rad between a box and the lane that it is in
+TIGHTEST = 0.195  # 1/m: what a car can follow within the limit of 0.2
 MAX_PATHS = 6  # ways on that are followed for one vehicle
 
 
@@ -142,7 +143,7 @@ class RoadMap:
         found: list[Way] = []
         for chain, movement, junction, yields in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
-            path = make_path(_cut(points, position))
+            path = make_path(_cut(points, position), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             found.append(Way(tuple(chain), movement, path, junction, yields))
