@@ -12,7 +12,16 @@ from sumo_adv.datatypes import Floats
 
 PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged (ALGORITHM, Planning)
-ROUNDING = (2, 4, 8, 16)  # passes of the average over a path with a bend that is too tight, each on top of the last
+ROUNDING = (
+    2,
+    2,
+    3,
+    3,
+    4,
+    4,
+    6,
+    8,
+)  # passes of the average over a path with a bend that is too tight, each on top of the last
 
 
 def wrap(angle: float) -> float:
