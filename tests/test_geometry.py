@@ -156,7 +156,7 @@ def test_a_bend_that_no_car_can_follow_is_rounded() -> None:
     assert np.abs(rounded.curvature).max() <= 0.195
     step = np.hypot(np.diff(rounded.x), np.diff(rounded.y))
     assert step == pytest.approx(0.5, abs=0.01)
-    assert (rounded.x[0], rounded.y[0]) == (-30.0, 0.0)
+    assert (rounded.x[0], rounded.y[0]) == pytest.approx((-30.0, 0.0))
     apart = [
         min(math.dist((x, y), p) for p in zip(sharp.x, sharp.y, strict=True))
         for x, y in zip(rounded.x, rounded.y, strict=True)
