@@ -209,3 +209,19 @@ def test_a_folder_is_not_overwritten(program: Program) -> None:
 
 def test_the_example_is_short() -> None:
     assert len(Path(EXAMPLE).read_text(encoding="utf-8").splitlines()) < 65
+
+
+def test_a_bridge_that_adds_and_moves_its_own_ego(program: Program) -> None:
+    with serving(program, "straight_3lane", "--ego-id", "carla0", "--encounters", "2") as server:
+        assert server.wait("listening")["added"]
+        server.client(TESTS / "serve_bridge.py")
+        code, out, err = server.end()
+        assert (code, err) == (0, "") and "'carla0': the program is to add it" in out
+        assert server.events("client")[0]["state"] == "connected" and not server.events("dropped")
+        for outcome in server.outcomes():
+            assert outcome["ego"]["id"] == "carla0" and outcome["attempts"][0]["ending"] != "ego_left"
+        states = read_states(program.folder / "out" / "encounter-0001" / "states.csv.gz")["carla0"]
+        speeds = [float(row["speed"]) for row in states.values()]
+        assert sorted(speeds)[len(speeds) // 2] == pytest.approx(14.0, abs=0.1)  # SUMO itself says another one
+        assert {row["length"] for row in states.values()} == {"4.70"}
+        assert server.simulators() == []

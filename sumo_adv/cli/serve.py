@@ -44,6 +44,9 @@ def serve(
     allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = "",
     ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None,
     ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego [default: SUMO's car].")] = None,
+    may_set: Annotated[
+        str, typer.Option(help="What the client may set besides its own, with commas between: trafficlight, ..")
+    ] = "",
     on_loss: Annotated[
         OnLoss, typer.Option(help="Who drives while the client is lost or late: sumo, brake, or end.")
     ] = OnLoss.SUMO,
@@ -96,11 +99,15 @@ def serve(
     if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})
     options = Options(
-        host, port, tuple(a.strip() for a in allow.split(",") if a.strip()), mode, on_loss, real_time, encounters,
-        ego_type, patience, deadline,
+        host, port, _words(allow), mode, on_loss, real_time, encounters, ego_type, _words(may_set), patience,
+        deadline,
     )  # fmt: skip
     target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
     _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def _serve(
@@ -117,6 +124,7 @@ def _serve(
     from sumo_adv.serve.clerk import Clerk
     from sumo_adv.serve.events import EventFile, Events, Status
     from sumo_adv.serve.gate import Gate
+    from sumo_adv.serve.policy import Rules
     from sumo_adv.serve.server import House, Server
     from sumo_adv.serve.status import StatusPage
     from sumo_adv.world.inputs import data_folder
@@ -143,6 +151,7 @@ def _serve(
                 options.port,
                 allow=options.allow,
                 deadline=options.turn,
+                rules=Rules(frozenset(options.may_set)),
                 on_event=_teller(events),
             )
         )
@@ -157,8 +166,9 @@ def _serve(
             page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
             events.tell("status_page", port=page.port)
         events.tell(
-            "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens
-        )
+            "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens,
+            added=server.ego_is_added,
+        )  # fmt: skip
         try:
             ending = server.run()
         finally:

@@ -98,7 +98,8 @@ def line(event: Event) -> str:
     kind = event["event"]
     if kind == "listening":
         opens = f"\n{event['opens']}" if event["opens"] else ""
-        return f"Waiting at {event['host']}:{event['port']} for the program that drives '{event['ego']}'.{opens}"
+        added = f"\nThe demand has no vehicle '{event['ego']}': the program is to add it." if event["added"] else ""
+        return f"Waiting at {event['host']}:{event['port']} for the program that drives '{event['ego']}'.{added}{opens}"
     if kind == "status_page":
         return f"Status: http://127.0.0.1:{event['port']}/status"
     if kind == "client":

@@ -53,7 +53,8 @@ def describe(
     if not ranking or ego is None:
         return "no vehicle near could endanger the ego"
     tracks = outlook(road, session, settings.duration + max(settings.delays) + MOST_SHIFT)
-    why = danger({n: t.between(time - 1e3, time + FORESEEN) for n, t in tracks.items()}, session, time, settings.ttc)
+    soon = {name: track.between(track.time[0], time + FORESEEN) for name, track in tracks.items()}
+    why, _ = danger(soon, session, time, settings.ttc, [c.id for c in ranking])
     if why:
         return why
     simulation = session.simulation

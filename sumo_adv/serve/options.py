@@ -35,6 +35,7 @@ class Options:
     real_time: bool = False
     encounters: int | None = None
     ego_type: str | None = None
+    may_set: tuple[str, ...] = ()  # domains, besides its own vehicle
     patience: float | None = None
     deadline: float | None = None
 

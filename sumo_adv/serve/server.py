@@ -17,7 +17,7 @@ from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import Met, decide, model_ending, predicted, pursue
 from sumo_adv.episode.task import Prefix, Task
-from sumo_adv.errors import ModelError, SimulationError, SumoAdvError
+from sumo_adv.errors import ModelError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve.clerk import Clerk
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
@@ -29,6 +29,7 @@ from sumo_adv.serve.watch import Watch
 from sumo_adv.world.demand import journeys
 from sumo_adv.world.inputs import EgoRoute, RunInput
 from sumo_adv.world.network import RoadMap
+from sumo_adv.world.scan import scan_demand
 
 INSERTED_EGO, DEFAULT_TYPE = "ego", "DEFAULT_VEHTYPE"
 WARM_UP = 20.0  # s of traffic before an ego on drawn routes departs
@@ -102,6 +103,9 @@ class Server:
                 raise
             self.reason = str(error)
             return Ending.SIMULATION_FAILED
+        except Exception as error:  # a fault of ours: what was found so far is kept, and the sentence names it
+            self.reason = f"A fault of sumo_adv itself ({type(error).__name__}: {error}); please report it."
+            return Ending.SIMULATION_FAILED
         finally:
             self._end_session(clean=False)
         return None
@@ -154,7 +158,7 @@ class Server:
         """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
         kind = self._house.options.ego_type or task.ego_base_type or DEFAULT_TYPE
         if isinstance(task.ego, str):
-            return EgoPlan(task.ego, kind)
+            return EgoPlan(task.ego, kind, added=not self._in_demand(task, task.ego))
         if isinstance(task.ego, EgoRoute):
             route = task.ego
             return EgoPlan(INSERTED_EGO, kind, lambda: route)
@@ -162,6 +166,14 @@ class Server:
         found = journeys(task.spec.network, draw)
         weights = [j.lanes for j in found]
         return EgoPlan(INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(found, weights)[0].edges, 0.0), WARM_UP)
+
+    def _in_demand(self, task: Task, vehicle: str) -> bool:
+        return any(scan_demand(file).has(vehicle) for file in (*task.spec.routes, *task.spec.additional))
+
+    @property
+    def ego_is_added(self) -> bool:
+        """Whether the client itself is to add the ego."""
+        return isinstance(self._task.ego, str) and not self._in_demand(self._task, self._task.ego)
 
     def _end_session(self, *, clean: bool) -> None:
         if self._session is not None:
@@ -228,7 +240,7 @@ class Server:
         except KeyboardInterrupt:
             episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
             raise
-        except SimulationError as error:
+        except SumoAdvError as error:
             episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
             raise
         except (ClientGone, EgoLost):

@@ -6,6 +6,7 @@ client, the client for a decision of ours) stops simulated time, unless ``real_t
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -31,6 +32,7 @@ KEPT = 15.0  # s of states that are kept while nothing happens
 OUR_ORDER = 1
 STAND_IN_BRAKING = 4.5  # m/s2
 ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
+DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
 SLICE = 0.2  # s between looks at whether somebody wants us to stop
 
 
@@ -44,13 +46,17 @@ class ClientGone(Exception):
 
 @dataclass(frozen=True, slots=True)
 class EgoPlan:
-    """The vehicle under test. ``next_route``: where it departs next, None = the demand holds it; ``warm_up`` [s]: of
-    the traffic before it departs."""
+    """The vehicle under test.
+
+    next_route: where it departs next, None = the demand holds it, or its client adds it (``added``) and moves it as it
+    likes; warm_up [s]: of the traffic before it departs.
+    """
 
     id: str
     type: str
     next_route: Callable[[], EgoRoute] | None = None
     warm_up: float = 0.0
+    added: bool = False
 
 
 @dataclass(slots=True)
@@ -94,6 +100,8 @@ class Session(Drive):
             gate.detach()
             self._sumo.close()
             raise
+        if ego.added:
+            self.simulation.unrouted = frozenset({ego.id})
         self.attended = False
         self.adversary: str | None = None
         self.away = True  # the client is not there, or late
@@ -122,7 +130,7 @@ class Session(Drive):
         self._depart()
         if self.away:
             self._stand_in()
-        snapshot = super().tick(poses)
+        snapshot = self._with_true_speed(super().tick(poses))
         self.steps += 1
         self._look_for_ego(snapshot)
         if not self.attended:
@@ -194,12 +202,26 @@ class Session(Drive):
         self.simulation.add(self._plan.id, route.edges, kind, depart, route=name)
         self._departures, self._pending = self._departures + 1, True
 
+    def _with_true_speed(self, snapshot: Snapshot) -> Snapshot:
+        """SUMO's speed of a vehicle that its client moves by ``moveToXY`` alone is wrong (measured): the way it went in
+        the step says more."""
+        snapshots, name = self.recording.snapshots, self._plan.id
+        if len(snapshots) < 2 or name not in snapshot.raw or name not in snapshots[-2].raw:
+            return snapshot
+        x, y, angle, speed, lane = snapshot.raw[name]
+        before = snapshots[-2].raw[name]
+        went = math.hypot(x - before[0], y - before[1]) / self.spec.step_length
+        if abs(went - speed) < DOUBTED or went > FASTEST:
+            return snapshot
+        snapshots[-1] = Snapshot(snapshot.time, {**snapshot.raw, name: (x, y, angle, went, lane)})
+        return snapshots[-1]
+
     def _look_for_ego(self, snapshot: Snapshot) -> None:
         name = self._plan.id
         if name in snapshot.raw and self.present_since is None:
             self.present_since, self._pending = self.now, False
             self.take_over(name)
-            if self._plan.next_route is None and self._again is None:
+            if self._plan.next_route is None and self._again is None and not self._plan.added:
                 kind = str(self.simulation.api.vehicle.getTypeID(name))
                 self._again = EgoRoute(self.simulation.route(name)[0], 0.0), kind
             self._events.tell("ego", state="departed", id=name, time=self.now)

@@ -112,6 +112,7 @@ class Simulation:
     def __init__(self, spec: SimulationSpec, remote: Remote | None = None) -> None:
         self.spec = spec
         self.fleet = Fleet()
+        self.unrouted: frozenset[str] = frozenset()  # vehicles that somebody else moves as he likes
         self._remote = remote
         self._errors: tuple[type[Exception], ...]
         self._sumo: Any
@@ -238,7 +239,9 @@ class Simulation:
         return int(self._sumo.simulation.getMinExpectedNumber())
 
     def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
-        """A vehicle's edges and the index of the present one."""
+        """A vehicle's edges and the index of the present one; nothing where nobody knows its way (``unrouted``)."""
+        if vehicle in self.unrouted:
+            return (), 0
         return tuple(self._sumo.vehicle.getRoute(vehicle)), int(self._sumo.vehicle.getRouteIndex(vehicle))
 
     def lane_position(self, vehicle: str) -> float:
@@ -308,9 +311,7 @@ class Simulation:
         self._sumo.vehicle.setWidth(vehicle, width)
         self._sumo.vehicle.setMaxSpeed(vehicle, fastest)
 
-    def add(
-        self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = ""
-    ) -> None:
+    def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = "") -> None:
         """Insert a vehicle with a route of its own, under a new name if it departs again."""
         name = route or f"{vehicle}.route"
         try:
