@@ -7,6 +7,7 @@ A message is its length (4 bytes, signed, itself included) and commands; a comma
 from __future__ import annotations
 
 import contextlib
+import selectors
 import socket
 import struct
 import sys
@@ -149,7 +150,7 @@ class Line:
                 raise Gone("the connection broke") from error
 
     def receive(self, idle: Callable[[], None]) -> bytes:
-        """The next whole message, calling ``idle`` (which may raise) while there is none.
+        """The next whole message, calling ``idle`` (which may raise, or receive itself) while there is none.
 
         Raises:
             FramingError: a length that no message has; nothing of it is read further.
@@ -171,6 +172,7 @@ class Line:
             except (TimeoutError, BlockingIOError):
                 self._rest = bytes(data)
                 idle()
+                data, self._rest = self._rest, b""
                 continue
             except OSError as error:
                 raise Gone("the connection broke") from error
@@ -184,6 +186,17 @@ class Line:
                 data += chunk
             else:
                 data = bytearray(data) + chunk
+
+    def ready(self, other: Line | None, seconds: float) -> tuple[bool, bool]:
+        """Wait until something can be received here or from ``other``; which of them."""
+        held = other is not None and bool(other._rest)
+        watched = [line._connection for line in (self, other) if line is not None]
+        with contextlib.suppress(OSError, ValueError), selectors.DefaultSelector() as selector:
+            for connection in watched:
+                selector.register(connection, selectors.EVENT_READ)
+            found = {key.fileobj for key, _ in selector.select(0.0 if held else seconds)}
+            return watched[0] in found, held or (watched[-1] in found and other is not None)
+        return True, other is not None
 
     def unread(self, message: bytes) -> None:
         """Give a message back: it is the next that is received."""

@@ -173,7 +173,7 @@ class Gate:
         line = connect(sumo, PATIENCE)
         turns = Turns(
             lambda idle: Link(line, idle), Policy(self._rules, own, tuple(hidden)), self._seat, self._deadline,
-            lambda: self._stopping, lambda: sumo.last_error,
+            lambda: self._stopping, sumo.why_ended,
         )  # fmt: skip
         with self._changed:
             self._turns, self._running = turns, True

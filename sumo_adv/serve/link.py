@@ -32,14 +32,28 @@ def connect(sumo: SumoProcess, timeout: float) -> Line:
     until = time.monotonic() + timeout
     while True:
         try:
-            return Line(socket.create_connection(("127.0.0.1", sumo.port), timeout), _LONGEST)
+            return Line(_dial(sumo.port, timeout), _LONGEST)
         except OSError as error:
             if not sumo.alive:
-                sumo.wait(1.0)
-                raise SimulationError(f"SUMO did not start ({sumo.last_error or 'it says nothing'}).") from error
+                raise SimulationError(f"SUMO did not start ({sumo.why_ended() or 'it says nothing'}).") from error
             if time.monotonic() > until:
                 raise SimulationError(f"SUMO did not listen within {timeout:g} s.") from error
         time.sleep(_RETRY)
+
+
+def _dial(port: int, timeout: float) -> socket.socket:
+    """A connection to a port of ours that nobody may listen on yet: the kernel could connect such a one to itself."""
+    dialling = socket.socket()
+    try:
+        dialling.bind(("127.0.0.1", 0))
+        if dialling.getsockname()[1] == port:
+            raise ConnectionRefusedError
+        dialling.settimeout(timeout)
+        dialling.connect(("127.0.0.1", port))
+    except OSError:
+        dialling.close()
+        raise
+    return dialling
 
 
 class SumoGone(SumoAdvError):
@@ -85,9 +99,21 @@ class Link:
         return self.ask(_STEP)
 
     def now(self) -> float:
-        """SUMO's time [s], once it is our turn; nan if it does not say."""
+        """SUMO's time [s]; nan if it does not say."""
         answer = self.ask(_TIME)
         return float(struct.unpack("!d", answer[-8:])[0]) if framing.accepted(answer) else math.nan
+
+    def await_turn(self, listen: Callable[[], Line | None], talk: Callable[[], None]) -> None:
+        """Wait until SUMO has come to us, calling ``talk`` whenever the line that ``listen`` names can be received."""
+        self._send(_TIME)
+        while True:
+            ours, theirs = self._line.ready(listen(), framing.SLICE)
+            if ours:
+                self._receive()
+                return
+            if theirs:
+                talk()
+            self._idle()
 
     def unsubscribe(self, command: Command) -> None:
         """End what a subscription began."""

@@ -17,6 +17,7 @@ from sumo_adv.errors import SimulationError, UsageError
 
 CLIENTS = 2
 KEPT_LINES = 50  # of what SUMO said last
+_REFUSALS = ("Answered with error to command", "Requested command not implemented")
 _LEASH = """\
 import ctypes, os, signal, sys
 ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)
@@ -101,9 +102,14 @@ class SumoProcess:
 
     @property
     def last_error(self) -> str:
-        """SUMO's last complaint, or nothing."""
+        """What SUMO complained of last, but for calls it refused; or nothing."""
         said = [line.removeprefix("Error: ") for line in list(self._said) if line.startswith("Error:")]
-        return said[-1][:300] if said else ""
+        return " ".join(line for line in said if not line.startswith(_REFUSALS))[-300:]
+
+    def why_ended(self) -> str:
+        """``last_error`` of a SUMO that is about to end."""
+        self.wait(1.0)
+        return self.last_error
 
     def wait(self, timeout: float) -> bool:
         """Whether it ended by itself within ``timeout`` seconds."""

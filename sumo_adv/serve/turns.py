@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 
 from sumo_adv.serve import framing
-from sumo_adv.serve.framing import Command, FramingError, Gone, make_command, make_message, make_status
+from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
 from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, step_until
@@ -15,6 +15,7 @@ from sumo_adv.serve.seat import Client, Interrupted, Late, Seat, errors
 from sumo_adv.serve.shapes import Misfit
 
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
+_WITHOUT_SUMO = {framing.GETVERSION, framing.SETORDER, framing.CLOSE}
 _RESTARTED = "The simulation was restarted: ask again."
 
 
@@ -73,23 +74,30 @@ class Turns:
             self._served, self._used = client, 0.0
         if client is None:
             self._stand_in()
-            return
-        at = f"The client at {client.peer}"
+        else:
+            self._guarded(client, self._converse)
+
+    def _converse(self, client: Client) -> None:
+        """One message of the client and its answer."""
+        commands = framing.split(self._listen(client))
+        client.send(self._answer_all(client, commands), self._deadline)
+        if commands[-1].number == framing.CLOSE:
+            self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} said close.")
+
+    def _guarded(self, client: Client, talk: Callable[[Client], None]) -> None:
+        """Talk with a client; one that fails at it loses its seat."""
         try:
-            commands = framing.split(self._listen(client))
-            answer = self._answer_all(client, commands)
-            client.send(answer, self._deadline)
-            if commands[-1].number == framing.CLOSE:
-                self._seat.leave(client, EventKind.CLOSED, f"{at} said close.")
+            talk(client)
         except Interrupted:
             return
         except Late:
             self._seat.leave(
                 client, EventKind.LATE,
-                f"{at} took more than {self._deadline:g} s for a turn; the simulation went on without it.",
+                f"The client at {client.peer} took more than {self._deadline:g} s for a turn; "
+                "the simulation went on without it.",
             )  # fmt: skip
         except (Gone, FramingError) as reason:
-            self._seat.leave(client, EventKind.LOST, f"{at} was lost: {reason}.")
+            self._seat.leave(client, EventKind.LOST, f"The client at {client.peer} was lost: {reason}.")
 
     def _stand_in(self) -> None:
         """Wait for our turn, and step unless a client has come meanwhile."""
@@ -100,9 +108,41 @@ class Turns:
             self._our_turn = False
 
     def _await_turn(self) -> None:
-        if not self._our_turn:
-            self._link.now()
-            self._our_turn = True
+        """Wait until it is our turn; a client hears meanwhile what needs no SUMO."""
+        if self._our_turn:
+            return
+        asked: Client | None = None  # has asked what must wait for SUMO
+
+        def listen() -> Line | None:
+            client = self._seat.client
+            return client.line if client is not None and client is not asked else None
+
+        def talk() -> None:
+            nonlocal asked
+            client = self._seat.client
+            if client is not None and not self._small_talk(client):
+                asked = client
+
+        self._link.await_turn(listen, talk)
+        self._our_turn = True
+
+    def _small_talk(self, client: Client) -> bool:
+        """Answer a message of commands that need no SUMO; False: its message needs it, and is still to be received."""
+        done = False
+
+        def talk(client: Client) -> None:
+            nonlocal done
+            try:
+                message = client.receive(framing.SLICE, self._interrupted)
+            except Late:
+                return  # half a message: the clock of its turn will tell
+            done = all(command.number in _WITHOUT_SUMO for command in framing.split(message))
+            client.line.unread(message)
+            if done:
+                self._converse(client)
+
+        self._guarded(client, talk)
+        return done
 
     def _listen(self, client: Client) -> bytes:
         """The client's next message; its clock runs while SUMO waits for it."""
