@@ -36,6 +36,7 @@ class Episode:
     cast: Cast | None = None  # None in a replay: nobody was asked
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
+    traceback: str = ""  # of a fault of ours
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
 

@@ -6,6 +6,7 @@ encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attem
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 from sumo_adv.agents.expert import REACHES, Expert
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
@@ -94,6 +95,7 @@ def run_episode(
             Ending.SIMULATION_FAILED,
             f"A fault of sumo_adv itself ({what}); please report it.",
         )
+        episode.traceback = traceback.format_exc()
     episode.timing["total"] = time.perf_counter() - began
     return episode
 
@@ -109,7 +111,7 @@ def _run(episode: Episode, engine: Engine, cast: Cast, bank: MemoryBank, tell: T
         return
     tell("intents", episode.intents)
     brain = Brain(engine, cast.sandbox, met.found, episode.settings.seed)
-    pursue(episode, met, entries, brain, cast, bank, tell)
+    pursue(episode, met, entries, brain if engine.at_once > 1 else OneByOne(brain), cast, bank, tell)
 
 
 def decide(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence[LibraryEntry] | None:

@@ -79,8 +79,8 @@ def _sentence(error: OSError, target: Path) -> SumoAdvError:
     return UsageError(f"The output folder {target} cannot be written ({error.strerror or error}); give another --out.")
 
 
-def write_run(folder: RunFolder, episode: Episode) -> dict[str, Any]:
-    """All files of the contract; gives back what ``outcome.json`` holds."""
+def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> dict[str, Any]:
+    """All files of the contract, the picture only with ``figure``; gives back what ``outcome.json`` holds."""
     stage = folder.stage
     inputs = _copy_inputs(episode, stage / "inputs")
     began = perf_counter()
@@ -93,7 +93,7 @@ def write_run(folder: RunFolder, episode: Episode) -> dict[str, Any]:
         _tables(stage, episode)
         if judged is not None:
             write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
-        if episode.best is not None:
+        if episode.best is not None and figure:
             _figure(stage / "encounter.png", episode)
     _json(stage / "outcome.json", result)
     return result

@@ -19,7 +19,7 @@ from typing import Any
 
 from sumo_adv.errors import SimulationError, SumoAdvError
 
-SLOTS = 2  # forks that run at once
+SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Answer = Callable[[Any], Any]
@@ -27,15 +27,17 @@ Body = Callable[[list[Connection]], dict[str, Callable[..., Any]]]
 
 
 class Engine:
-    """The front's handle. ``body`` (importable by name) makes the handlers inside the new process."""
+    """The front's handle. ``body`` (importable by name) makes the handlers inside the new process; ``slots`` forks run
+    at once in it."""
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: Body, slots: int = SLOTS) -> None:
+        self.at_once = slots
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
         self._control, control = context.Pipe()
-        pairs = [context.Pipe() for _ in range(SLOTS)]
+        pairs = [context.Pipe() for _ in range(slots)]
         self._slots = [p[0] for p in pairs]
         variables = {**QUIET_VARIABLES, "TMPDIR": self._folder.name}
         saved = {k: os.environ.get(k) for k in variables}
@@ -73,8 +75,12 @@ class Engine:
         except (EOFError, BrokenPipeError, ConnectionResetError) as error:
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
+    def said(self) -> str:
+        """What its process printed: SUMO's words, tracebacks."""
+        return self._log.read_text(errors="replace")
+
     def _last_words(self) -> str:
-        lines = [line for line in self._log.read_text(errors="replace").splitlines() if line.strip()]
+        lines = [line for line in self.said().splitlines() if line.strip()]
         errors = [line.removeprefix("Error: ") for line in lines if line.startswith("Error:")] or lines
         return f" ({errors[-1][:300]})" if errors else ""
 

@@ -1,0 +1,206 @@
+"""One batch from its plan to its table: what is missing is run, everything that finished is kept."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sqlite3
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any, Protocol
+
+from sumo_adv.batch.files import sentences, write_text
+from sumo_adv.batch.learning import teach
+from sumo_adv.batch.local import LocalWorkers, Pace, Stop
+from sumo_adv.batch.nouns import Done, Job, Learn, Parts, Row, Setup
+from sumo_adv.batch.pack import packed_texts
+from sumo_adv.batch.plan import Plan
+from sumo_adv.batch.results import LEARNT, failed, table_of, write_csv, write_parquet
+from sumo_adv.batch.store import TAUGHT, Store, open_store
+from sumo_adv.errors import BankError
+from sumo_adv.memory.bank import MemoryBank
+
+Told = Callable[[Job, Done], None]
+
+
+class Workers(Protocol):
+    """Whoever runs jobs."""
+
+    def run(self, jobs: Sequence[Job], told: Told) -> None:
+        """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
+        ...
+
+
+class Watcher(Protocol):
+    """Whoever shows how it goes on."""
+
+    def begin(self, total: int, before: Sequence[Row]) -> None:
+        """So many episodes, some of them finished ``before``."""
+        ...
+
+    def finished(self, job: Job, row: Row) -> None:
+        """One more."""
+        ...
+
+    def stopping(self, now: bool) -> None:
+        """Ctrl-C was pressed, for the first time or again."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Orders:
+    """How a batch is to be run. ``bank``: the user's; ``open_bank`` makes it where it is not there."""
+
+    out: Path
+    bank: Path
+    versions: Mapping[str, str]
+    pace: Pace
+    force: bool = False
+    retry_failed: bool = False
+    parquet: bool = False
+    ray: str | None = None
+
+
+@dataclass
+class Summary:
+    """What a batch came to. ``bytes``: of the ``measured`` episodes that were run now, inputs not counted."""
+
+    folder: Path
+    total: int
+    rows: Sequence[Row] = ()
+    ran: int = 0
+    stopped: bool = False
+    seconds: float = 0.0
+    bytes: int = 0
+    input_bytes: int = 0
+    learnt: int | None = None
+    bank_hash: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For ``--json``."""
+        counts = {"critical": sum(bool(r["critical"]) for r in self.rows), "failed": sum(map(failed, self.rows))}
+        return {
+            "folder": str(self.folder), "episodes": self.total, "finished": len(self.rows), "ran": self.ran, **counts,
+            "collided": sum(bool(r["collided"]) for r in self.rows), "valid": sum(bool(r["valid"]) for r in self.rows),
+            "stopped": self.stopped, "seconds": round(self.seconds, 2), "learnt": self.learnt,
+            "bytes_an_episode": round(self.bytes / self.ran) if self.ran else None, "input_bytes": self.input_bytes,
+            "bank_hash": self.bank_hash,
+        }  # fmt: skip
+
+
+def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Summary:
+    """Run what is missing of a plan, and write the table.
+
+    Raises:
+        UsageError: the folder holds another plan's results or cannot be written; SumoAdvError: no episode can be run,
+            or the disk is full. What finished is kept then, too.
+    """
+    began = time.perf_counter()
+    with open_store(orders.out, parts.staged) as (store, scratch):
+        asked = {**plan.as_dict(), "versions": dict(orders.versions)}
+        store.check(asked, force=orders.force)
+        summary = Summary(orders.out, len(plan.jobs))
+        with sentences(orders.out):
+            setup = _prepare(store, plan, asked, orders, parts, summary)
+        jobs = {job.id: job for job in plan.jobs}
+        rows = store.rows(jobs)
+        if orders.retry_failed:
+            store.forget_failed(rows)
+        watcher.begin(len(jobs), list(rows.values()))
+
+        def told(job: Job, done: Done) -> None:
+            assert done.row is not None
+            rows[job.id] = done.row
+            summary.ran += 1
+            summary.bytes += done.bytes
+            watcher.finished(job, done.row)
+
+        try:
+            with stopping(watcher) as stop:
+                missing = [job for job in plan.jobs if job.id not in rows]
+                for job in [job for job in missing if job.input.error]:
+                    told(job, store.fail(job, job.input.error, ""))
+                workers = _workers(setup, orders, scratch, store, stop)
+                workers.run([job for job in missing if not job.input.error], told)
+                summary.stopped = len(rows) < len(jobs)
+        finally:
+            summary.rows = table_of(plan.jobs, rows, plan.varied)
+            with sentences(orders.out):
+                _write_table(store, plan, summary.rows, parquet=orders.parquet)
+        if plan.learn is Learn.AFTER and not summary.stopped:
+            summary.learnt = _teach(store, plan, orders, rows)
+        summary.input_bytes = sum(p.stat().st_size for p in (store.folder / "inputs").glob("*"))
+    summary.seconds = time.perf_counter() - began
+    return summary
+
+
+def _prepare(
+    store: Store, plan: Plan, asked: Mapping[str, Any], orders: Orders, parts: Parts, summary: Summary
+) -> Setup:
+    """Snapshot and plan into the folder; what the workers need to know. Raises OSError, BankError."""
+    try:
+        store.snapshot(orders.bank)
+    except sqlite3.Error as error:
+        raise BankError(f"The memory bank {orders.bank} could not be copied ({error}).") from error
+    with MemoryBank.open(store.bank, read_only=True) as bank:
+        summary.bank_hash = bank.content_hash()
+    store.keep_plan({**asked, "bank_hash": summary.bank_hash})
+    place = orders.bank if plan.learn is Learn.DURING else store.bank
+    return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
+
+
+def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
+    return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
+
+
+def _write_table(store: Store, plan: Plan, table: Sequence[Row], *, parquet: bool) -> None:
+    varied = list(plan.varied[0])
+    write_csv(store.folder / "results.csv", table, varied)
+    if parquet:
+        write_parquet(store.folder / "results.parquet", table, varied)
+
+
+def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
+    """Write what was learnt into the bank, in the plan's order, once. Raises BankError."""
+    marker = store.folder / TAUGHT
+    if marker.exists():
+        return int(json.loads(marker.read_text(encoding="utf-8"))["written"])
+    packed = packed_texts(store.folder, LEARNT)
+
+    def texts() -> Iterator[str]:
+        for job in plan.jobs:
+            file = store.runs / job.id / LEARNT
+            if job.id in packed:
+                yield packed[job.id]
+            elif job.id in rows and file.exists():
+                yield file.read_text(encoding="utf-8")
+
+    with MemoryBank.open(orders.bank) as bank, sentences(orders.out):
+        written = teach(bank, texts())
+        write_text(marker, json.dumps({"written": written, "bank": str(orders.bank)}) + "\n")
+    return written
+
+
+@contextmanager
+def stopping(watcher: Watcher) -> Iterator[Stop]:
+    """Within it the first Ctrl-C asks to drain, the second to end at once."""
+    stop = Stop()
+
+    def press(number: int, frame: FrameType | None) -> None:
+        stop.drain, stop.now = True, stop.drain
+        watcher.stopping(stop.now)
+
+    try:
+        before = {s: signal.signal(s, press) for s in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not the main thread: nobody presses anything
+        yield stop
+        return
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,134 @@
+"""An engine that serves many episodes: each in a fork of a process that has imported everything and run nothing.
+
+So an episode finds what it finds in a new process, and starts in milliseconds. The fork answers the front itself; its
+parent waits, and answers in its place if it dies. Where there is no fork there is one episode a process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from types import TracebackType
+from typing import Any, Self
+
+from sumo_adv.errors import SimulationError
+from sumo_adv.world.engine import Engine, can_fork
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+class WarmEngine:
+    """One engine process for many episodes, made again where it must be."""
+
+    def __init__(self) -> None:
+        self._engine: Engine | None = None
+
+    @contextmanager
+    def episode(self) -> Iterator[Engine]:
+        """The engine for one episode. Raises SimulationError if it cannot be had."""
+        if self._engine is None:
+            self._engine = Engine(body, slots=1)
+        try:
+            self._engine.request("begin")
+            yield self._engine
+            self._engine.request("end")
+        except BaseException:
+            self.close()
+            raise
+        if not can_fork():
+            self.close()
+
+    def close(self) -> None:
+        """End the process; the next episode gets a new one."""
+        if self._engine is not None:
+            self._engine.close()
+            self._engine = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Nursery:
+    """The commands ``begin`` and ``end``, and those of the episode in between."""
+
+    def __init__(self, slots: list[Connection]) -> None:
+        self._slots = slots
+        self._handlers: dict[str, Callable[..., Any]] = {}
+        self._in_fork = False
+
+    def begin(self) -> None:
+        """Returns in a fork that serves one episode; and in its parent once that is over, in answer to the last
+        command. Raises SimulationError there if the fork did not end by itself."""
+        from sumo_adv.episode.worker import body as episode_body
+
+        if not can_fork():
+            self._handlers = episode_body(self._slots)
+            return
+        folder = tempfile.mkdtemp()
+        pid = os.fork()
+        if pid == 0:
+            self._in_fork = True
+            die_with_parent()
+            tempfile.tempdir = folder
+            self._handlers = episode_body(self._slots)
+            return
+        _, status = os.waitpid(pid, 0)
+        shutil.rmtree(folder, ignore_errors=True)
+        if status != 0:
+            raise SimulationError(
+                f"The simulation process ended unexpectedly ({how(os.waitstatus_to_exitcode(status))})."
+            )
+
+    def end(self) -> None:
+        """The fork is over; its parent answers."""
+        if self._in_fork:
+            sys.stdout.flush()
+            os._exit(0)
+
+    def command(self, name: str) -> Callable[..., Any]:
+        """The command of that name of the episode begun."""
+        return lambda *arguments: self._handlers[name](*arguments)
+
+
+COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts")
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The commands of the engine process."""
+    import libsumo  # noqa: F401 - what every episode needs is there before the first fork
+    import shapely.geometry  # noqa: F401
+
+    import sumo_adv.episode.worker  # noqa: F401
+
+    faulthandler.enable()
+    nursery = _Nursery(slots)
+    return {"begin": nursery.begin, "end": nursery.end, **{name: nursery.command(name) for name in COMMANDS}}
+
+
+def die_with_parent() -> None:
+    """On Linux: this process is killed as soon as its parent is gone."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def how(exitcode: int | None) -> str:
+    """An exit code for people."""
+    if exitcode is None or exitcode >= 0:
+        return f"exit status {exitcode}"
+    try:
+        return f"killed by {signal.Signals(-exitcode).name}"
+    except ValueError:
+        return f"killed by signal {-exitcode}"

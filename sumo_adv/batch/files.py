@@ -1,0 +1,67 @@
+"""Writing files whole or not at all, and saying why where that is not possible."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.errors import SumoAdvError, UsageError
+
+FULL = (errno.ENOSPC, errno.EDQUOT)
+REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM)
+
+
+class StorageError(SumoAdvError):
+    """The results cannot be written: no episode can."""
+
+
+def storage_error(error: OSError, place: Path) -> SumoAdvError:
+    """The error as a sentence about ``place``."""
+    if error.errno in FULL:
+        return StorageError(
+            f"There is no space left to write {place}; free some and say the same again: what finished is kept."
+        )
+    return UsageError(f"The results in {place} cannot be written ({error.strerror or error}); give another --out.")
+
+
+def is_storage_error(error: BaseException) -> bool:
+    """Whether it comes from a disk that is full or may not be written, directly or as its cause."""
+    cause = error if isinstance(error, OSError) else error.__cause__
+    return isinstance(cause, OSError) and cause.errno in (*FULL, *REFUSED)
+
+
+@contextmanager
+def sentences(place: Path) -> Iterator[None]:
+    """Within it, errors of the file system are raised as sentences about ``place``."""
+    try:
+        yield
+    except BrokenPipeError:  # whoever reads our output has gone
+        raise
+    except OSError as error:
+        raise storage_error(error, place) from error
+
+
+def write_whole(target: Path, write: Callable[[Path], Any]) -> None:
+    """``write`` fills a file beside ``target``, which then takes its place. Raises OSError; nothing half-written."""
+    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    os.close(handle)
+    part = Path(name)
+    try:
+        part.chmod(0o644)
+        write(part)
+        with part.open("rb+") as file:
+            os.fsync(file.fileno())
+        part.replace(target)
+    finally:
+        with suppress(FileNotFoundError):
+            part.unlink()
+
+
+def write_text(target: Path, text: str) -> None:
+    """A text file, whole or not at all. Raises OSError."""
+    write_whole(target, lambda part: part.write_text(text, encoding="utf-8"))

@@ -1,0 +1,241 @@
+"""The worker processes of one machine: spawned, watched, killed where they are stuck, replaced where they died."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import shutil
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.batch.engine import how
+from sumo_adv.batch.nouns import Done, Job, Setup
+from sumo_adv.errors import SumoAdvError
+from sumo_adv.world.engine import QUIET_VARIABLES
+
+TRIES = 2  # of an episode whose worker crashes or hangs, or whose simulation fails
+STARTS = 3  # workers in a row that may die before they are ready
+START_SECONDS = 120.0
+TICK = 0.25  # s between looks at deadlines and at Ctrl-C
+LAST_WORDS = 20_000  # characters of a dead worker's output that are kept
+
+
+@dataclass
+class Stop:
+    """What Ctrl-C asks for: ``drain`` = begin nothing more, ``now`` = end what runs."""
+
+    drain: bool = False
+    now: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How work is done. ``deadline`` [s] of an episode; ``recycle``: episodes after which a worker is replaced."""
+
+    workers: int
+    deadline: float
+    recycle: int
+
+
+@dataclass
+class _Slot:
+    """One worker process and the episode it has."""
+
+    process: Any
+    connection: Connection
+    folder: Path
+    until: float
+    ready: bool = False
+    job: Job | None = None
+    ran: int = 0
+
+    @property
+    def words(self) -> str:
+        """What it printed last."""
+        try:
+            return (self.folder / "log").read_text(errors="replace")[-LAST_WORDS:]
+        except OSError:
+            return ""
+
+    def kill(self) -> None:
+        """End it with everything it started."""
+        try:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        except (OSError, AttributeError):  # it has no group of its own yet, or this system knows none
+            self.process.kill()
+        self.process.join()
+        self.connection.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+@dataclass
+class LocalWorkers:
+    """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text)."""
+
+    setup: Setup
+    pace: Pace
+    scratch: Path
+    fail: Callable[[Job, str, str], Done]
+    stop: Stop
+    _slots: list[_Slot] = field(default_factory=list)
+    _tried: dict[str, int] = field(default_factory=dict)
+    _again: deque[Job] = field(default_factory=deque)
+    _died: int = 0
+    _made: int = 0
+
+    def run(self, jobs: Iterable[Job], told: Callable[[Job, Done], None]) -> None:
+        """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError."""
+        waiting = deque(jobs)
+        try:
+            while not self.stop.now:
+                self._staff(len(waiting) + len(self._again))
+                self._assign(waiting)
+                if not any(s.job for s in self._slots) and (self.stop.drain or not (waiting or self._again)):
+                    break
+                self._listen(told)
+                self._watch(told)
+        finally:
+            for slot in self._slots:
+                slot.kill()
+            self._slots.clear()
+
+    def _staff(self, waiting: int) -> None:
+        busy = sum(s.job is not None for s in self._slots)
+        wanted = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
+        while len(self._slots) < wanted:
+            self._slots.append(self._start())
+
+    def _start(self) -> _Slot:
+        context = multiprocessing.get_context("spawn")
+        self._made += 1
+        folder = self.scratch / f"worker-{self._made}"
+        folder.mkdir()
+        ours, theirs = context.Pipe()
+        variables = {**QUIET_VARIABLES, "TMPDIR": str(folder)}
+        saved = {name: os.environ.get(name) for name in variables}
+        os.environ.update(variables)
+        try:
+            process = context.Process(target=_work, args=(theirs, self.setup, folder / "log"))
+            process.start()
+        finally:
+            for name, value in saved.items():
+                os.environ.pop(name) if value is None else os.environ.update({name: value})
+        theirs.close()
+        return _Slot(process, ours, folder, time.monotonic() + START_SECONDS)
+
+    def _assign(self, waiting: deque[Job]) -> None:
+        for slot in self._slots:
+            if self.stop.drain or not (waiting or self._again):
+                return
+            if slot.ready and slot.job is None:
+                slot.job = self._again.popleft() if self._again else waiting.popleft()
+                slot.until = time.monotonic() + self.pace.deadline
+                with suppress(OSError):  # it may have died: found by ``_listen``
+                    slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == TRIES))
+
+    def _listen(self, told: Callable[[Job, Done], None]) -> None:
+        by_handle = {s.connection: s for s in self._slots}
+        for ready in wait(list(by_handle), timeout=TICK):
+            slot = by_handle[ready]  # type: ignore[index]
+            try:
+                self._hear(slot, slot.connection.recv(), told)
+            except (EOFError, OSError):
+                slot.process.join(1.0)
+                self._lose(slot, f"its worker process ended ({how(slot.process.exitcode)})", told)
+
+    def _hear(self, slot: _Slot, said: Any, told: Callable[[Job, Done], None]) -> None:
+        if isinstance(said, SumoAdvError):
+            raise said
+        if said == "ready":
+            slot.ready, self._died = True, 0
+            return
+        assert isinstance(said, Done) and slot.job is not None
+        job, slot.job = slot.job, None
+        slot.ran += 1
+        if said.again:
+            self._retry(job, said.again, said.text, told)
+        else:
+            self._tried.pop(job.id, None)
+            told(job, said)
+        if slot.ran >= self.pace.recycle:
+            self._dismiss(slot)
+
+    def _watch(self, told: Callable[[Job, Done], None]) -> None:
+        now = time.monotonic()
+        for slot in list(self._slots):
+            if now > slot.until and (slot.job is not None or not slot.ready):
+                self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told)
+
+    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None]) -> None:
+        """A worker died, or has to."""
+        text, job = slot.words, slot.job
+        self._dismiss(slot)
+        if job is not None:
+            self._retry(job, why, text, told)
+        elif not slot.ready:
+            self._died += 1
+            if self._died >= STARTS:
+                last = next((line for line in reversed(text.splitlines()) if line.strip()), "they said nothing")
+                raise SumoAdvError(f"The worker processes do not start ({last.strip()[:300]}).")
+
+    def _retry(self, job: Job, why: str, text: str, told: Callable[[Job, Done], None]) -> None:
+        self._tried[job.id] = self._tried.get(job.id, 0) + 1
+        if self._tried[job.id] < TRIES:
+            self._again.append(job)
+        else:
+            told(job, self.fail(job, f"It failed {TRIES} times: {why}.", text))
+
+    def _dismiss(self, slot: _Slot) -> None:
+        self._slots.remove(slot)
+        slot.kill()
+
+
+def _work(connection: Connection, setup: Setup, log: Path) -> None:
+    """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
+    import faulthandler
+    import sys
+
+    _alone()
+    words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(words, 1)
+    os.dup2(words, 2)
+    faulthandler.enable()
+    from sumo_adv.batch.worker import Runner
+
+    try:
+        with Runner(setup) as runner:
+            connection.send("ready")
+            while True:
+                job, last = connection.recv()
+                connection.send(runner.run(job, last=last))
+    except EOFError:
+        return
+    except SumoAdvError as error:
+        sys.stderr.flush()
+        connection.send(SumoAdvError(str(error)))
+
+
+def _alone() -> None:
+    """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on."""
+    import threading
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()
+
+    def watch() -> None:
+        assert parent is not None
+        wait([parent.sentinel])
+        if hasattr(os, "killpg"):
+            os.killpg(os.getpgrp(), signal.SIGKILL)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()

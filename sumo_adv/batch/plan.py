@@ -1,0 +1,222 @@
+"""The plan of a batch: lists whose product are the episodes, each with an id made of its content.
+
+    schema = 1
+    inputs = ["scenarios/*.toml", "motorway", "records.tfrecord"]   # files, patterns, folders, shipped names
+    records = [0, "19a486cd29abd7a7"]     # only these of files of Waymo records
+    seeds = 10                            # 0 to 9, or a list
+    egos = ["idm", "careful"]             # else as the scenario says
+    learn = "off"                         # off | after | during
+    memory = "bank.sqlite"                # the bank, else the user's
+    figures = false                       # draw encounter.png
+    [settings]                            # of every episode, as in a file of settings
+    [vary]                                # settings with lists: one more dimension each
+
+Relative paths count from the plan's folder. The order of the rows is: inputs, egos, variants, seeds, the last fastest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from sumo_adv.batch.inputs import find_inputs
+from sumo_adv.batch.nouns import Input, Job, Learn, Parts
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.errors import UsageError
+
+SCHEMA = 1
+ID_DIGITS = 16
+OWN_KEYS = {"ego": "egos", "seed": "seeds", "learn": "learn", "memory": "memory"}
+Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+
+class PlanFile(BaseModel):
+    """The file, checked for its form."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    inputs: Annotated[tuple[str, ...], Field(min_length=1)]
+    records: tuple[int | str, ...] = ()
+    seeds: Annotated[int, Field(ge=1, le=10_000_000)] | Annotated[tuple[Seed, ...], Field(min_length=1)] | None = None
+    egos: tuple[str, ...] = ()
+    learn: Learn = Learn.OFF
+    memory: Path | None = None
+    figures: bool = False
+    settings: dict[str, Any] = Field(default_factory=dict)
+    vary: dict[str, Annotated[list[Any], Field(min_length=1)]] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Lists whose product are the episodes. ``variants``: settings as data; ``varied``: what tells them apart."""
+
+    inputs: Sequence[Input]
+    egos: Sequence[str | None]
+    seeds: Sequence[int]
+    variants: Sequence[Mapping[str, Any]]
+    varied: Sequence[Mapping[str, Any]]
+    learn: Learn
+    memory: Path | None
+    figures: bool
+
+    @cached_property
+    def jobs(self) -> list[Job]:
+        """The episodes in order; of equal ones (the same content twice) only the first."""
+        return list({job.id: job for job in reversed(list(self._product()))}.values())[::-1]
+
+    @property
+    def size(self) -> int:
+        """How many episodes the product has, equal ones counted."""
+        return len(self.inputs) * len(self.egos) * len(self.variants) * len(self.seeds)
+
+    def _product(self) -> Iterator[Job]:
+        shaped = [json.dumps(v, sort_keys=True) for v in self.variants]
+        for given, ego, k, seed in itertools.product(self.inputs, self.egos, range(len(shaped)), self.seeds):
+            yield Job(_id(given.content, ego, seed, shaped[k]), given, ego, seed, k)
+
+    def as_dict(self) -> dict[str, Any]:
+        """What a folder of results remembers of its plan, and what two plans are compared by."""
+        return {
+            "schema": SCHEMA,
+            "inputs": [{"name": i.name, "content": i.content, "broken": i.error} for i in self.inputs],
+            "egos": list(self.egos), "seeds": list(self.seeds), "settings": list(self.variants),
+            "learn": str(self.learn), "memory": None if self.memory is None else str(self.memory.absolute()),
+        }  # fmt: skip
+
+
+def _id(content: str, ego: str | None, seed: int, settings: str) -> str:
+    text = json.dumps([content, ego, seed, settings])
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """The TOML table of a plan, with its paths counted from its folder. Raises UsageError."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"The plan {path} cannot be read: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"The plan {path} is not valid TOML: {error}.") from error
+    if isinstance(table.get("memory"), str):
+        table["memory"] = str(path.parent / table["memory"])
+    return table
+
+
+def is_plan(path: Path) -> bool:
+    """Whether a file is a plan and no scenario: TOML with the key ``inputs``."""
+    if not path.name.lower().endswith(".toml") or not path.is_file():
+        return False
+    try:
+        return "network" not in tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return True  # its error is told as a plan's
+
+
+def make_plan(
+    table: Mapping[str, Any], folder: Path, said: str, parts: Parts, settings_file: Path | None = None
+) -> Plan:
+    """A plan from its table; ``folder``: where relative inputs are looked for; ``said``: what to call it in errors.
+
+    Raises UsageError: unknown keys, bad values, settings that do not exist, nothing to run.
+    """
+    try:
+        file = PlanFile.model_validate(table)
+    except ValidationError as error:
+        raise UsageError(_sentence(said, error)) from error
+    for key in (*file.settings, *file.vary):
+        if key in OWN_KEYS:
+            raise UsageError(f"{said} has '{key}' among its settings; a plan says it as '{OWN_KEYS[key]}'.")
+    for key in file.vary:
+        if key in file.settings:
+            raise UsageError(f"{said} has '{key}' both in [settings] and in [vary]; keep one.")
+    varied = [dict(zip(file.vary, values, strict=True)) for values in itertools.product(*file.vary.values())]
+    loaded = [load_settings(settings_file, **file.settings, **each) for each in varied]
+    first = loaded[0]
+    given = first.model_fields_set
+    seeds = file.seeds if file.seeds is not None else (first.seed,)
+    egos: Sequence[str | None] = file.egos or ((first.ego,) if "ego" in given else (None,))
+    memory = file.memory or first.memory
+    inputs = find_inputs(file.inputs, folder, [str(r) for r in file.records], parts)
+    return Plan(
+        inputs, tuple(egos), tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds),
+        [_as_data(s) for s in loaded], varied, file.learn, memory, file.figures,
+    )  # fmt: skip
+
+
+def _as_data(settings: Settings) -> dict[str, Any]:
+    """Everything that shapes an episode but input, seed and ego; the horizon only if it was given, else the input's
+    counts. The key of a model's server is not in it."""
+    data = settings.model_dump(mode="json", exclude={"memory", "learn", "seed", "ego"})
+    if "horizon" not in settings.model_fields_set:
+        del data["horizon"]
+    return data
+
+
+def _sentence(said: str, error: ValidationError) -> str:
+    detail = error.errors()[0]
+    key = ".".join(str(p) for p in detail["loc"] if isinstance(p, int) or not p.startswith(("constrained", "tuple[")))
+    if detail["type"] == "extra_forbidden":
+        known = ", ".join(info.alias or name for name, info in PlanFile.model_fields.items())
+        return f"{said} has an unknown key '{key}'; known keys are {known}."
+    if detail["type"] == "missing":
+        return f"{said} lacks the key '{key}'."
+    return f"{said} has a bad '{key}': {detail['msg'][:1].lower()}{detail['msg'][1:]}."
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """What tells two plans apart, in words: which episodes there are, and what all depend on; empty for the same plan.
+    An input that was broken and is not any more makes no difference."""
+    found = _inputs_differ(before["inputs"], now["inputs"])
+    for key in ("egos", "seeds"):
+        if before[key] != now[key]:
+            found.append(f"{key} were {_few(before[key])}, are {_few(now[key])}")
+    if before["settings"] != now["settings"]:
+        found.append(_settings_differ(before["settings"], now["settings"]))
+    common = [
+        f"{key}: {_plain(before.get(key))} then, {_plain(now.get(key))} now"
+        for key in ("learn", "memory", "versions")
+        if before.get(key) != now.get(key)
+    ]
+    return found, common
+
+
+def _inputs_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> list[str]:
+    mended = {i["name"].split("[")[0] for i in before if i["broken"]}
+    old = {i["content"]: i["name"] for i in before if not i["broken"]}
+    new = {i["content"]: i["name"] for i in now if i["name"].split("[")[0] not in mended or i["content"] in old}
+    gone = [n for c, n in old.items() if c not in new]
+    come = [n for c, n in new.items() if c not in old]
+    both = [n for n in gone if n in come]
+    words = (
+        ("changed", both),
+        ("no longer there", [n for n in gone if n not in both]),
+        ("new", [n for n in come if n not in both]),
+    )
+    return [f"inputs {what}: {_few(names)}" for what, names in words if names]
+
+
+def _settings_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> str:
+    if len(before) != len(now):
+        return f"there were {len(before)} variants of the settings, are {len(now)}"
+    pairs = zip(before, now, strict=True)
+    keys = sorted({k for a, b in pairs for k in {*a, *b} if a.get(k) != b.get(k)})
+    return f"settings changed: {_few(keys)}"
+
+
+def _few(values: Sequence[Any]) -> str:
+    shown = ", ".join("as the input says" if v is None else str(v) for v in values[:5])
+    return shown + (f" and {len(values) - 5} more" if len(values) > 5 else "")
+
+
+def _plain(value: Any) -> str:
+    return ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else str(value)

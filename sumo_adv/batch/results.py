@@ -1,0 +1,121 @@
+"""From the folders of runs to one table: a row an episode, failures included, in the plan's order."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.batch.files import write_whole
+from sumo_adv.batch.nouns import Job, Row
+from sumo_adv.datatypes import ENDING_SENTENCES, Ending
+from sumo_adv.errors import UsageError
+
+OUTCOME, TRACEBACK, LEARNT = "outcome.json", "traceback.txt", "learnt.json"
+SCHEMA = 1
+COLUMNS = (
+    "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
+    "attempts", "seconds", "failure", "traceback",
+)  # fmt: skip
+"""Of the table; settings that vary come behind them. Times in s, an empty min_ttc is never, an empty valid is no
+collision."""
+
+
+def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
+    """The row of an episode whose folder is called ``name``, from its ``outcome.json``."""
+    best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
+    failure = outcome.get("failure") or ""
+    if not failure and outcome["ending"] in FAILED:
+        failure = str(outcome["reason"])
+    return {
+        "id": name, "network": outcome["network"], "seed": outcome["seed"], "ego": outcome["ego"]["controller"],
+        "intent": intent.get("label"), "raw_min_ttc": raw.get("min_ttc"), "min_ttc": best.get("min_ttc"),
+        "collided": best.get("collided"), "valid": best.get("valid"), "critical": best.get("critical"),
+        "ending": outcome["ending"], "attempts": len(outcome["attempts"]),
+        "seconds": (outcome["timing"] or {}).get("total"), "failure": failure,
+        "traceback": f"runs/{name}/{TRACEBACK}" if traceback else None,
+    }  # fmt: skip
+
+
+FAILED = {
+    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+    Ending.INTERRUPTED,
+}  # fmt: skip
+
+
+def failed(row: Row) -> bool:
+    """Whether the episode failed: it stays in the table, and in every denominator."""
+    return row["ending"] in FAILED
+
+
+def read_row(folder: Path) -> Row | None:
+    """The row of a run's folder; None if there is none, or it is damaged."""
+    try:
+        outcome = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
+        return row_of(folder.name, outcome, (folder / TRACEBACK).exists())
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def write_failure(stage: Path, job: Job, failure: str, text: str, seconds: float | None = None) -> Row:
+    """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
+    outcome = {
+        "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
+        "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
+        "seed": job.seed, "ego": {"id": None, "controller": job.ego}, "adversaries": [], "trigger_time": None,
+        "encounter": None, "agents": None, "intent": None, "intents": [], "raw": None, "attempts": [], "best": None,
+        "outcome": None, "realism": {}, "timing": {"total": seconds}, "llm": None, "notes": [], "failure": failure,
+    }  # fmt: skip
+    (stage / TRACEBACK).write_text(text or f"{failure}\n", encoding="utf-8")
+    (stage / OUTCOME).write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    return row_of(job.id, outcome, True)
+
+
+def table_of(jobs: Sequence[Job], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows there are, in the plan's order, with the settings that vary."""
+    return [{**rows[job.id], **varied[job.variant]} for job in jobs if job.id in rows]
+
+
+def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence[str]) -> None:
+    """``results.csv``, whole or not at all. Raises OSError."""
+
+    def write(part: Path) -> None:
+        with part.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, [*COLUMNS, *varied], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows({key: _cell(value) for key, value in row.items()} for row in table)
+
+    write_whole(target, write)
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return json.dumps(value) if isinstance(value, list | dict) else value
+
+
+def check_parquet() -> None:
+    """Raises UsageError where Parquet cannot be written."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise UsageError("Parquet needs pyarrow, which is not installed: pip install 'sumo-adv[batch]'.") from error
+
+
+def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> None:
+    """The same table as Parquet, typed, whole or not at all. Raises OSError, UsageError without pyarrow."""
+    check_parquet()
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    text, number, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+    kinds = {
+        "raw_min_ttc": number, "min_ttc": number, "seconds": number, "seed": whole, "attempts": whole,
+        "collided": truth, "valid": truth, "critical": truth,
+    }  # fmt: skip
+    columns = {name: [row[name] for row in table] for name in COLUMNS}
+    columns |= {name: [str(_cell(row[name])) for row in table] for name in varied}
+    arrays = {name: pa.array(values, kinds.get(name, text)) for name, values in columns.items()}
+    write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

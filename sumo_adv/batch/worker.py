@@ -1,0 +1,166 @@
+"""Runs episodes one after another in one process: sandbox, engine and imports stay warm, and nothing else of one
+episode is there for the next."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import traceback
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from sumo_adv.batch.engine import WarmEngine
+from sumo_adv.batch.files import FULL, StorageError, is_storage_error
+from sumo_adv.batch.learning import Collector, as_text
+from sumo_adv.batch.nouns import Done, Job, Learn, Row, Setup
+from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import Ending
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import make_task, run_episode
+from sumo_adv.errors import BankError, SumoAdvError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.inputs import RunInput
+
+KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
+
+
+class Runner:
+    """Holds what stays warm; a context manager. Raises BankError if the bank cannot be opened."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup, self._parts = setup, setup.parts
+        self._engine = WarmEngine()
+        self._sandboxes: dict[bool, Sandbox] = {}
+        self._banks: dict[str, MemoryBank] = {}
+        for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
+            del os.environ[name]  # the plan has its settings from there already
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with ExitStack() as stack:
+            for bank in self._banks.values():
+                stack.callback(bank.close)
+            for sandbox in self._sandboxes.values():
+                stack.callback(sandbox.close)
+            stack.callback(self._engine.close)
+
+    def run(self, job: Job, *, last: bool) -> Done:
+        """One episode, and its folder in its place. Unless this is the ``last`` try, one whose simulation failed is not
+        kept.
+
+        Raises:
+            StorageError, UsageError, BankError: no episode can be run or written.
+        """
+        try:
+            return self._run(job, last=last)
+        except (StorageError, BankError):
+            raise
+        except Exception as error:
+            if is_storage_error(error):
+                raise
+            said = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
+            return self._failure(job, said, traceback.format_exc())
+
+    def _run(self, job: Job, *, last: bool) -> Done:
+        given = self._parts.load(job.input.source, job.input.record)
+        settings = self.settings(job, given)
+        with (
+            tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+            self._parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder,
+        ):
+            task = make_task(given, settings, Path(scratch))
+            bank = self._bank(settings)
+            with (
+                self._parts.cast_of(settings, self._sandbox(settings), folder.stage / self._parts.model_file) as cast,
+                self._engine.episode() as engine,
+            ):
+                episode = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)
+                said = engine.said() if episode.ending is Ending.SIMULATION_FAILED else ""
+            if episode.ending is Ending.SIMULATION_FAILED:
+                self._engine.close()
+                if not last:
+                    return Done(job.id, None, again=episode.reason, text=episode.traceback or said)
+            result = self._parts.write_run(folder, episode, figure=self._setup.figures)
+            row, size = self._finished(job, folder.stage, episode, result, bank, said)
+            folder.keep(force=True)
+        return Done(job.id, row, size)
+
+    def settings(self, job: Job, given: RunInput) -> Settings:
+        """The settings of an episode: the plan's, and where it says nothing the input's."""
+        variant: Mapping[str, Any] = {"horizon": given.horizon, **self._setup.variants[job.variant]}
+        return load_settings(
+            None, **{
+                **variant, "ego": job.ego or given.ego_controller, "seed": job.seed, "memory": self._setup.bank,
+                "learn": "off" if self._setup.learn is Learn.OFF else "on",
+            },
+        )  # fmt: skip
+
+    def _sandbox(self, settings: Settings) -> Sandbox:
+        wall = settings.bubblewrap
+        if wall not in self._sandboxes:
+            self._sandboxes[wall] = Sandbox(bubblewrap=None if wall else False)
+        return self._sandboxes[wall]
+
+    def _bank(self, settings: Settings) -> MemoryBank:
+        """The bank with the metric of the settings, as it is to be seen by this episode."""
+        learn = self._setup.learn
+        if settings.metric not in self._banks:
+            kind = Collector if learn is Learn.AFTER else MemoryBank
+            bank = kind.open(
+                self._setup.bank, read_only=learn is not Learn.DURING, similarity=self._parts.similarity(settings)
+            )
+            bank.epsilon()
+            self._banks[settings.metric] = bank
+        elif learn is Learn.DURING:
+            self._banks[settings.metric].refresh()
+        bank = self._banks[settings.metric]
+        if isinstance(bank, Collector):
+            bank.lessons = []
+        return bank
+
+    def _finished(
+        self, job: Job, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, said: str
+    ) -> tuple[Row, int]:
+        """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
+        shared."""
+        if isinstance(bank, Collector) and bank.lessons:
+            (stage / LEARNT).write_text(as_text(bank.lessons), encoding="utf-8")
+        text = episode.traceback or said
+        if text:
+            (stage / TRACEBACK).write_text(text, encoding="utf-8")
+        size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())
+        share(stage / "inputs", self._setup.runs.parent / "inputs")
+        return row_of(job.id, result, bool(text)), size
+
+    def _failure(self, job: Job, failure: str, text: str) -> Done:
+        with self._parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder:
+            row = write_failure(folder.stage, job, failure, text)
+            folder.keep(force=True)
+        return Done(job.id, row)
+
+
+def share(folder: Path, shared: Path) -> None:
+    """Make the files of ``folder``, whose names begin with a hash of their content, links to equal ones in ``shared``;
+    where a file system knows no links they stay as they are."""
+    try:
+        shared.mkdir(exist_ok=True)
+        for file in folder.iterdir():
+            kept = shared / file.name
+            try:
+                os.link(file, kept)
+            except FileExistsError:
+                linked = file.with_name(f".{file.name}")
+                os.link(kept, linked)
+                linked.replace(file)
+    except OSError as error:
+        if error.errno in FULL:
+            raise

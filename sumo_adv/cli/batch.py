@@ -1,0 +1,257 @@
+"""``batch``: many episodes, on every core, resumed where they stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.batch.campaign import Orders, Summary
+    from sumo_adv.batch.nouns import Learn
+    from sumo_adv.batch.plan import Plan
+else:
+    from sumo_adv.batch.nouns import Learn
+
+EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
+
+
+class _DefaultGroup(TyperGroup):
+    """``batch PLAN`` is ``batch run PLAN``; only the other commands are named."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put in the command that goes without saying."""
+        if not args or args[0] not in self.commands:
+            args = ["run", *args]
+        return super().parse_args(ctx, args)
+
+
+app = typer.Typer(
+    cls=_DefaultGroup, add_completion=False, pretty_exceptions_enable=False,
+    help="Run many episodes: inputs x egos x settings x seeds. See also: batch pack, batch unpack.",
+)  # fmt: skip
+
+
+@app.command("run", epilog=EXAMPLE)
+def batch(
+    given: Annotated[
+        list[str],
+        typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, scenarios, records, folders."),
+    ],
+    seeds: Annotated[str | None, typer.Option(help="How many, from 0; or a list: 3,7,11 (default: 1).")] = None,
+    egos: Annotated[str | None, typer.Option(help="krauss,idm,module:Class ... (default: the input's).")] = None,
+    records: Annotated[str | None, typer.Option(help="Of .tfrecord files: ids or places (default: all).")] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of every episode; repeatable.")
+    ] = None,
+    learn: Annotated[
+        Learn | None, typer.Option(help="Into the bank: off, after (all, in order), during (rows depend on order).")
+    ] = None,
+    memory: Annotated[Path | None, typer.Option(help="Memory bank; episodes read a snapshot of it.")] = None,
+    figures: Annotated[bool | None, typer.Option(help="Draw encounter.png for each run.")] = None,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of results (default: runs/<plan>).")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
+    deadline: Annotated[float, typer.Option(min=1, help="Seconds after which an episode is stuck.")] = 600.0,
+    recycle: Annotated[int, typer.Option(min=1, help="Episodes after which a worker is replaced.")] = 200,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write results.parquet as well.")] = False,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the episodes and run none.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Go on in a folder of another plan.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Run every input with every ego and every seed; the same command again does what is missing.
+
+    Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
+    """
+    from sumo_adv.batch.plan import is_plan, make_plan, read_plan
+    from sumo_adv.cli.batch_parts import batch_parts
+
+    if parquet:
+        from sumo_adv.batch.results import check_parquet
+
+        check_parquet()
+    first = Path(given[0])
+    planned = len(given) == 1 and is_plan(first)
+    table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
+    table |= _overrides(seeds, egos, records, learn, memory, figures)
+    table["settings"] = {**_table(table, "settings"), **_settings(setting or [])}
+    said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
+    plan = make_plan(table, folder, said, batch_parts(), settings_file)
+    target = out or Path("runs") / (first.stem if planned else "batch")
+    if dry_run:
+        _show(plan, target, as_json=as_json)
+        return
+    _run(plan, _orders(plan, target, workers, deadline, recycle, force, retry_failed, parquet), as_json=as_json)
+
+
+def _overrides(
+    seeds: str | None, egos: str | None, records: str | None, learn: Learn | None, memory: Path | None,
+    figures: bool | None,
+) -> dict[str, Any]:  # fmt: skip
+    """What the command line says in a plan's words."""
+    found: dict[str, Any] = {
+        "seeds": None if seeds is None else _seeds(seeds), "egos": _words(egos), "records": _words(records),
+        "learn": learn, "memory": memory, "figures": figures,
+    }  # fmt: skip
+    return {key: value for key, value in found.items() if value is not None}
+
+
+def _words(text: str | None) -> list[str] | None:
+    return None if text is None else [w.strip() for w in text.split(",") if w.strip()]
+
+
+def _seeds(text: str) -> int | list[int]:
+    words = text.split(",")
+    if not all(w.strip().isascii() and w.strip().isdigit() for w in words):
+        raise UsageError(f"--seeds takes a number of seeds or a list such as 3,7,11, not '{text}'.")
+    return int(words[0]) if len(words) == 1 else [int(w) for w in words]
+
+
+def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
+    value = table.get(key, {})
+    if not isinstance(value, dict):
+        raise UsageError(f"'{key}' of a plan is a table of settings: write [{key}].")
+    return value
+
+
+def _settings(given: list[str]) -> dict[str, Any]:
+    """``--set`` as data: a value is what TOML makes of it, else text."""
+    found: dict[str, Any] = {}
+    for each in given:
+        name, equals, value = each.partition("=")
+        if not equals or not name.strip():
+            raise UsageError(f"--set takes NAME=VALUE, such as attempts=5, not '{each}'.")
+        try:
+            found[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[name.strip()] = value.strip()
+    return found
+
+
+def _orders(
+    plan: Plan, out: Path, workers: int | None, deadline: float, recycle: int, force: bool, retry_failed: bool,
+    parquet: bool,
+) -> Orders:  # fmt: skip
+    from sumo_adv.batch.campaign import Orders
+    from sumo_adv.batch.local import Pace
+    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.report.outcome import versions
+
+    bank = plan.memory or default_bank_path()
+    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
+    return Orders(out, bank, versions(), pace, force, retry_failed, parquet)
+
+
+def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
+    """The episodes of a plan."""
+    jobs = plan.jobs
+    rows = [
+        {
+            "id": job.id, "input": job.input.name, "ego": job.ego, "seed": job.seed, **plan.varied[job.variant],
+            "broken": job.input.error or None,
+        }
+        for job in jobs
+    ]  # fmt: skip
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), "learn": str(plan.learn), "episodes": rows}))
+        return
+    for row in rows:
+        more = " ".join(f"{k}={v}" for k, v in row.items() if k not in ("id", "input", "ego", "seed", "broken"))
+        broken = f"  cannot be run: {row['broken']}" if row["broken"] else ""
+        line = f"{row['id']}  {row['input']}  {row['ego'] or '-'}  seed {row['seed']}  {more}"
+        typer.echo(f"{line.rstrip()}{broken}")
+    twice = f", {plan.size - len(jobs)} of the same content left out" if plan.size > len(jobs) else ""
+    typer.echo(f"{len(jobs)} episodes{twice}, into {out}.")
+
+
+def _run(plan: Plan, orders: Orders, *, as_json: bool) -> None:
+    from sumo_adv.batch.campaign import run_batch
+    from sumo_adv.cli.batch_parts import batch_parts
+    from sumo_adv.cli.batch_progress import Quiet, make_watcher
+    from sumo_adv.cli.memory_common import open_bank
+
+    if plan.learn == "during" and not as_json:
+        typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
+    open_bank(orders.bank, make=True).close()
+    with Quiet() if as_json else make_watcher() as watcher:
+        summary = run_batch(plan, orders, batch_parts(), watcher)
+    typer.echo(json.dumps(summary.as_dict()) if as_json else _words_of(summary))
+    if summary.stopped:
+        typer.echo("sumo-adv: stopped; the same command again does the rest.", err=True)
+    if summary.stopped or (summary.rows and all(r["failure"] for r in summary.rows)):
+        raise typer.Exit(1)
+
+
+def _words_of(summary: Summary) -> str:
+    """The summary for people."""
+    s = summary.as_dict()
+    lines = [
+        f"{s['finished']} of {s['episodes']} episodes: {s['critical']} critical, {s['collided']} collided, "
+        f"{s['valid']} valid, {s['failed']} failed."
+    ]
+    if summary.ran:
+        size = f"{s['bytes_an_episode'] / 1000:.0f} kB an episode, {s['input_bytes'] / 1000:.0f} kB of inputs"
+        lines.append(f"{summary.ran} run now in {s['seconds']:.0f} s; {size}.")
+    if summary.learnt is not None:
+        lines.append(f"{summary.learnt} pieces of evidence went into the memory bank.")
+    lines.append(f"Files: {summary.folder / 'results.csv'}")
+    return "\n".join(lines)
+
+
+@app.command("pack", epilog="Example: sumo-adv batch pack runs/plan")
+def pack(
+    folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
+    most: Annotated[int, typer.Option(min=1, help="Runs in a file.")] = 1000,
+    as_json: Json = False,
+) -> None:
+    """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
+    from dataclasses import asdict
+
+    from sumo_adv.batch.pack import pack as pack_runs
+    from sumo_adv.batch.store import open_store
+    from sumo_adv.report.folder import staged
+
+    _check(folder)
+    with open_store(folder, staged):
+        done = pack_runs(folder, most)
+    if as_json:
+        typer.echo(json.dumps(asdict(done)))
+        return
+    before, after = done.bytes[0] / 1e6, done.bytes[1] / 1e6
+    typer.echo(f"{done.runs} runs: {done.files[0]} files became {done.files[1]}, {before:.1f} MB {after:.1f} MB.")
+
+
+@app.command("unpack", epilog="Example: sumo-adv batch unpack runs/plan 0f3a5c6e7d8b9a10")
+def unpack(
+    folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
+    names: Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Runs (default: all).")] = None,
+    into: Annotated[Path | None, typer.Option(help="Where to (default: OUT/unpacked).")] = None,
+    as_json: Json = False,
+) -> None:
+    """Put packed runs into folders again; the packs stay."""
+    from sumo_adv.batch.files import sentences
+    from sumo_adv.batch.pack import unpack as unpack_runs
+    from sumo_adv.report.folder import staged
+
+    _check(folder)
+    target = into or folder / "unpacked"
+    with sentences(target):
+        made = unpack_runs(folder, names or [], target, staged)
+    if as_json:
+        typer.echo(json.dumps({"folders": [str(p) for p in made]}))
+    else:
+        typer.echo(f"{len(made)} runs into {target}.")
+
+
+def _check(folder: Path) -> None:
+    if not (folder / "plan.json").is_file():
+        raise UsageError(f"{folder} is not the folder of a batch: it has no plan.json.")
