@@ -14,6 +14,8 @@ from sumo_adv.datatypes import Role
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import ego_path
+from sumo_adv.metrics.case import make_case
+from sumo_adv.metrics.validity import judge
 from sumo_adv.world.egos import CarefulEgo, EgoController, ReplayEgo, SumoEgo
 from sumo_adv.world.inputs import load_input
 from sumo_adv.world.network import read_network
@@ -67,6 +69,11 @@ def go(drive: Drive, seconds: float) -> None:
 def centre(drive: Drive, name: str) -> tuple[float, float]:
     state = drive.state(name)
     return state.x, state.y
+
+
+def judged(drive: Drive) -> tuple[str, frozenset[str]]:
+    """Whether an encounter at 2 s, with a leader and a neighbour as candidates, is dangerous by itself."""
+    return danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead", "gap"])
 
 
 # ---- where everybody is
@@ -191,7 +198,17 @@ def test_boxes_that_overlap_in_the_log_endanger_nobody(tmp_path: Path) -> None:
     ghost = moving("ghost", 61.0, RIGHT + 0.3, 14.0)  # inside the ego all the time
     with playing(tmp_path, [EGO, ghost]) as drive:
         go(drive, 9.0)
-        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == ""
+        assert judged(drive) == ("", frozenset())
+
+
+def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path: Path) -> None:
+    """Standing at 199 m, the leader is 4 m ahead of the ego's bumper at 9 s: 0.29 s at 14 m/s."""
+    standing = moving("lead", 199.0, RIGHT, 0.0)
+    with playing(tmp_path, [moving("e", 62.25, RIGHT, 14.0), standing, UNSEEN]) as drive:
+        go(drive, 9.0)
+        assert judged(drive) == ("", frozenset({"lead"}))
+        why, _ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
+        assert why == "critical unattacked: min TTC 0.45 s"
 
 
 def test_an_ego_that_is_really_driven_into_a_box_collides(tmp_path: Path) -> None:
@@ -200,10 +217,10 @@ def test_an_ego_that_is_really_driven_into_a_box_collides(tmp_path: Path) -> Non
     walker = moving("walker", 100.0, RIGHT, 0.0, kind="pedestrian", size=(0.6, 0.6))
     with playing(tmp_path, [stops, walker], SumoEgo("idm", {}), "sumo") as drive:
         go(drive, 9.0)
-        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == "the ego collides unattacked"
+        assert judged(drive)[0] == "the ego collides unattacked"
     with playing(tmp_path, [stops, walker]) as drive:
         go(drive, 9.0)
-        assert danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0) == ""
+        assert judged(drive) == ("", frozenset())
 
 
 # ---- the adversary, and again
@@ -247,3 +264,31 @@ def test_rewound_it_repeats_bit_for_bit(tmp_path: Path, name: str, background: s
         assert drive.recording.snapshots == before
         assert drive.ego == "e"
         assert attack() == first
+
+
+def test_a_box_that_the_adversary_hits_first_is_a_third_party(tmp_path: Path) -> None:
+    """The leader swerves to the left, where somebody stands at 190 m, before the ego could ever touch it."""
+    standing = moving("walker", 190.0, MIDDLE, 0.0, kind="pedestrian", size=(0.6, 0.6))
+    for there in (True, False):
+        with playing(tmp_path, [EGO, LEADER, *([standing] if there else [])]) as drive:
+            go(drive, 2.0)
+            for k in range(60):
+                y = RIGHT + 3.2 * min((k + 1) / 30, 1.0)
+                drive.tick({"lead": Pose(118.0 + 1.4 * (k + 1), y, 0.0, 14.0)})
+            case = make_case(drive.tracks("lead"), "e", "lead", 2.0, None)
+            assert case is not None
+            verdict = judge(case.ego, case.adversary, case.others, trigger_time=2.0)
+            assert ("third_party" in verdict.failed_gates) is there
+            assert not verdict.collided
+
+
+def test_a_vehicle_unseen_before_the_attack_is_judged_by_what_came_after(tmp_path: Path) -> None:
+    flickering = moving("lead", 90.0, RIGHT, 14.0, gone=(range(13, 15),))
+    with playing(tmp_path, [EGO, flickering]) as drive:
+        go(drive, 2.0)
+        for k in range(30):
+            drive.tick({"lead": Pose(118.0 + 1.4 * (k + 1), RIGHT, 0.0, 14.0)})
+        case = make_case(drive.tracks("lead"), "e", "lead", 2.0, None)
+        assert case is not None
+        assert case.adversary.time == pytest.approx(np.arange(15, 51) * 0.1)
+        assert judge(case.ego, case.adversary, case.others, trigger_time=2.0).feasible

@@ -74,7 +74,7 @@ class Drive:
 
     def to_come(self) -> bool:
         """Whether anybody is on the road or still to come."""
-        more = self.playback is not None and self.playback.log is not None and self.now < self.playback.spec.end
+        more = self.playback is not None and self.recorded() and self.now < self.playback.spec.end
         return more or self.simulation.expected() > 0
 
     def may_take_over(self, vehicle: str) -> bool:
@@ -165,6 +165,10 @@ class Drive:
         assert self.ego is not None
         logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
         return logged or self.simulation.route(self.ego)[0]
+
+    def recorded(self) -> bool:
+        """Whether a log is played back."""
+        return self.playback is not None and self.playback.log is not None
 
     def replayed(self) -> bool:
         """Whether a log moves the ego."""

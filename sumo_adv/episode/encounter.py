@@ -24,6 +24,7 @@ LOOK_EVERY = 0.5  # s
 NEAR, ONCOMING_NEAR = 70.0, 320.0  # m
 REACH = 330.0  # m of ways ahead
 SLOWEST_EGO = 4.0  # m/s: a standing ego is no encounter
+ON_RECORDED, SLOWEST_RECORDED = 0.20, 1.0  # the few seconds of a recording are all there is: one look, less to see
 FASTEST_START = 3.0  # m/s2: what a BV may accelerate by to be at a conflict in time
 LATEST = 0.2  # s: how much later than the ego it may be there (ALGORITHM, lever 1)
 CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
@@ -49,30 +50,32 @@ class Candidate:
 class Encounter:
     """Watches one ego. ``look`` is called every half second and answers with the shortlist once it is time."""
 
-    def __init__(self, road: RoadMap, shortlist: int, only: tuple[str, ...] = ()) -> None:
+    def __init__(self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False) -> None:
         self.road = road
         self.shortlist = shortlist
         self.only = only
         self.best = 0.0
         self._looks = 0
+        self._on, self._needed = (ON_RECORDED, 1) if recorded else (ON, LOOKS)
+        self._slowest = SLOWEST_RECORDED if recorded else SLOWEST_EGO
 
     def look(self, drive: Drive) -> list[Candidate] | None:
         """The shortlist, most dangerous first, if an encounter begins now; else None."""
         found = self.rank(drive)
         top = found[0].risk if found else 0.0
         self.best = max(self.best, top)
-        if top >= ON or (self._looks and top >= OFF):
+        if top >= self._on or (self._looks and top >= OFF):
             self._looks += 1
         else:
             self._looks = 0
-        return found if self._looks >= LOOKS else None
+        return found if self._looks >= self._needed else None
 
     def rank(self, drive: Drive) -> list[Candidate]:
         """Everybody who could, at most ``shortlist``; empty where the ego is off the road or stands."""
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
-        if path is None or ego.speed < SLOWEST_EGO:
+        if path is None or ego.speed < self._slowest:
             return []
         found = []
         for name in self._near(drive, ego):

@@ -176,7 +176,7 @@ def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, t
         if found is None:
             return None
         met = predicted(episode, found, sandbox, bank)
-        if met.reaches or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
+        if met.reaches or met.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
             return met
         episode.skips += 1
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Ending, VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter import LOOK_EVERY, ON, Candidate, Encounter, ego_path
+from sumo_adv.episode.encounter import LOOK_EVERY, ON, ON_RECORDED, Candidate, Encounter, ego_path
 from sumo_adv.episode.task import NotFound, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import PATH_STEP
@@ -63,7 +63,7 @@ class Scout:
     def until_encounter(self) -> list[Candidate] | NotFound:
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
         wanted = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
-        encounter = Encounter(self.road, self.task.settings.shortlist, task.only)
+        encounter = self._watch()
         since, tried = -math.inf, set[str]()
         if drive.ego is not None:
             since = drive.now - task.warm_up
@@ -79,7 +79,7 @@ class Scout:
                 if name is not None:
                     drive.take_over(name)
                     since = drive.now if wanted is None else self._inserted(name)
-                    encounter = Encounter(self.road, self.task.settings.shortlist, task.only)
+                    encounter = self._watch()
             elif drive.ego not in snapshot.raw:
                 if wanted is not None:
                     return NotFound(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
@@ -99,6 +99,9 @@ class Scout:
                 break
         return self._nothing(wanted, encounter.best)
 
+    def _watch(self) -> Encounter:
+        return Encounter(self.road, self.task.settings.shortlist, self.task.only, recorded=self.drive.recorded())
+
     def _inserted(self, name: str) -> float:
         """When a vehicle was first seen [s]: a recorded one was there before its driver."""
         return next(s.time for s in self.drive.recording.snapshots if name in s.raw)
@@ -117,7 +120,7 @@ class Scout:
         return NotFound(
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
-            f"(highest risk seen {best:.2f}, {ON:.2f} is needed); "
+            f"(highest risk seen {best:.2f}, {ON_RECORDED if self.drive.recorded() else ON:.2f} is needed); "
             "try a longer --end, more --density, another --seed or --ego-id.",
         )
 

@@ -52,6 +52,7 @@ class Found:
     drivable: Drivable
     sizes: Mapping[str, tuple[float, float]]
     area: tuple[float, float, float]  # x, y, radius [m] of what is known of the road
+    last: bool = False  # no other one comes
 
     @property
     def first(self) -> Situation:

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.datatypes import Ending, Proposal
+from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.episode.attack import attack
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
@@ -45,6 +45,7 @@ class Worker:
         self._road: RoadMap | None = None
         self._passed: list[str] = []
         self._found: Found
+        self._unreached: tuple[Found, int, Track] | None = None  # the first encounter out of reach, its step, its ego
         self._moved = False  # an attempt ran in place: load and repeat before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -82,11 +83,14 @@ class Worker:
         passed = self._passed
         if passed_over:
             passed.append(f"{self._found.time:.1f} s ({passed_over})")
+            self._unreached = self._unreached or (self._found, self._trigger_step, self._raw_ego)
             self._at_trigger()
             self._cool_down()
         while True:
             ranking = self._scout.until_encounter()
             if isinstance(ranking, NotFound):
+                if self._unreached is not None and self._drive.recorded():
+                    return self._back(*self._unreached)
                 if passed:
                     return NotFound(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
                 return ranking
@@ -98,6 +102,13 @@ class Worker:
             if self._task.trigger is not None:
                 return NotFound(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
             self._cool_down()
+
+    def _back(self, found: Found, step: int, raw_ego: Track) -> Found:
+        """At an encounter that was passed over for being out of reach: the recording has no better one."""
+        self._found = replace(found, passed_over=tuple(self._passed), last=True)
+        self._trigger_step, self._raw_ego, self._moved = step, raw_ego, False
+        self._drive.rewind(step)
+        return self._found
 
     def _cool_down(self) -> None:
         for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
@@ -160,9 +171,10 @@ class Worker:
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
         sizes, roles = raw[1], drive.roles()
         tracks = {t.id: t for t in tracks_of([*before, *raw[0]], sizes, roles, settings.step_length)}
-        why = danger(tracks, drive, time, settings.ttc)
+        why, critical = danger(tracks, drive, time, settings.ttc, [c.id for c in ranking])
         if why:
             return None, why
+        ranking = [c for c in ranking if c.id not in critical]
         self._raw_ego = tracks[drive.ego]
         situations = surveys(
             self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,

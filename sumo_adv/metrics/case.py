@@ -31,13 +31,27 @@ def make_case(tracks: Sequence[Track], ego: str, adversary: str, start: float, b
     """
     named = {t.id: t for t in tracks}
     one, two = named.get(ego), named.get(adversary)
-    if one is None or two is None or one.time[-1] <= start or two.time[-1] <= start:
+    if one is None or two is None:
+        return None
+    one, two = unbroken(one, start), unbroken(two, start)
+    if any(not len(t.time) or t.time[-1] <= start for t in (one, two)):
         return None
     others = tuple(
         t for n, t in named.items()
         if n not in (ego, adversary) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
     )  # fmt: skip
     return Case(one, two if beyond is None else joined(two, beyond), others)
+
+
+def unbroken(track: Track, time: float) -> Track:
+    """The stretch of a track around ``time`` [s] in which no step is left out (recorded vehicles may be unseen)."""
+    step = float(np.diff(track.time).min()) if len(track.time) > 1 else 0.0
+    breaks = np.flatnonzero(np.diff(track.time) > 1.5 * step)
+    if not len(breaks):
+        return track
+    ends, begins = track.time[breaks], track.time[breaks + 1]
+    before, after = begins[begins <= time + 5e-4], ends[ends >= time - 5e-4]
+    return track.between(before[-1] if len(before) else -math.inf, after[0] if len(after) else math.inf)
 
 
 def closest(ego: Track, other: Track, time: float) -> float:
