@@ -1,8 +1,8 @@
 """What will happen if nobody attacks, from the states up to now alone: for simulations that cannot be forked.
 
-Everybody goes on along the way of his route (straight on where it is not known). The present acceleration dies away
-within about a second; then the speed holds, but for leaders (Krauss's safe speed), the speed limits of the lanes ahead
-and red lights.
+Everybody goes on along the way of his route (straight on where it is not known). The acceleration of the last second
+dies away within about a second (that of somebody who gains speed within five); then the speed holds, but for leaders
+(Krauss's safe speed), the speed limits of the lanes ahead and red lights.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
 from sumo_adv.world.network import RoadMap
 
 SEEN = 250.0  # m around the ego: who is foreseen
-FADING = 1.0  # s, time constant of the present acceleration
+FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
+GAINS = 1.0  # m/s2
 CENTRING = 1.5  # s, time constant of the way back to the lane's centre
 COMFORT = 3.0  # m/s2, braking for what is ahead
 TAU, BRAKING, MIN_GAP = 1.0, 4.5, 2.0  # s, m/s2, m: of the safe speed behind a leader
@@ -51,9 +52,10 @@ def outlook(road: RoadMap, drive: Drive, duration: float) -> dict[str, Track]:
         if name != ego.id and math.hypot(raw[0] - ego.x, raw[1] - ego.y) < SEEN
     ]  # fmt: skip
     courses = [course(road, drive, ego, duration)] + [course(road, drive, drive.state(n), duration) for n in near]
-    travelled, speed = _advance(courses, round(duration / dt), dt)
     steps = round(HISTORY / dt) + 1
     recorded = {t.id: t for t in drive.tracks(start=max(0, len(drive.recording.snapshots) - steps))}
+    gains = np.array([_acceleration(recorded[c.state.id]) for c in courses])
+    travelled, speed = _advance(courses, gains, round(duration / dt), dt)
     return {c.state.id: _track(c, travelled[k], speed[k], recorded[c.state.id], dt) for k, c in enumerate(courses)}
 
 
@@ -97,20 +99,25 @@ def _towards(path: Path, square: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(least - gained, 0.0)))
 
 
-def _advance(courses: Sequence[Course], steps: int, dt: float) -> tuple[Floats, Floats]:
-    """Metres travelled and speeds, ``(n, steps + 1)``, all at once with their leaders."""
+def _acceleration(recorded: Track) -> float:
+    """The mean of the last second [m/s2]: a single step's is mostly a driver's noise (sigma)."""
+    since = recorded.time[-1] - recorded.time[0]
+    return 0.0 if since <= 0 else float(recorded.speed[-1] - recorded.speed[0]) / float(since)
+
+
+def _advance(courses: Sequence[Course], a: Floats, steps: int, dt: float) -> tuple[Floats, Floats]:
+    """Metres travelled and speeds, ``(n, steps + 1)``, all at once with their leaders; ``a``: present accelerations."""
     n = len(courses)
     leader, gap = _leaders(courses)
     follows = leader >= 0
     v = np.array([c.state.speed for c in courses])
-    a = np.array([c.state.acceleration for c in courses])
     cap = np.full((n, max(len(c.cap) for c in courses)), math.inf)
     for k, c in enumerate(courses):
         cap[k, : len(c.cap)] = c.cap
     start = np.array([c.station for c in courses])
     rows, travelled, speed = np.arange(n), np.zeros((n, steps + 1)), np.empty((n, steps + 1))
     speed[:, 0] = v
-    went, fade = np.zeros(n), math.exp(-dt / FADING)
+    went, fade = np.zeros(n), np.exp(-dt / np.where(a > GAINS, GAINING, FADING))
     for k in range(1, steps + 1):
         room = np.maximum(gap + np.where(follows, went[leader], 0.0) - went, 0.0)
         ahead = np.where(follows, v[leader], 0.0)

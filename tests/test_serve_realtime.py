@@ -1,0 +1,124 @@
+"""With ``--real-time`` the world does not wait for a decision: it is used while the scene holds, and else dropped."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cli_samples import TESTS
+from serve_samples import needs_sumo
+
+from sumo_adv.agents.expert import Expert
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.episode.cast import Cast
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import make_task
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.serve.clerk import Clerk
+from sumo_adv.serve.events import Events
+from sumo_adv.serve.gate import Gate
+from sumo_adv.serve.options import Options
+from sumo_adv.serve.server import MOST_AGE, House, Server
+from sumo_adv.situation import Situation
+from sumo_adv.world.inputs import data_folder, load_input
+from sumo_adv.world.network import read_network
+
+pytestmark = needs_sumo
+TRIGGER = 3.2  # s, soon after the ego's warm-up
+
+
+class Slow(Cast):
+    """Thinks for a while before it answers as the expert."""
+
+    seconds = 0.0
+
+    def analyze(
+        self,
+        expert: Expert,
+        situations: Mapping[float, Situation],
+        library: Sequence[LibraryEntry],
+        *,
+        allowed: Sequence[str],
+        remembered: Mapping[str, str],
+    ) -> list[Intent]:
+        """The expert's ranking, late."""
+        time.sleep(self.seconds)
+        return super().analyze(expert, situations, library, allowed=allowed, remembered=remembered)
+
+
+@dataclass
+class Told:
+    """What a server told, and the episodes it kept."""
+
+    events: list[dict[str, Any]]
+    episodes: list[Episode]
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        return [e for e in self.events if e["event"] == kind]
+
+
+def served(folder: Path, seconds: float) -> Told:
+    """One encounter in real time, with an analyzer that takes ``seconds``."""
+    given = load_input(Path("motorway_cut_in_left"))
+    settings = load_settings(None, ego="external", trigger=TRIGGER, learn="off")
+    told = Told([], [])
+    events = Events(lambda e: told.events.append(dict(e)))
+
+    def write(episode: Episode, number: int) -> Mapping[str, Any]:
+        told.episodes.append(episode)
+        return {"outcome": None, "ending": "", "reason": "", "adversaries": [], "intent": None, "attempts": [],
+                "folder": number}  # fmt: skip
+
+    task = make_task(given, settings, folder)
+    with (
+        MemoryBank.open(folder / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
+        Sandbox() as sandbox,
+        Gate() as gate,
+    ):
+        cast = Slow(settings, sandbox)
+        cast.seconds = seconds
+        clerk = Clerk(write, events)
+        client = subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)])
+        try:
+            house = House(
+                given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), cast,
+                bank, gate, events, clerk, lambda: None,
+            )  # fmt: skip
+            assert Server(house).run() is None
+        finally:
+            clerk.close()
+            client.kill()
+            client.wait()
+    return told
+
+
+def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
+    told = served(tmp_path, MOST_AGE + 0.5)
+    (decided,) = told.of("decided")
+    (dropped,) = told.of("dropped")
+    assert decided["age"] > MOST_AGE and decided["seconds"] > MOST_AGE
+    assert dropped["reason"] == f"the decision is {decided['age']:.1f} s old"
+    assert told.of("attack") == [] and told.episodes == []
+
+
+def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
+    told = served(tmp_path, 0.3)
+    (decided,) = told.of("decided")
+    assert 0.3 <= decided["age"] <= MOST_AGE  # the world went on meanwhile
+    assert told.of("dropped") == []
+    (attack,) = told.of("attack")
+    assert attack["time"] >= TRIGGER + decided["age"] - 0.11
+    (episode,) = told.episodes
+    assert episode.prefix is not None and episode.prefix.snapshots[-1].time == TRIGGER
+    result = episode.refinement.results[0]
+    assert result.snapshots[0].time == 3.3 and result.start >= TRIGGER + decided["age"] - 0.01
+    clock = [e["clock"] for e in told.events if e["event"] in ("attack", "released")]
+    times = [e["time"] for e in told.events if e["event"] in ("attack", "released")]
+    assert clock[1] - clock[0] > 0.9 * (times[1] - times[0])  # a second lasts a second
