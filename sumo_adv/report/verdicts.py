@@ -157,12 +157,14 @@ def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> di
     raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, episode.task.roles(found.ego), step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
+    played = episode.task.playback
+    who = "as recorded" if played is not None and played.background == "log" else "driven by SUMO"
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
     return {
         **{k: _rounded(v) for k, v in realism_figures(moved, traffic, found.drivable).items()},
         "steps": len(moved.time),
         "reference": {
-            "what": "background vehicles of the unattacked run, driven by SUMO, in the same window",
+            "what": f"background vehicles of the unattacked run, {who}, in the same window",
             "vehicles": len(traffic), "steps": sum(len(t.time) for t in traffic), "from": number(start),
             "to": number(end), "sigma": sigmas,
         },
