@@ -34,7 +34,7 @@ from sumo_adv.planning.trajectory import PathRow, Scalar, pose, start
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import load_input
 from sumo_adv.world.network import Drivable
-from sumo_adv.world.simulation import tracks_of
+from sumo_adv.world.recording import tracks_of
 
 DT = 0.1
 LIMITS = Limits()

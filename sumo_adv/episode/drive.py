@@ -10,8 +10,9 @@ from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, apply_steer
 from sumo_adv.world.egos import Pose as EgoPose
 from sumo_adv.world.playback import Playback
+from sumo_adv.world.recording import Recording
 from sumo_adv.world.remote import Remote
-from sumo_adv.world.simulation import Pose, Recording, Simulation, SimulationSpec, Snapshot
+from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot
 from sumo_adv.world.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"

@@ -31,7 +31,8 @@ from sumo_adv.world.egos import make_ego
 from sumo_adv.world.engine import can_fork, in_forks
 from sumo_adv.world.network import RoadMap, read_network
 from sumo_adv.world.playback import Playback
-from sumo_adv.world.simulation import Snapshot, tracks_of
+from sumo_adv.world.recording import tracks_of
+from sumo_adv.world.simulation import Snapshot
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
 

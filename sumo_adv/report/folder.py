@@ -23,7 +23,8 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_states
 from sumo_adv.report.verdicts import figures, judge_best
-from sumo_adv.world.simulation import Snapshot, tracks_of
+from sumo_adv.world.recording import tracks_of
+from sumo_adv.world.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 

@@ -28,7 +28,7 @@ from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figu
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
 from sumo_adv.world.network import Drivable
-from sumo_adv.world.simulation import tracks_of
+from sumo_adv.world.recording import tracks_of
 
 LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
 MOST_MAPPED = 40  # reference vehicles whose distance to the road's edge is taken

@@ -179,9 +179,9 @@ class Playback:
                 x, y, angle_deg, _, lane = raw[name]
                 found[name] = (x, y, angle_deg, pose.speed, lane)
         for name, box in self._boxes.items():
-            pose = box.pose(time)
-            if pose is not None:
-                found[name] = raw_of(pose.x, pose.y, pose.heading, pose.speed, box.length)
+            there = box.pose(time)
+            if there is not None:
+                found[name] = raw_of(there.x, there.y, there.heading, there.speed, box.length)
         return found
 
     # -- what the log says --------------------------------------------------------------------------------------------
