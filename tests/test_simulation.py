@@ -13,16 +13,8 @@ from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError
-from sumo_adv.world.simulation import (
-    Pose,
-    Recording,
-    Simulation,
-    SimulationSpec,
-    Snapshot,
-    angle_deg_of,
-    heading_of,
-    tracks_of,
-)
+from sumo_adv.world.recording import Recording, tracks_of
+from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
 
 
 @contextmanager
