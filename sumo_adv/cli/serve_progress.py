@@ -48,6 +48,7 @@ class Live(Quiet):
         self._console = Console(highlight=False)
         self._status = self._console.status("Starting ...")
         self._counts = [0, 0, 0]
+        self._doing = "Starting"
 
     def __enter__(self) -> Self:
         self._status.start()
@@ -66,10 +67,9 @@ class Live(Quiet):
         if event["event"] == "outcome":
             for k, name in enumerate(("number", "critical", "collided")):
                 self._counts[k] = event["number"] if name == "number" else self._counts[k] + bool(event[name])
-        doing = now(event)
-        if doing:
-            done, critical, collided = self._counts
-            self._status.update(f"{doing} ({done} encounters, {critical} critical, {collided} collisions)")
+        self._doing = now(event) or self._doing
+        done, critical, collided = self._counts
+        self._status.update(f"{self._doing} ({done} encounters, {critical} critical, {collided} collisions)")
 
 
 def make_terminal(*, quiet: bool) -> Quiet:
