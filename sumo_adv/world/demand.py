@@ -21,6 +21,7 @@ YIELDING_DENSITY = 4.0  # the same where some route must yield or stop at lights
 MAX_DEFAULT_DENSITY = 30.0  # departures per minute over the whole network
 INNER_DENSITY = 12.0  # departures per minute over a network that has no fringe
 INNER_LENGTH = 150.0  # m that a route between inner edges must have
+MIN_ORIGIN = 8.0  # m of an edge that a vehicle has room to start on; shorter fringe edges are stumps of a cut map
 FRINGE_COVER = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
 PAIR_TRIES = 400
 
@@ -88,6 +89,7 @@ def journeys(network: Path, draw: random.Random) -> list[Journey]:
         raise UsageError(f"The network {network} lacks what traffic is made from ({error}): build it again.") from error
     edges = sorted((edge for edge in net.getEdges() if edge.allows("passenger")), key=lambda edge: str(edge.getID()))
     origins = [edge for edge in edges if not _passable(edge.getIncoming())]
+    origins = [edge for edge in origins if edge.getLength() >= MIN_ORIGIN] or origins
     destinations = [edge for edge in edges if not _passable(edge.getOutgoing())]
     found = _routes(net, _pairs(origins, destinations, draw), fringe=True)
     covered = {edge for journey in found for edge in journey.edges}

@@ -6,13 +6,13 @@ import shutil
 import tempfile
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import UsageError
 from sumo_adv.womd.network.finish import finish
-from sumo_adv.womd.network.foes import find_foes
+from sumo_adv.womd.network.foes import bend_together, find_foes
 from sumo_adv.womd.network.lanes import keep
 from sumo_adv.womd.network.layout import make_layout
 from sumo_adv.womd.network.netconvert import find_netconvert, run_netconvert
@@ -55,8 +55,11 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     layout = make_layout(kept.lanes, sorted(lane for lane in signalled | stops if lane in kept.lanes))
     widths = find_widths(layout.strands.all, layout.rows, record.lines.values())
     roads = make_roads(layout, widths)
+    foes = find_foes(roads.links)
+    links, bent = bend_together(roads.links, foes)
+    roads = replace(roads, links=links)
     rulers = ruling_lanes(record, roads.links)
-    order = settle(roads.links, roads.edges, find_foes(roads.links), stops, rulers)
+    order = settle(roads.links, roads.edges, foes, stops, rulers)
     signals = plan_signals(record, roads.links, rulers, order)
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="womd-") as name:
@@ -69,4 +72,5 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     path = unfinished.replace(folder / NAME)
     pieces = find_pieces(kept.lanes, layout, roads, via)
     report = make_report(record, kept, layout, roads, widths, order, signals, pieces, via)
+    report["links_bent"] = 2 * bent
     return ConvertedNetwork(path, pieces, report, time.perf_counter() - began)

@@ -20,7 +20,7 @@ ALIKE = 1.5  # m by which spans of lanes beside one another may differ
 MIN_EDGE = 6.0  # m, shorter stretches between two spans join them
 MIN_TURNING_EDGE = 25.0  # m, the same on lanes that turn in a junction
 STOP_LINE = 15.0  # m that a span reaches back to the line where a signal or stop sign holds
-STUB = 3.0  # m of edge kept where a strand begins or ends in a conflict and nothing leads there
+STUB = 0.5  # m of edge kept where a strand begins or ends in a conflict and nothing leads there
 ROUNDS = 12
 
 Span = tuple[float, float]
@@ -76,8 +76,8 @@ def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -
             continue
         least = MIN_TURNING_EDGE if strand.turning else MIN_EDGE
         for a, b in _runs(np.sort(station[owner == strand.number]), least):
-            start = 0.0 if a < SNAP else a - 0.5
-            end = strand.length if b > strand.length - SNAP else b + 0.5
+            start = 0.0 if a < SNAP and strand.entries else a - 0.5
+            end = strand.length if b > strand.length - SNAP and strand.exits else b + 0.5
             spans.add(strand.number, start, end)
         if strand.entries:
             spans.add(strand.number, 0.0, CUT)

@@ -1,14 +1,25 @@
-"""Which links of a junction are in each other's way, from their shapes."""
+"""Which links of a junction are in each other's way, from their shapes.
+
+SUMO knows of a conflict inside a junction only where two lines cross. Two that pass each other nearer than vehicles can
+are therefore bent until they do, each by half of what is missing.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from sumo_adv.datatypes import Floats
+from sumo_adv.womd.network.polyline import at, stations
 from sumo_adv.womd.network.roads import Link
 
 CLOSE = 0.8  # m between the lines of two links that are in each other's way without crossing
+BEND = 4.0  # m before and after the nearest place over which a line is bent
+END = 1.0  # m from its end where a line is not bent
+MOST_BENT = 0.45  # m that one line is bent
+OVER = 0.05  # m by which bent lines reach over each other
 OVERPASS = 3.0  # m of height that keep two links apart
 
 
@@ -37,3 +48,43 @@ def _apart(a: Link, b: Link) -> bool:
     distance = np.hypot(a.shape[:, None, 0] - b.shape[None, :, 0], a.shape[:, None, 1] - b.shape[None, :, 1])
     i, j = np.unravel_index(int(np.argmin(distance)), distance.shape)
     return abs(float(a.heights[i] - b.heights[j])) >= OVERPASS
+
+
+def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[tuple[Link, ...], int]:
+    """The links, with those bent that pass a foe closely without crossing it on the way; and how many such pairs."""
+    from shapely import LineString
+    from shapely.ops import nearest_points
+
+    bent, pairs = list(links), 0
+    for i, j in sorted(foes):
+        a, b = bent[i], bent[j]
+        if (a.target, a.to_lane) == (b.target, b.to_lane):
+            continue
+        lines = LineString(a.shape), LineString(b.shape)
+        if lines[0].intersects(lines[1]):
+            continue
+        ends = nearest_points(*lines)
+        where = [line.project(end) for line, end in zip(lines, ends, strict=True)]
+        midway = [END < w < line.length - END for w, line in zip(where, lines, strict=True)]
+        p, q = (np.array([end.x, end.y]) for end in ends)
+        missing = (q - p) * (1.0 + OVER / max(float(np.hypot(*(q - p))), 1e-6))
+        if not any(midway) or (not all(midway) and np.hypot(*missing) > MOST_BENT):
+            continue
+        share = 1.0 / sum(midway)
+        if midway[0]:
+            bent[i] = _bend(a, where[0], share * missing)
+        if midway[1]:
+            bent[j] = _bend(b, where[1], -share * missing)
+        pairs += 1
+    return tuple(bent), pairs
+
+
+def _bend(link: Link, where: float, way: Floats) -> Link:
+    """The link moved by ``way`` [m] at station ``where``, less and less to both sides, its ends kept."""
+    along = stations(link.shape)
+    reach = min(BEND, where, float(along[-1]) - where)
+    extra = where + reach * np.linspace(-1.0, 1.0, 17)
+    every = np.unique(np.concatenate([along, extra]))
+    weight = 0.5 + 0.5 * np.cos(np.pi * np.clip((every - where) / reach, -1.0, 1.0))
+    shape = at(link.shape, along, every) + weight[:, None] * way
+    return replace(link, shape=shape, heights=np.interp(every, along, link.heights))

@@ -20,13 +20,12 @@ def make_report(
     record: Record, kept: Kept, layout: Layout, roads: Roads, widths: Widths, order: RightOfWay, signals: SignalPlan,
     pieces: Mapping[int, tuple[Piece, ...]], via: list[str],
 ) -> dict[str, Any]:  # fmt: skip
-    """JSON-ready. Lengths in m."""
+    """JSON-ready. Lengths in m; crosswalks as [id, outline], which a net.xml has no place for."""
     total = sum(lane.length for lane in kept.lanes.values())
     inside = sum(b - a for found in layout.spans.of for a, b in found)
     shown = sum(end - start for found in pieces.values() for start, end in {(p.start, p.end) for p in found})
     wanted = {(a, b) for a, lane in kept.lanes.items() for b in lane.exits}
     missing = _missing(wanted, pieces, roads, via)
-    areas = Counter(area.kind for area in record.areas)
     return {
         "lanes": len(record.lanes),
         "dropped_lanes": [[number, reason] for number, reason in sorted(kept.dropped.items())],
@@ -50,7 +49,11 @@ def make_report(
         "signals_unknown": len(signals.unknown),
         "signals_completed": signals.completed,
         "signal_junctions": len(signals.programs),
-        "crosswalks": areas["crosswalk"],
+        "crosswalks": [
+            [area.id, [[round(float(x), 2), round(float(y), 2)] for x, y in area.points[:, :2]]]
+            for area in record.areas
+            if area.kind == "crosswalk"
+        ],
     }
 
 

@@ -2,7 +2,7 @@
 
 Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so nobody waits
 in a ring. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns: straight before right
-before left. Where all approaches have a stop sign, the first to arrive goes first.
+before left. Where all approaches have a stop sign, or three and every road has one, the first to arrive goes first.
 """
 
 from __future__ import annotations
@@ -51,13 +51,21 @@ def settle(
     for junction, members in of_junction.items():
         in_conflict = {links[k].source for k in members if against[k]}
         halting = {links[k].source for k in members if stopped[k]}
-        allway = len(in_conflict) > 1 and in_conflict <= halting and not any(k in ruled for k in members)
+        allway = not any(k in ruled for k in members) and _all_stop(edges, in_conflict, halting)
         kind[junction] = "allway_stop" if allway else "priority"
         ranks = _ranks(links, edges, members, stopped, ruled)
         for k in members:
             yields[k] = set(against[k]) if allway else {j for j in against[k] if ranks[j] > ranks[k]}
             state[k] = "w" if allway else "s" if stopped[k] else "m" if yields[k] else "M"
     return RightOfWay(kind, tuple(state), tuple(map(frozenset, yields)), tuple(map(frozenset, against)))
+
+
+def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str]) -> bool:
+    """Whether all approaches have a stop sign; or three and more have one, and no road goes through without."""
+    stopping = [_heading(edges[name]) for name in approaches & halting]
+    if len(approaches) < 2 or len(stopping) < min(3, len(approaches)):
+        return False
+    return all(any(_one_road(_heading(edges[name]), other) for other in stopping) for name in approaches)
 
 
 def _ranks(

@@ -17,7 +17,7 @@ from sumo_adv.womd.network.widths import Widths
 
 STRAIGHT = math.radians(30.0)  # less of a turn is straight on
 ROUND = math.radians(150.0)  # more of a turn to the left is a U-turn
-SIDE_GRIP = 4.0  # m/s2 that limits speed in a bend
+SIDE_GRIP = 5.5  # m/s2 that limits speed in a bend, as netconvert has it
 MIN_TURN_SPEED = 3.0  # m/s, no bend is slower
 
 
