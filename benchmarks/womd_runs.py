@@ -66,6 +66,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", help="ids of records [default: all of the suites]")
     parser.add_argument("--egos", nargs="*", default=EGOS)
     parser.add_argument("--background", choices=("log", "sumo"), help="[default: as converted, sumo]")
+    parser.add_argument("--attempts", type=int, help="at most so many a run [default: run's own]")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
     with (given.folder / "manifest.csv").open(newline="") as file:
@@ -76,7 +77,7 @@ def main() -> int:
     broken = sum(not checked(name, scenarios[name], next(iter(read_records(files[name])))) for name in records)
     with ThreadPoolExecutor(given.jobs) as pool:
         works = [
-            pool.submit(run, scenarios[name], name, suite, ego, given.background, given.out)
+            pool.submit(run, scenarios[name], name, suite, ego, given.out, given.background, given.attempts)
             for name, suite in records.items() for ego in given.egos
         ]  # fmt: skip
         print(f"\n{'record':17s} {'suite':12s} {'ego':8s} {'unattacked':>10s} {'attacked':>9s} {'valid':>5s}  ending")
@@ -166,12 +167,15 @@ def least_ttc(ego: Boxes, others: Boxes) -> float:
 # -- runs -----------------------------------------------------------------------------------------------------------
 
 
-def run(scenario: Path, name: str, suite: str, ego: str, background: str | None, out: Path) -> Run:
+def run(
+    scenario: Path, name: str, suite: str, ego: str, out: Path, background: str | None, attempts: int | None
+) -> Run:
     """One run in a process of its own."""
     folder = out / "runs" / f"{name}-{ego}-{background or 'default'}"
     command = [sys.executable, "-m", "sumo_adv", "run", str(scenario), "--ego", ego, "--learn", "off", "--json"]
     command += ["--force", "--out", str(folder), "--memory", str(out / f"bank-{ego}.sqlite")]
     command += ["--background", background] if background else []
+    command += ["--attempts", str(attempts)] if attempts else []
     began = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "200"})
     seconds = time.perf_counter() - began
