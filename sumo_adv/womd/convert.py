@@ -52,9 +52,9 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
     from sumo_adv.womd.picture import draw_fidelity
     from sumo_adv.womd.sumonet import read_net
 
-    began = perf_counter()
+    began, cpu = perf_counter(), sum(os.times()[:4])  # our own and our children's, netconvert being one
     converted = convert_network(record, folder)
-    seconds = {"network": converted.seconds}
+    seconds = {"network": converted.seconds, "network_cpu": round(sum(os.times()[:4]) - cpu, 3)}
     net = read_net(converted.path)
     fidelity = measure(record, net, converted)
     write_scene(record, net, fidelity.matched, folder)

@@ -63,6 +63,7 @@ def totals(reports: Sequence[Report]) -> dict[str, float]:
         "own_broken": sum(len(r["routes"]["own_broken"]) for r in reports),
         "in_junctions": _mean([r["in_junctions"] for r in reports], km),
         "median_seconds": float(np.median([r["seconds"]["network"] for r in reports])),
+        "median_cpu_seconds": float(np.median([r["seconds"]["network_cpu"] for r in reports])),
         "traffic_tried": len(tried), "collisions": sum(t["collisions"] for t in tried),
         "teleports": sum(t["teleports"] for t in tried),
         "disturbed": sum(t["collisions"] + t["teleports"] > 0 for t in tried) / len(tried) if tried else 0.0,
