@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import urllib.error
 import urllib.request
@@ -120,11 +121,12 @@ def test_a_client_that_hangs_is_late(program: Program) -> None:
         assert [o["ending"] for o in server.outcomes()] == ["ego_lost"]
 
 
-def test_ctrl_c_leaves_whole_files_and_no_sumo(program: Program) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "terminate"])
+def test_an_end_from_outside_leaves_whole_files_and_no_sumo(program: Program, sent: signal.Signals) -> None:
     with serving(program, "straight_3lane") as server:
         server.client()
         server.wait("attack", 2)
-        server.interrupt()
+        server.process.send_signal(sent)
         code, out, err = server.end()
         assert (code, err) == (0, "") and "2 encounters" in out
         outcomes = server.outcomes()

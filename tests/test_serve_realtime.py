@@ -64,12 +64,19 @@ class Told:
         return [e for e in self.events if e["event"] == kind]
 
 
-def served(folder: Path, seconds: float) -> Told:
-    """One encounter in real time, with an analyzer that takes ``seconds``."""
+def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
+    """One encounter in real time, with an analyzer that takes ``seconds``; ``kill``: the client, while it thinks."""
     given = load_input(Path("motorway_cut_in_left"))
     settings = load_settings(None, ego="external", trigger=TRIGGER, learn="off")
     told = Told([], [])
-    events = Events(lambda e: told.events.append(dict(e)))
+    clients: list[subprocess.Popen[bytes]] = []
+
+    def tell(event: Mapping[str, Any]) -> None:
+        told.events.append(dict(event))
+        if kill and event["event"] == "encounter":
+            clients[0].kill()
+
+    events = Events(tell)
 
     def write(episode: Episode, number: int) -> Mapping[str, Any]:
         told.episodes.append(episode)
@@ -85,7 +92,7 @@ def served(folder: Path, seconds: float) -> Told:
         cast = Slow(settings, sandbox)
         cast.seconds = seconds
         clerk = Clerk(write, events)
-        client = subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)])
+        clients.append(subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)]))
         try:
             house = House(
                 given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), cast,
@@ -94,8 +101,8 @@ def served(folder: Path, seconds: float) -> Told:
             assert Server(house).run() is None
         finally:
             clerk.close()
-            client.kill()
-            client.wait()
+            clients[0].kill()
+            clients[0].wait()
     return told
 
 
@@ -122,3 +129,9 @@ def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
     clock = [e["clock"] for e in told.events if e["event"] in ("attack", "released")]
     times = [e["time"] for e in told.events if e["event"] in ("attack", "released")]
     assert clock[1] - clock[0] > 0.9 * (times[1] - times[0])  # a second lasts a second
+
+
+def test_a_client_that_goes_while_we_think_costs_no_attempt(tmp_path: Path) -> None:
+    told = served(tmp_path, 0.5, kill=True)
+    assert [e["reason"] for e in told.of("dropped")] == ["the ego or its client is gone"]
+    assert told.of("attack") == [] and told.episodes == []

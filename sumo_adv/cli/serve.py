@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -132,6 +133,8 @@ def _serve(
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
+        before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # what services are sent
+        stack.callback(signal.signal, signal.SIGTERM, before)
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)

@@ -301,6 +301,8 @@ class Server:
         age = session.now - scene.found.time
         if age == 0.0:
             return ""
+        if not session.ready(0.0):
+            return "the ego or its client is gone"
         if age > MOST_AGE:
             return f"the decision is {age:.1f} s old"
         return next(filter(None, (watch.changed(scene.tracks, bv, scene.relation(bv)) for bv in sorted(wanted))), "")
