@@ -28,11 +28,12 @@ STORIES: Mapping[str, tuple[str, str, Author]] = {
 }
 """Scenario, ego, and a model that wants one intent: each of the library's seven."""
 
+BLIND_SIDE = "dual_left_turn_blind_side"
 NOVEL = Author(
     "Blind-Side High-Speed Merge", [[0.0, 3.0], [2.0, 0.0]],
     "While both vehicles turn left side by side, the one in the inner turning lane speeds up in the ego's blind side "
     "and swings out into the ego's path before the bend ends.",
-    [(ROOT / "examples" / "novel_behaviour" / f"{name}.py").read_text() for name in ("first", "second")],
+    [(ROOT / "examples" / "novel_behaviour" / "planners" / f"{name}.py").read_text() for name in ("first", "second")],
 )  # fmt: skip
 
 
@@ -115,7 +116,7 @@ def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], 
 
 
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
-    told = play(replace(NOVEL, questions=[]), "dual_left_turn", "--tuner", "off")
+    told = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
     outcome = told.outcome
     assert [agent_of(a) for a in told.asked] == ["analyzer", "confirm", "generator", "modifier"]
     assert (outcome["ending"], outcome["intent"]["source"]) == ("critical", "generated")
@@ -240,7 +241,7 @@ def test_hostile_planners_are_refused_with_the_sandboxs_words(play: Play, fault:
         "syntax": "    return {\n",
         "imports": "    import os\n    return os.listdir('/')\n",
     }
-    told = play(replace(NOVEL, texts=[head + bodies[fault]], questions=[]), "dual_left_turn", "--tuner", "off")
+    told = play(replace(NOVEL, texts=[head + bodies[fault]], questions=[]), BLIND_SIDE, "--tuner", "off")
     assert told.done.status == 1
     outcome = told.outcome
     assert outcome["ending"] == "model_failed"
@@ -283,7 +284,7 @@ def test_prompts_can_be_read_without_a_model(tmp_path: Path) -> None:
 def test_the_example_of_a_novel_behaviour_runs_from_its_recording(tmp_path: Path) -> None:
     program = Program(tmp_path, tmp_path)
     recording = ROOT / "examples" / "novel_behaviour" / "recording.jsonl"
-    common = ("run", "dual_left_turn", "--tuner", "off", "--memory", "bank.sqlite", "--llm", f"replay:{recording}")
+    common = ("run", BLIND_SIDE, "--tuner", "off", "--memory", "bank.sqlite", "--llm", f"replay:{recording}")
     done = program(*common, "--out", "out")
     assert done.status == 0, done.err
     assert [a["critical"] for a in done.outcome["attempts"]] == [False, True]

@@ -44,12 +44,12 @@ DIAGNOSIS = "It stayed beside the ego: a lead of 7 m is never reached before the
 
 
 class Author:
-    """Answers from this file and the two planners beside it."""
+    """Answers from this file and the two planners."""
 
     name = "written-for-the-example"
 
     def __init__(self) -> None:
-        self._planners = [(HERE / f"{name}.py").read_text() for name in ("first", "second")]
+        self._planners = [(HERE / "planners" / f"{name}.py").read_text() for name in ("first", "second")]
 
     def complete(self, request: ChatRequest) -> ChatReply:
         """The next answer of that kind."""
@@ -66,7 +66,7 @@ def _said(answer: object) -> ChatReply:
 
 def main() -> None:
     """Run the story once and keep the exchanges."""
-    given = load_input(Path("dual_left_turn"))
+    given = load_input(Path("dual_left_turn_blind_side"))
     settings = load_settings(None, llm=Author.name, tuner="off", horizon=given.horizon)
     ledger = Ledger()
     with (
