@@ -13,7 +13,7 @@ from typing import Any
 from sumo_adv.errors import SumoAdvError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
-REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM)
+REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
 
 class StorageError(SumoAdvError):

@@ -200,7 +200,6 @@ class LocalWorkers:
 def _work(connection: Connection, setup: Setup, log: Path) -> None:
     """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
     import faulthandler
-    import sys
 
     _alone()
     words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -218,8 +217,7 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
     except EOFError:
         return
     except SumoAdvError as error:
-        sys.stderr.flush()
-        connection.send(SumoAdvError(str(error)))
+        connection.send(error)
 
 
 def _alone() -> None:

@@ -19,7 +19,7 @@ COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback",
 )  # fmt: skip
-"""Of the table; settings that vary come behind them. Times in s, an empty min_ttc is never, an empty valid is no
+"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, an empty min_ttc is never, an empty valid is no
 collision."""
 
 
@@ -75,7 +75,8 @@ def write_failure(stage: Path, job: Job, failure: str, text: str, seconds: float
 
 def table_of(jobs: Sequence[Job], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The rows there are, in the plan's order, with the settings that vary."""
-    return [{**rows[job.id], **varied[job.variant]} for job in jobs if job.id in rows]
+    shown = [{f"set_{name}": value for name, value in each.items()} for each in varied]
+    return [{**rows[job.id], **shown[job.variant]} for job in jobs if job.id in rows]
 
 
 def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence[str]) -> None:
@@ -83,7 +84,7 @@ def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence
 
     def write(part: Path) -> None:
         with part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [*COLUMNS, *varied], lineterminator="\n")
+            writer = csv.DictWriter(file, [*COLUMNS, *(f"set_{name}" for name in varied)], lineterminator="\n")
             writer.writeheader()
             writer.writerows({key: _cell(value) for key, value in row.items()} for row in table)
 
@@ -116,6 +117,6 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
         "collided": truth, "valid": truth, "critical": truth,
     }  # fmt: skip
     columns = {name: [row[name] for row in table] for name in COLUMNS}
-    columns |= {name: [str(_cell(row[name])) for row in table] for name in varied}
+    columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
     arrays = {name: pa.array(values, kinds.get(name, text)) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

@@ -1,0 +1,87 @@
+"""Batches for the tests: a small plan, drivers that misbehave, and what a batch's folder holds."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+from cli_samples import Done, Program
+from ego_samples import BRAKES_AT, CalmEgo
+
+from sumo_adv.world.egos import LaneSpeed, Observation
+
+INPUTS = ("motorway_cut_in_left", "leader_two_lanes")
+QUICK = ("--set", "attempts=1", "--set", "proposals=8", "--set", "duration=6.0")
+SMALL = ("batch", *INPUTS, "--seeds", "2", *QUICK, "--out", "out")
+RUN = {"outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "inputs"}
+CRASHED = Path("crashed")  # in the folder that the program runs in
+
+
+class HangingEgo(CalmEgo):
+    """Sleeps for an hour at 6 s."""
+
+    name = "hanging"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Hangs when it is time."""
+        if seen.time > BRAKES_AT:
+            time.sleep(3600.0)
+        return None
+
+
+class CrashingEgo(CalmEgo):
+    """Takes its process down with it at 6 s."""
+
+    name = "crashing"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Crashes when it is time."""
+        if seen.time > BRAKES_AT:
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return None
+
+
+class OnceCrashingEgo(CalmEgo):
+    """Crashes the first time that it ever drives."""
+
+    name = "calm"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Crashes unless it did before."""
+        if not CRASHED.exists():
+            CRASHED.touch()
+            os.kill(os.getpid(), signal.SIGSEGV)
+        return None
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    """``results.csv`` without what the clock says."""
+    with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def summary(done: Done) -> dict[str, Any]:
+    """What ``--json`` said, of a batch that went well."""
+    assert (done.status, done.err) == (0, ""), done.err
+    return dict(json.loads(done.out))
+
+
+def clean(program: Program, *others: str) -> None:
+    """Nothing is left of a batch but its folder, and that holds nothing half-written."""
+    assert program.leftovers() == sorted([*others, "out"])
+    left = [p.name for p in (program.folder / "out").rglob("*") if p.name.startswith(".")]
+    assert left == []
+
+
+def workers_of(parent: int) -> list[int]:
+    """The worker processes of a batch: its children that lead a process group."""
+    try:
+        children = [int(w) for f in Path(f"/proc/{parent}/task").glob("*/children") for w in f.read_text().split()]
+        return [pid for pid in children if pid == os.getpgid(pid)]
+    except OSError:
+        return []

@@ -1,0 +1,316 @@
+"""Plans: the product of their lists, ids made of content, what is refused, what differs; the table; packs; lessons."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import ROOT, TRAIL, files_of
+
+from sumo_adv.batch.learning import Lesson, as_text, from_text, teach
+from sumo_adv.batch.nouns import Job
+from sumo_adv.batch.pack import pack, packed_rows, packed_texts, unpack
+from sumo_adv.batch.plan import Plan, differences, is_plan, make_plan, read_plan
+from sumo_adv.batch.results import COLUMNS, row_of, table_of, write_csv, write_failure
+from sumo_adv.batch.store import open_store
+from sumo_adv.batch.worker import share
+from sumo_adv.cli.batch_parts import batch_parts
+from sumo_adv.errors import UsageError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
+from sumo_adv.planning.source import make_planner
+from sumo_adv.report.folder import staged
+
+SCENARIOS = ROOT / "scenarios"
+
+
+def plan_of(folder: Path = ROOT, **table: Any) -> Plan:
+    return make_plan(table, folder, "The plan", batch_parts())
+
+
+# -- the product
+
+
+def test_the_product_is_in_the_order_of_the_lists() -> None:
+    plan = plan_of(
+        inputs=["motorway_cut_in_left", "leader_two_lanes"], egos=["idm", "krauss"], seeds=2,
+        vary={"attempts": [1, 5]},
+    )  # fmt: skip
+    told = [(j.input.name, j.ego, plan.varied[j.variant]["attempts"], j.seed) for j in plan.jobs]
+    assert len(told) == len({j.id for j in plan.jobs}) == plan.size == 16
+    assert told[:5] == [
+        ("motorway_cut_in_left", "idm", 1, 0), ("motorway_cut_in_left", "idm", 1, 1),
+        ("motorway_cut_in_left", "idm", 5, 0), ("motorway_cut_in_left", "idm", 5, 1),
+        ("motorway_cut_in_left", "krauss", 1, 0),
+    ]  # fmt: skip
+    assert told[8][0] == "leader_two_lanes"
+
+
+def test_patterns_folders_and_paths_count_from_the_plan(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "networks", tmp_path / "nets", ignore=shutil.ignore_patterns("src", "*.py"))
+    nets = len(list((tmp_path / "nets").iterdir()))
+    assert len(plan_of(tmp_path, inputs=["nets/*.net.xml"]).jobs) == nets
+    assert len(plan_of(tmp_path, inputs=["nets"]).jobs) == nets
+    assert [j.input.name for j in plan_of(tmp_path, inputs=["nets/motorway.net.xml"]).jobs] == ["motorway"]
+    with pytest.raises(UsageError, match=r"Nothing matches 'nets/\*\.toml'"):
+        plan_of(tmp_path, inputs=["nets/*.toml"])
+
+
+def test_an_id_is_made_of_content_and_not_of_places(tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "networks", tmp_path / "a")
+    shutil.copytree(ROOT / "networks", tmp_path / "b")
+    (tmp_path / "b" / "motorway.net.xml").rename(tmp_path / "b" / "other.net.xml")
+    here = plan_of(tmp_path, inputs=["a/motorway.net.xml"]).jobs
+    there = plan_of(tmp_path, inputs=["b/other.net.xml"]).jobs
+    assert [j.id for j in here] == [j.id for j in there]
+    text = (tmp_path / "b" / "other.net.xml").read_text(encoding="utf-8")
+    (tmp_path / "b" / "other.net.xml").write_text(text + "\n", encoding="utf-8")
+    assert [j.id for j in plan_of(tmp_path, inputs=["b/other.net.xml"]).jobs] != [j.id for j in here]
+    assert len(plan_of(tmp_path, inputs=["a/motorway.net.xml", "a/*motorway*"]).jobs) == 1  # the same twice
+
+
+def test_an_id_hangs_on_all_that_shapes_an_episode_and_on_nothing_else() -> None:
+    base = {"inputs": ["motorway_cut_in_left"]}
+    ids = [
+        plan_of(**base, **more).jobs[0].id
+        for more in (
+            {}, {"seeds": [1]}, {"egos": ["idm"]}, {"settings": {"attempts": 3}}, {"settings": {"recall": "scene"}},
+        )
+    ]  # fmt: skip
+    assert len(set(ids)) == 5
+    same = ({"learn": "after"}, {"memory": "x.sqlite"}, {"figures": True}, {"settings": {"attempts": 25}})
+    assert {plan_of(**base, **more).jobs[0].id for more in same} == {ids[0]}
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"inputs": ["motorway"], "sedes": 3}, "unknown key 'sedes'; known keys are schema, inputs"),
+        ({"seeds": 3}, "lacks the key 'inputs'"),
+        ({"inputs": []}, "bad 'inputs'"),
+        ({"inputs": ["motorway"], "seeds": 0}, "bad 'seeds"),
+        ({"inputs": ["motorway"], "seeds": [-1]}, "bad 'seeds"),
+        ({"inputs": ["motorway"], "learn": "always"}, "bad 'learn'"),
+        ({"inputs": ["motorway"], "schema": 2}, "bad 'schema'"),
+        ({"inputs": ["motorway"], "settings": {"atempts": 3}}, "'atempts'"),
+        ({"inputs": ["motorway"], "vary": {"atempts": [3]}}, "'atempts'"),
+        ({"inputs": ["motorway"], "vary": {"attempts": []}}, "bad 'vary.attempts'"),
+        ({"inputs": ["motorway"], "settings": {"ego": "idm"}}, "a plan says it as 'egos'"),
+        ({"inputs": ["motorway"], "vary": {"seed": [1]}}, "a plan says it as 'seeds'"),
+        ({"inputs": ["motorway"], "settings": {"attempts": 3}, "vary": {"attempts": [1]}}, "keep one"),
+    ],
+)
+def test_a_bad_plan_is_refused_by_name(table: dict[str, Any], says: str) -> None:
+    with pytest.raises(UsageError) as told:
+        plan_of(**table)
+    assert says in str(told.value)
+
+
+def test_plans_and_scenarios_are_told_apart(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text('inputs = ["motorway"]\nmemory = "bank.sqlite"\n')
+    assert is_plan(plan) and not is_plan(SCENARIOS / "leader_two_lanes.toml") and not is_plan(tmp_path)
+    assert read_plan(plan)["memory"] == str(tmp_path / "bank.sqlite")
+    plan.write_text("inputs = [\n")
+    with pytest.raises(UsageError, match="is not valid TOML"):
+        read_plan(plan)
+
+
+def test_a_broken_input_is_an_episode_that_cannot_be_run(tmp_path: Path) -> None:
+    (tmp_path / "bad.tfrecord").write_bytes(b"\x05" * 40)
+    jobs = plan_of(tmp_path, inputs=["gone.net.xml", "motorway", "bad.tfrecord"], seeds=2).jobs
+    assert [bool(j.input.error) for j in jobs] == [True, True, False, False, True, True]
+    assert "no file gone.net.xml" in jobs[0].input.error and "bad.tfrecord" in jobs[4].input.error
+    assert len({j.id for j in jobs}) == 6
+
+
+def test_waymo_records_are_inputs_by_their_ids(tmp_path: Path) -> None:
+    womd_samples = pytest.importorskip("womd_samples")
+    file = womd_samples.write(tmp_path / "two.tfrecord", womd_samples.straight("one"), womd_samples.straight("two"))
+    assert [(j.input.name, j.input.record) for j in plan_of(inputs=[str(file)]).jobs] == [("one",) * 2, ("two",) * 2]
+    assert [j.input.name for j in plan_of(inputs=[str(file)], records=[1]).jobs] == ["two"]
+    chosen = plan_of(inputs=[str(file)], records=["one", "three"]).jobs
+    assert [bool(j.input.error) for j in chosen] == [False, True]
+
+
+# -- what differs
+
+
+def test_two_plans_differ_in_words(tmp_path: Path) -> None:
+    one = plan_of(inputs=["motorway", "two_way"], seeds=3)
+    two = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
+    said, common = differences(one.as_dict(), two.as_dict())
+    assert said == [
+        "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, are idm",
+        "seeds were 0, 1, 2, are 0, 1", "settings changed: attempts",
+    ]  # fmt: skip
+    assert common == []
+    versions = {"versions": {"sumo_adv": "0"}}, {"versions": {"sumo_adv": "1"}}
+    _, common = differences(one.as_dict() | versions[0], one.as_dict() | versions[1])
+    assert common == ["versions: sumo_adv 0 then, sumo_adv 1 now"]
+
+
+def test_an_input_that_was_mended_is_no_other_plan(tmp_path: Path) -> None:
+    before = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()
+    shutil.copy(ROOT / "networks" / "two_way.net.xml", tmp_path / "late.net.xml")
+    after = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()
+    assert differences(before, after) == ([], [])
+    assert differences(after, before)[0] == ["inputs changed: late"]
+
+
+# -- rows and folders
+
+
+def job(name: str) -> Job:
+    given = plan_of(inputs=["motorway"]).inputs[0]
+    return Job(name, given, "idm", 0, 0)
+
+
+def test_a_failure_has_a_row_and_its_traceback(tmp_path: Path) -> None:
+    row = write_failure(tmp_path, job("ab"), "It hung.", "Traceback ...")
+    assert (row["ending"], row["failure"], row["critical"]) == ("simulation_failed", "It hung.", None)
+    assert row["traceback"] == "runs/ab/traceback.txt"
+    outcome = json.loads((tmp_path / "outcome.json").read_text(encoding="utf-8"))
+    assert row_of("ab", outcome, True) == row
+    assert (tmp_path / "traceback.txt").read_text() == "Traceback ..."
+
+
+def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> None:
+    jobs = [job("b"), job("a"), job("c")]
+    rows = {name: write_failure(tmp_path, job(name), "x", "") for name in ("a", "b")}
+    write_csv(tmp_path / "results.csv", table_of(jobs, rows, [{"attempts": 3}]), ["attempts"])
+    with (tmp_path / "results.csv").open(newline="") as file:
+        found = list(csv.DictReader(file))
+    assert [r["id"] for r in found] == ["b", "a"]
+    assert list(found[0]) == [*COLUMNS, "set_attempts"]
+    assert (found[0]["min_ttc"], found[0]["attempts"], found[0]["set_attempts"]) == ("", "0", "3")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["outcome.json", "results.csv", "traceback.txt"]
+
+
+def test_parquet_says_what_it_needs_or_holds_the_same(tmp_path: Path) -> None:
+    from sumo_adv.batch.results import write_parquet
+
+    table = table_of([job("a")], {"a": write_failure(tmp_path, job("a"), "x", "")}, [{"attempts": 3}])
+    try:
+        from pyarrow import parquet
+    except ImportError:
+        with pytest.raises(UsageError, match=r"pip install 'sumo-adv\[batch\]'"):
+            write_parquet(tmp_path / "t.parquet", table, ["attempts"])
+        return
+    write_parquet(tmp_path / "t.parquet", table, ["attempts"])
+    (row,) = parquet.read_table(tmp_path / "t.parquet").to_pylist()
+    assert (row["id"], row["seed"], row["min_ttc"], row["set_attempts"]) == ("a", 0, None, "3")
+
+
+def test_inputs_are_kept_once(tmp_path: Path) -> None:
+    shared = tmp_path / "inputs"
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+        (tmp_path / run / "123-net.xml").write_text("the same")
+        share(tmp_path / run, shared)
+    assert len({(tmp_path / run / "123-net.xml").stat().st_ino for run in ("a", "b", "inputs")}) == 1
+    assert files_of(tmp_path / "a") == files_of(tmp_path / "b") == {"123-net.xml": b"the same"}
+
+
+def runs_in(folder: Path, names: str) -> dict[str, dict[str, bytes]]:
+    """Finished runs as a batch leaves them, with a shared input; their files."""
+    (folder / "runs").mkdir(parents=True)
+    (folder / "plan.json").write_text("{}")
+    for name in names:
+        run = folder / "runs" / name
+        (run / "inputs").mkdir(parents=True)
+        write_failure(run, job(name), f"{name} failed", "because")
+        (run / "learnt.json").write_text(f'["{name}"]')
+        (run / "inputs" / "123-net.xml").write_text("road " * 1000)
+        share(run / "inputs", folder / "inputs")
+    return {name: files_of(folder / "runs" / name) for name in names}
+
+
+def test_packs_give_back_what_they_got(tmp_path: Path) -> None:
+    before = runs_in(tmp_path, "abcde")
+    done = pack(tmp_path, most=2)
+    assert (done.runs, done.files) == (5, (20, 6))
+    assert sorted(p.name for p in (tmp_path / "packs").iterdir()) == [
+        "0000.json", "0000.zip", "0001.json", "0001.zip", "0002.json", "0002.zip",
+    ]  # fmt: skip
+    assert list((tmp_path / "runs").iterdir()) == [] and list((tmp_path / "inputs").iterdir()) == []
+    assert set(packed_rows(tmp_path)) == set("abcde") and packed_rows(tmp_path)["c"]["failure"] == "c failed"
+    assert packed_texts(tmp_path, "learnt.json")["b"] == '["b"]'
+    assert [p.name for p in unpack(tmp_path, ["d"], tmp_path / "one", staged)] == ["d"]
+    unpack(tmp_path, [], tmp_path / "all", staged)
+    assert {name: files_of(tmp_path / "all" / name) for name in "abcde"} == before
+    assert unpack(tmp_path, [], tmp_path / "all", staged) == []  # they are there already
+    assert pack(tmp_path, most=2).runs == 0
+
+
+def test_a_pack_that_was_broken_off_is_packed_again(tmp_path: Path) -> None:
+    runs_in(tmp_path, "ab")
+    kept = tmp_path / "kept"
+    shutil.copytree(tmp_path / "runs" / "a", kept)
+    pack(tmp_path)
+    shutil.copytree(kept, tmp_path / "runs" / "a")  # killed before it was removed
+    (tmp_path / "packs" / "0001.zip").write_bytes(b"half")  # killed before its index was there
+    assert pack(tmp_path).runs == 0 and list((tmp_path / "runs").iterdir()) == []
+    shutil.copytree(kept, tmp_path / "runs" / "z")
+    assert pack(tmp_path).runs == 1 and set(packed_rows(tmp_path)) == {"a", "b", "z"}
+
+
+def test_damaged_packs_are_a_sentence(tmp_path: Path) -> None:
+    runs_in(tmp_path, "ab")
+    pack(tmp_path)
+    with pytest.raises(UsageError, match=r"No pack .* holds the run x"):
+        unpack(tmp_path, ["x"], tmp_path / "all", staged)
+    (tmp_path / "packs" / "0000.zip").write_bytes(b"not a zip")
+    with pytest.raises(UsageError, match="missing or damaged"):
+        unpack(tmp_path, ["a"], tmp_path / "all", staged)
+    (tmp_path / "packs" / "0000.json").write_text("{")
+    with pytest.raises(UsageError, match=r"index .* damaged"):
+        packed_rows(tmp_path)
+
+
+def test_one_batch_at_a_time_and_no_other_folder(tmp_path: Path) -> None:
+    with open_store(tmp_path / "out", staged) as (_, scratch):
+        assert scratch.is_dir()
+        with pytest.raises(UsageError, match="Another batch"), open_store(tmp_path / "out", staged):
+            pass
+    assert not (tmp_path / "out").exists()  # nothing was asked for
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "dog.png").touch()
+    with pytest.raises(UsageError, match="something else"), open_store(tmp_path / "photos", staged):
+        pass
+    assert [p.name for p in (tmp_path / "photos").iterdir()] == ["dog.png"]
+
+
+# -- lessons
+
+
+def lesson(seed: int, *, success: bool = True, source: str = TRAIL) -> Lesson:
+    planner = make_planner("Odd Driving", "odd", source, "person")
+    scene = SceneSignature("straight", "leader", {"ahead": 4.0}, "idm")
+    evidence = Evidence(
+        label="Odd Driving", planner_hash=planner.hash, scene=scene, attempts=1,
+        min_ttc=0.5 if success else float("inf"), collided=False, critical=success, feasible=True, rear_end=False,
+        valid=None, strict=None, version="0", network="n", seed=seed, parameters={"gap": 3.0},
+        acceleration=((0.0, 1.0), (2.0, -1.0)),
+    )  # fmt: skip
+    return Lesson(evidence, IntentRecord("Odd Driving", "Drives in an odd way.", ("leader",)), planner)
+
+
+def test_lessons_survive_as_text() -> None:
+    lessons = [lesson(0), lesson(1, success=False), Lesson(lesson(2).evidence, None, None)]
+    assert from_text(as_text(lessons)) == lessons
+    assert "Infinity" not in as_text(lessons)
+
+
+def test_teaching_twice_teaches_once(tmp_path: Path) -> None:
+    texts = [as_text([lesson(0), lesson(1)]), as_text([lesson(2)])]
+    with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
+        assert teach(bank, texts[:1]) == 2  # broken off
+        assert teach(bank, texts) == 1
+        assert teach(bank, texts) == 0
+        assert [e.seed for e in bank.evidence("Odd Driving")] == [0, 1, 2]
+        assert len(bank.planners("Odd Driving")) == 1

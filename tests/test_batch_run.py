@@ -1,0 +1,305 @@
+"""Batches through the real command line: the table, any number of workers, resuming, faults, Ctrl-C, learning."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_samples import CRASHED, INPUTS, QUICK, RUN, SMALL, clean, summary, table, workers_of
+from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, untimed
+from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
+from test_interrupt import alive, children_of, wait_until
+
+from sumo_adv.batch.results import COLUMNS
+from sumo_adv.memory.bank import MemoryBank
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[tuple[Program, Done]]:
+    """The small plan on two workers, undisturbed."""
+    program = Program(tmp_path_factory.mktemp("whole"), caches)
+    yield program, program(*SMALL, "--workers", "2")
+
+
+def again(program: Program, whole: tuple[Program, Done]) -> Path:
+    """A copy of the undisturbed batch's folder for another program."""
+    shutil.copytree(whole[1].folder, program.folder / "out")
+    return program.folder / "out"
+
+
+# -- the table
+
+
+def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tuple[Program, Done]) -> None:
+    program, done = whole
+    assert (done.status, done.err) == (0, "")  # no bar, nothing but the summary: this is a pipe
+    assert done.out.startswith("4 of 4 episodes: ") and done.out.splitlines()[-1] == "Files: out/results.csv"
+    assert "kB an episode" in done.out
+    rows = table(done.folder)
+    assert [(r["network"], r["seed"]) for r in rows] == [(i, s) for i in INPUTS for s in "01"]
+    assert list(rows[0]) == [c for c in COLUMNS if c != "seconds"]
+    assert {p.name for p in (done.folder / "runs").iterdir()} == {r["id"] for r in rows}
+    for row in rows:
+        folder = done.folder / "runs" / row["id"]
+        assert lacking(folder, RUN) == set()
+        outcome = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
+        assert (row["ending"], row["ego"]) == (outcome["ending"], "idm")
+        assert row["intent"] == outcome["intent"]["label"]
+        assert (row["critical"] == "true") is outcome["outcome"]["critical"]
+    clean(program)
+
+
+def test_an_episode_is_what_run_makes_of_it(program: Program, whole: tuple[Program, Done]) -> None:
+    (program.folder / "quick.toml").write_text("proposals = 8\nduration = 6.0\n")
+    options = ("--attempts", "1", "--seed", "1", "--learn", "off", "--settings", "quick.toml", "--out", "alone")
+    program("run", INPUTS[0], *options)
+    folder = whole[1].folder / "runs" / table(whole[1].folder)[1]["id"]
+    ours, alone = files_of(folder), files_of(program.folder / "alone")
+    assert set(alone) - set(ours) == {"encounter.png"} and set(ours) <= set(alone)
+    assert untimed(json.loads(ours.pop("outcome.json"))) == untimed(json.loads(alone["outcome.json"]))
+    assert {name: data for name, data in ours.items() if alone[name] != data} == {}
+
+
+def test_one_worker_recycled_after_every_episode_gives_the_same_rows(
+    program: Program, whole: tuple[Program, Done]
+) -> None:
+    said = summary(program(*SMALL, "--workers", "1", "--recycle", "1", "--json"))
+    assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
+    assert table(program.folder / "out") == table(whole[1].folder)
+    clean(program)
+
+
+def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tuple[Program, Done]) -> None:
+    said = summary(program(*SMALL, "--dry-run", "--json"))
+    assert [e["id"] for e in said["episodes"]] == [r["id"] for r in table(whole[1].folder)]
+    done = program(*SMALL, "--dry-run")
+    assert done.out.splitlines()[-1] == "4 episodes, into out."
+    assert program.leftovers() == []
+
+
+def test_a_plan_file_is_the_same_as_its_options(program: Program, whole: tuple[Program, Done]) -> None:
+    text = f"inputs = {json.dumps(INPUTS)}\nseeds = [0, 1]\n[settings]\nattempts = 1\nproposals = 8\nduration = 6.0\n"
+    (program.folder / "plan.toml").write_text(text)
+    said = summary(program("batch", "plan.toml", "--dry-run", "--json"))
+    assert [e["id"] for e in said["episodes"]] == [r["id"] for r in table(whole[1].folder)]
+    assert said["out"] == "runs/plan"
+
+
+# -- going on
+
+
+def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple[Program, Done]) -> None:
+    out = again(program, whole)
+    before = table(out)
+    shutil.rmtree(out / "runs" / before[2]["id"])
+    (out / "runs" / f".{before[2]['id']}.half").mkdir()  # what a kill leaves
+    (out / "runs" / before[0]["id"] / "outcome.json").write_text("{")  # damaged
+    (out / "results.csv").unlink()
+    said = summary(program(*SMALL, "--workers", "1", "--json"))
+    assert (said["finished"], said["ran"]) == (4, 2)
+    assert table(out) == before
+    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    clean(program)
+
+
+def test_another_plan_in_the_same_folder_says_what_differs(program: Program, whole: tuple[Program, Done]) -> None:
+    out = again(program, whole)
+    more = ("batch", *INPUTS, "--seeds", "3", *QUICK, "--out", "out")
+    refused(program(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
+    refused(program(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
+    before = table(out)
+    said = summary(program(*more, "--force", "--json"))
+    assert (said["episodes"], said["ran"]) == (6, 2)
+    assert [r for r in table(out) if r["seed"] != "2"] == before
+
+
+def test_packed_runs_count_as_done_and_come_back_as_they_were(program: Program, whole: tuple[Program, Done]) -> None:
+    out = again(program, whole)
+    before, rows = files_of(out / "runs"), table(out)
+    done = program("batch", "pack", "out", "--json")
+    assert json.loads(done.out)["files"] == [len(before), 2]
+    (out / "results.csv").unlink()
+    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    assert table(out) == rows
+    program("batch", "unpack", "out")
+    assert files_of(out / "unpacked") == before
+    refused(program("batch", "unpack", "out", "nothing"), 2, "holds the run nothing")
+    refused(program("batch", "pack", "home"), 2, "is not the folder of a batch")
+
+
+# -- faults
+
+
+def test_broken_members_fail_by_name_and_the_rest_completes(program: Program) -> None:
+    """A network that is not there, a corrupt record, a driver that hangs and one that crashes, beside a good one."""
+    (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)
+    inputs = (INPUTS[0], "gone.net.xml", "bad.tfrecord")
+    egos = "ego_samples:CalmEgo,batch_samples:HangingEgo,batch_samples:CrashingEgo,ego_samples:NoEgo"
+    options = ("--workers", "2", "--deadline", "15", "--out", "out")
+    done = program("batch", *inputs, "--egos", egos, *QUICK, *options)
+    assert done.status == 0 and "Traceback" not in done.err
+    assert len(done.err.splitlines()) == 11  # a sentence for each that failed
+    rows = table(done.folder)
+    calm, hanging, crashing, none = rows[:4]
+    assert len(rows) == 12 and all(r["failure"] and r["ending"] == "simulation_failed" for r in rows[1:])
+    assert calm["failure"] == "" and calm["ending"] in ("critical", "attempts_exhausted")
+    assert "not done after 15 s" in hanging["failure"]
+    assert "died without a word" in crashing["failure"]  # in the fork that runs on unattacked
+    assert "NoEgo" in none["failure"]
+    assert all("gone.net.xml" in r["failure"] for r in rows[4:8])
+    assert all("bad.tfrecord" in r["failure"] for r in rows[8:])
+    for row in rows[1:]:
+        assert (done.folder / row["traceback"]).read_text(encoding="utf-8").strip()
+    assert "Segmentation fault" in (done.folder / crashing["traceback"]).read_text(encoding="utf-8")
+    clean(program, "bad.tfrecord")
+
+
+def test_what_crashes_once_is_tried_again(program: Program) -> None:
+    options = ("--seeds", "1", *QUICK, "--out", "out", "--json")
+    said = summary(program("batch", INPUTS[0], "--egos", "batch_samples:OnceCrashingEgo", *options))
+    assert (said["finished"], said["failed"]) == (1, 0)
+    (row,) = table(program.folder / "out")
+    assert (row["failure"], row["traceback"]) == ("", "")
+    clean(program, CRASHED.name)
+
+
+def test_planners_that_hang_cost_their_attempts(program: Program) -> None:
+    loops = "".join(TRAIL.partition("    pose")[:1]) + "    while True:\n        pass\n"
+    bank_with(program.folder / "bank.sqlite", loops)
+    done = program("batch", INPUTS[0], *QUICK, "--memory", "bank.sqlite", "--out", "out")
+    (row,) = table(done.folder)
+    assert done.status == 1 and row["ending"] in ("planner_failed", "no_encounter") and row["failure"]
+
+
+@pytest.mark.parametrize("victim", ["worker", "parent"])
+def test_kill_9_loses_nothing(program: Program, whole: tuple[Program, Done], victim: str) -> None:
+    with program.start(*SMALL, "--workers", "2") as process:
+        runs = program.folder / "out" / "runs"
+        wait_until(process, lambda: runs.is_dir() and any(not p.name.startswith(".") for p in runs.iterdir()))
+        wait_until(process, lambda: len(workers_of(process.pid)) == 2)
+        family = children_of(process.pid)
+        os.kill(workers_of(process.pid)[0] if victim == "worker" else process.pid, signal.SIGKILL)
+        process.communicate(timeout=PATIENCE)
+    deadline = time.monotonic() + 5.0
+    while alive(family) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert alive(family) == set()
+    assert process.returncode == (0 if victim == "worker" else -signal.SIGKILL)
+    said = summary(program(*SMALL, "--json"))
+    assert said["ran"] == 0 if victim == "worker" else 0 < said["ran"] < 4
+    assert table(program.folder / "out") == table(whole[1].folder)
+    clean(program)
+
+
+def test_ctrl_c_lets_finish_what_runs(program: Program, whole: tuple[Program, Done]) -> None:
+    done = pressed(program, 1)
+    assert done.status == 1 and "the same command again does the rest" in done.err
+    kept = table(done.folder)
+    assert 0 < len(kept) < 4 and [r for r in table(whole[1].folder) if r in kept] == kept
+    clean(program)
+    said = summary(program(*SMALL, "--json"))
+    assert said["ran"] == 4 - len(kept)
+    assert table(done.folder) == table(whole[1].folder)
+
+
+def test_ctrl_c_twice_stops_now(program: Program, whole: tuple[Program, Done]) -> None:
+    done = pressed(program, 2)
+    assert done.status == 1 and "Stopping now." in done.err
+    assert [r for r in table(whole[1].folder) if r in table(done.folder)] == table(done.folder)
+    clean(program)
+
+
+def pressed(program: Program, times: int) -> Done:
+    """Ctrl-C as soon as an episode has begun in one worker."""
+    with program.start(*SMALL, "--workers", "1") as process:
+        runs = program.folder / "out" / "runs"
+        wait_until(process, lambda: runs.is_dir() and any(runs.iterdir()))
+        family = children_of(process.pid)
+        for _ in range(times):
+            os.killpg(process.pid, signal.SIGINT)
+            time.sleep(0.3)
+        out, err = process.communicate(timeout=PATIENCE)
+    assert alive(family) == set() and "Traceback" not in err
+    return Done(process.returncode, out, err, program.folder / "out")
+
+
+def test_no_right_to_write_is_a_sentence(program: Program, shelf: Path) -> None:  # noqa: F811
+    done = program(*SMALL[:-1], shelf / "new", preexec_fn=powerless)
+    refused(done, 2, "cannot be written", "another --out")
+    assert [p.name for p in shelf.iterdir()] == ["bank.sqlite"]
+
+
+def test_a_folder_that_becomes_read_only_stops_the_batch(program: Program, whole: tuple[Program, Done]) -> None:
+    out = again(program, whole)
+    shutil.rmtree(out / "runs" / table(out)[0]["id"])
+    (out / "runs").chmod(0o555)
+    done = program(*SMALL, "--workers", "1", preexec_fn=powerless)
+    (out / "runs").chmod(0o755)
+    if done.status == 0:
+        pytest.skip("whoever runs this may write everywhere, and cannot give that up")
+    refused(done, 2, "cannot be written")
+    assert len(table(out)) == 3
+
+
+def test_a_full_disk_is_a_sentence_and_nothing_is_half_written(program: Program) -> None:
+    disk = program.folder / "disk"
+    disk.mkdir()
+    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
+    script = (
+        f'mount -t tmpfs -o size=300k tmpfs "{disk}" || exit 77; "$@"; status=$?; '
+        f'find "{disk}/out/runs" -mindepth 1 -maxdepth 1 -name ".*"; exit $status'
+    )
+    before = ("unshare", "-rm", "sh", "-c", script, "sh")
+    done = program(*SMALL[:-1], disk / "out", "--workers", "1", before=before)
+    if done.status == 77:
+        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
+    refused(done, 1, "no space left")
+
+
+# -- learning
+
+
+def learnt(program: Program, *options: str) -> tuple[dict[str, Any], MemoryBank]:
+    """A batch with a bank of its own."""
+    bank = program.folder / "bank.sqlite"
+    if not bank.exists():
+        shutil.copy(ROOT / "memory_bank.sqlite", bank)
+    said = summary(program(*SMALL, "--memory", str(bank), "--json", *options))
+    return said, MemoryBank.open(bank, read_only=True)
+
+
+def test_off_learns_nothing_and_after_learns_in_the_plans_order(
+    whole: tuple[Program, Done], tmp_path_factory: pytest.TempPathFactory, caches: Path
+) -> None:
+    banks: list[Sequence[Any]] = []
+    for k, workers in enumerate(("2", "1")):
+        mine = Program(tmp_path_factory.mktemp(f"learns{k}"), caches)
+        said, bank = learnt(mine, "--learn", "after", "--workers", workers)
+        with bank:
+            banks.append(bank.evidence())
+        assert said["learnt"] == len(banks[-1]) > 0
+        assert table(mine.folder / "out") == table(whole[1].folder)  # nobody saw what others learnt
+    assert banks[0] == banks[1]
+    said, bank = learnt(mine, "--learn", "after")
+    with bank:
+        assert said["ran"] == 0 and bank.evidence() == banks[0]
+    with MemoryBank.open(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite", read_only=True) as untouched:
+        assert untouched.evidence() == []
+
+
+def test_during_is_said_aloud(program: Program) -> None:
+    shutil.copy(ROOT / "memory_bank.sqlite", program.folder / "bank.sqlite")
+    options = ("--seeds", "1", *QUICK, "--learn", "during", "--memory", "bank.sqlite", "--out", "out")
+    done = program("batch", INPUTS[0], *options)
+    assert done.status == 0 and "depend on the order" in done.err
+    with MemoryBank.open(program.folder / "bank.sqlite", read_only=True) as bank:
+        assert bank.evidence()
