@@ -58,7 +58,7 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     foes = find_foes(roads.links)
     links, bent = bend_together(roads.links, foes)
     roads = replace(roads, links=links)
-    rulers = ruling_lanes(record, roads.links)
+    rulers = ruling_lanes(record, roads.links, foes, stops)
     order = settle(roads.links, roads.edges, foes, stops, rulers)
     signals = plan_signals(record, roads.links, rulers, order)
     folder.mkdir(parents=True, exist_ok=True)

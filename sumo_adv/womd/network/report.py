@@ -44,10 +44,12 @@ def make_report(
         "speeds_assumed": kept.assumed_speeds,
         "widths_from": widths.sources,
         "junctions": dict(sorted(Counter(order.kind.values()).items())),
-        "signals_recorded": signals.recorded,
+        "signals_recorded": len(signals.recorded),
         "signals_mapped": len(signals.mapped),
+        "signals_without_a_link": sorted(signals.recorded - set(signals.mapped)),
         "signals_unknown": len(signals.unknown),
         "signals_completed": signals.completed,
+        "signals_assumed": signals.assumed,
         "signal_junctions": len(signals.programs),
         "crosswalks": [
             [area.id, [[round(float(x), 2), round(float(y), 2)] for x, y in area.points[:, :2]]]

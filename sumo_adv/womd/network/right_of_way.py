@@ -8,7 +8,7 @@ before left. Where all approaches have a stop sign, or three and every road has 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,7 @@ class RightOfWay:
 
 def settle(
     links: Sequence[Link], edges: dict[str, RoadEdge], foes: set[tuple[int, int]], stops: Collection[int],
-    ruled: Mapping[int, int],
+    ruled: Collection[int],
 ) -> RightOfWay:  # fmt: skip
     """Rank the links of every junction; ``stops``: WOMD lanes that begin at a stop sign; ``ruled``: links that a
     signal rules (they go before all others of their junction)."""
@@ -69,7 +69,7 @@ def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str
 
 
 def _ranks(
-    links: Sequence[Link], edges: dict[str, RoadEdge], members: list[int], stopped: list[bool], ruled: Mapping[int, int]
+    links: Sequence[Link], edges: dict[str, RoadEdge], members: list[int], stopped: list[bool], ruled: Collection[int]
 ) -> dict[int, Rank]:
     """A rank for every link of a junction, all different; the greater goes first."""
     sources = sorted({links[k].source for k in members})

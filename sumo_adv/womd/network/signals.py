@@ -1,14 +1,15 @@
 """Signals: phases as recorded, then a default for streams whose green was never seen, over and over.
 
-A link is ruled by the first signal lane it passes. Where a lane's state is unknown for a while, the last known state
-holds; where it is unknown throughout, it does as a lane of the same edge and direction, else it is red until the
-default. In the default no two streams that cross or merge are green together.
+A link is ruled by the first signal lane that begins on it. Where a lane's state is unknown for a while, the last known
+state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else it is red until the
+default. So it is with approaches that go straight on across ruled ones and of which the record tells no signal. In the
+default no two streams that cross or merge are green together.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from sumo_adv.womd.network.right_of_way import RightOfWay
@@ -17,8 +18,9 @@ from sumo_adv.womd.record import Record
 
 LETTERS = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
 ENOUGH = 5.0  # s of green in the record after which the default need not serve a stream
-GREEN, YELLOW, CLEARANCE = 10.0, 3.0, 2.0  # s of the default's phases
+GREEN, YELLOW, CLEARANCE = 8.0, 3.0, 1.0  # s of the default's phases
 
+Rulers = Mapping[int, int | None]  # link -> the lane whose signal rules it, None where the record has none for it
 Stream = tuple[str, str]  # edge and direction
 
 
@@ -42,35 +44,44 @@ class Program:
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
     """Programs by junction, and what the report tells: lanes with a signal, those that rule a link, those whose state
-    is never known, streams that the default completes."""
+    is never known, streams that the default completes, approaches signalled without a recorded signal."""
 
     programs: dict[str, Program]
-    recorded: int
+    recorded: frozenset[int]
     mapped: tuple[int, ...]
     unknown: tuple[int, ...]
     completed: int
+    assumed: int
 
 
-def ruling_lanes(record: Record, links: Sequence[Link]) -> dict[int, int]:
-    """Link number -> the signal lane that rules it."""
+def ruling_lanes(
+    record: Record, links: Sequence[Link], foes: Collection[tuple[int, int]], stops: Collection[int]
+) -> dict[int, int | None]:
+    """Link number -> the signal lane that rules it; None for links of an approach without a recorded signal or a stop
+    sign that goes straight on across a ruled one."""
     recorded = {state.lane for step in record.signals for state in step}
-    found = {}
+    found: dict[int, int | None] = {}
     for n, link in enumerate(links):
         lane = next((lane for lane in link.lanes if lane in recorded), None)
         if lane is not None:
             found[n] = lane
+    crossing = {a for pair in foes for a, b in (pair, pair[::-1]) if a not in found and b in found}
+    stopping = {link.source for link in links if any(lane in stops for lane in link.lanes)}
+    assumed = {links[n].source for n in crossing if links[n].direction == "s"} - stopping
+    found |= {n: None for n in crossing if links[n].source in assumed and links[n].direction != "r"}
     return found
 
 
-def plan_signals(record: Record, links: Sequence[Link], rulers: Mapping[int, int], order: RightOfWay) -> SignalPlan:
+def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: RightOfWay) -> SignalPlan:
     """Programs for all junctions with a ruled link."""
     letters = _letters(record)
+    place: dict[int | None, int] = {lane: n for n, lane in enumerate(letters)}
     programs: dict[str, Program] = {}
     completed = 0
-    place = {lane: n for n, lane in enumerate(letters)}
     step = float(record.time[1] - record.time[0]) if len(record.time) > 1 else 0.1
     for junction in sorted({links[n].junction for n in rulers}):
-        members = sorted((n for n in rulers if links[n].junction == junction), key=lambda n: (place[rulers[n]], n))
+        members = [n for n in rulers if links[n].junction == junction]
+        members.sort(key=lambda n: (place.get(rulers[n], len(place)), n))
         known = _known(links, members, rulers, letters)
         rows = ["".join(known[n][k] for n in members) for k in range(len(record.signals))]
         phases = _run_lengths(rows, step)
@@ -82,7 +93,8 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Mapping[int, int
         programs[junction] = Program({n: k for k, n in enumerate(members)}, tuple(greens), len(phases))
     unknown = tuple(lane for lane, states in letters.items() if not any(states))
     mapped = tuple(lane for lane in letters if lane in set(rulers.values()))
-    return SignalPlan(programs, len(letters), mapped, unknown, completed)
+    assumed = len({links[n].source for n, lane in rulers.items() if lane is None})
+    return SignalPlan(programs, frozenset(letters), mapped, unknown, completed, assumed)
 
 
 def _letters(record: Record) -> dict[int, list[str]]:
@@ -101,15 +113,16 @@ def _letters(record: Record) -> dict[int, list[str]]:
 
 
 def _known(
-    links: Sequence[Link], members: list[int], rulers: Mapping[int, int], letters: dict[int, list[str]]
+    links: Sequence[Link], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
 ) -> dict[int, list[str]]:
-    """Each link's letters; those of a like link where its own lane is never known; else red."""
+    """Each link's letters; those of a like link where its own are never known; else red."""
+    own = {n: letters.get(lane, []) if (lane := rulers[n]) is not None else [] for n in members}
     told: dict[Stream, list[str]] = {}
     for n in members:
-        if any(letters[rulers[n]]):
-            told.setdefault(_stream(links[n]), letters[rulers[n]])
+        if any(own[n]):
+            told.setdefault(_stream(links[n]), own[n])
     red = ["r"] * len(next(iter(letters.values())))
-    return {n: letters[rulers[n]] if any(letters[rulers[n]]) else told.get(_stream(links[n]), red) for n in members}
+    return {n: own[n] if any(own[n]) else told.get(_stream(links[n]), red) for n in members}
 
 
 def _stream(link: Link) -> Stream:

@@ -39,8 +39,8 @@ def find_widths(strands: tuple[Strand, ...], rows: Iterable[Row], lines: Iterabl
     rows = list(rows)
     stretches = [stretch for row in rows for stretch in row]
     centre, side = _probes(strands, stretches)
-    left = _distances(centre, side, lines).reshape(-1, PROBES)
-    right = _distances(centre, -side, lines).reshape(-1, PROBES)
+    sides = _distances(np.vstack([centre, centre]), np.vstack([side, -side]), lines)
+    left, right = (part.reshape(-1, PROBES) for part in np.split(sides, 2))
     spacing = _spacings(strands, rows)
     width: dict[Stretch, float] = {}
     sources = {"both sides": 0, "one side": 0, "neighbours": 0, "default": 0}
