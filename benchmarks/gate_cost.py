@@ -45,7 +45,6 @@ for line in sys.stdin:
     print(time.perf_counter() - began, flush=True)
     if what == "getter":
         client.simulationStep()
-client.close()
 """
 
 
@@ -93,10 +92,10 @@ def side(arguments: Sequence[str], gate: Gate | None) -> Iterator[Side]:
         ours.simulationStep()
         assert client.stdout.readline() == "ready\n"
         yield Side(ours, client)
+        client.kill()
+        client.communicate()
         if gate is not None:
             gate.detach()
-        sumo.close()
-        client.communicate()
 
 
 def connect(sumo: SumoProcess) -> Any:

@@ -69,12 +69,16 @@ def connected(code: str) -> str:
 
 
 class Script:
-    """A client that is a process: Python code that finds the port in ``PORT`` and ``traci`` imported."""
+    """A client that is a process: a file, or code that finds the port in ``PORT`` and ``traci`` imported."""
 
-    def __init__(self, port: int, code: str) -> None:
-        text = f"import os, socket, struct, sys, time\nimport traci\nPORT = {port}\n{textwrap.dedent(code)}"
+    def __init__(self, port: int, code: str | Path) -> None:
+        if isinstance(code, Path):
+            command = [str(code), str(port)]
+        else:
+            begin = f"import os, socket, struct, sys, time\nimport traci\nPORT = {port}\n"
+            command = ["-c", begin + textwrap.dedent(code)]
         self.process = subprocess.Popen(
-            [sys.executable, "-c", text], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            [sys.executable, *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True,
         )  # fmt: skip
 
@@ -85,8 +89,11 @@ class Script:
 
     def end(self, timeout: float = 30.0) -> str:
         """What else it says, once it has ended in good order."""
-        said, errors = self.process.communicate(timeout=timeout)
-        assert self.process.returncode == 0, errors[-3000:]
+        assert self.process.stdout is not None and self.process.stderr is not None
+        said = self.process.stdout.read()
+        errors = self.process.stderr.read()
+        assert self.process.wait(timeout) == 0, errors[-3000:]
+        self.process.communicate()
         return said
 
     def kill(self) -> None:

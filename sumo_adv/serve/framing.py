@@ -66,6 +66,15 @@ def accepted(answer: bytes) -> bool:
     return len(answer) > start + 1 and answer[start + 1] == OK
 
 
+def complaint(answer: bytes) -> str:
+    """What the first command of an answering message complains of; nothing if it went well."""
+    start = 5 if answer[4] else 9
+    if accepted(answer) or len(answer) < start + 6:
+        return ""
+    size = _INT.unpack_from(answer, start + 2)[0]
+    return answer[start + 6 : start + 6 + size].decode(errors="replace")
+
+
 def split(message: bytes) -> list[Command]:
     """The commands of a message.
 
@@ -109,6 +118,8 @@ def without(answer: bytes, hidden: Collection[bytes]) -> bytes:
             if answer[name : name + size] not in hidden:
                 kept.append(answer[at : at + length])
             at += length
+        if at != len(answer):
+            raise FramingError("SUMO's answer to a step cannot be read.")
     except (IndexError, struct.error) as error:
         raise FramingError("SUMO's answer to a step cannot be read.") from error
     return make_message(answer[4 : 4 + status], _INT.pack(len(kept)), *kept)

@@ -24,14 +24,17 @@ _DOMAINS = (
 GETTERS = {first + k: name for first, names in _DOMAINS for k, name in enumerate(names.split())}
 """Number of a getter -> domain, as in ``traci``; other commands of a domain stand at fixed distances."""
 SETTERS = {number + 0x20: name for number, name in GETTERS.items()}
-SUBSCRIPTIONS = {number + 0x30: name for number, name in GETTERS.items()}
+GETTER_TO_SUBSCRIPTION = 0x30
+SUBSCRIPTIONS = {number + GETTER_TO_SUBSCRIPTION: name for number, name in GETTERS.items()}
 CONTEXTS = {number - 0x20: name for number, name in GETTERS.items()}
 ADDED = frozenset({"vehicle", "vehicletype", "route", "person", "poi", "polygon"})
 """Domains in which a client may add objects, and set those it added."""
 NEVER = frozenset({"simulation", "gui"})
 _ADD, _REMOVE, _ADD_FULL, _COPY = 0x80, 0x81, 0x85, 0x88
-_VEHICLE, _TYPE, _GUI = 0xC4, 0xC5, 0xAC
+_GUI = 0xAC
+_CALIBRATOR = 0x07  # SUMO dies of a context around one
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
+_TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
 _HIDDEN = "This object is sumo_adv's own."
 
 
@@ -98,6 +101,8 @@ class Policy:
         if number == _GUI:
             return None
         end = shapes.name_end(payload, 1)
+        if end - 5 > (shapes.LONGEST_OBJECT if end == len(payload) else shapes.LONGEST_NAME):
+            return _TOO_LONG
         if not shapes.fits(payload, end, shapes.get_shapes(number, payload[0])):
             return _misfit(number)
         acting = _ACTING.get((number, payload[0]))
@@ -110,6 +115,8 @@ class Policy:
         end = shapes.name_end(payload, 1)
         variable, name = payload[0], payload[5:end]
         wanted = shapes.set_shapes(number, variable)
+        if len(name) > shapes.LONGEST_NAME:
+            return _TOO_LONG
         if domain in NEVER:
             return f"Setting the {domain} is not for a client of sumo_adv."
         if name in self.hidden:
@@ -130,15 +137,20 @@ class Policy:
 
     def _subscription(self, number: int, payload: bytes) -> str | None:
         end = shapes.name_end(payload, 16)
-        domain, context = number - 0x30, number in CONTEXTS
-        if context:
-            if end >= len(payload):
-                raise Misfit
-            domain, end = payload[end], end + 9
-        if payload[20 : shapes.name_end(payload, 16)] in self.hidden:
+        name = payload[20:end]
+        if name in self.hidden:
             return _HIDDEN
-        if shapes.subscription_end(payload, end, domain) != len(payload):
+        if len(name) > shapes.LONGEST_OBJECT:
+            return _TOO_LONG
+        if not all(map(math.isfinite, struct.unpack_from("!2d", payload))):
             raise Misfit
+        if number not in CONTEXTS:
+            shapes.subscribed(payload, end, number - GETTER_TO_SUBSCRIPTION)
+            return None
+        if len(payload) < end + 10 or not abs(struct.unpack_from("!d", payload, end + 1)[0]) <= shapes.LARGEST:
+            raise Misfit
+        if number == _CALIBRATOR or not shapes.context_fits(payload, end + 9, payload[end]):
+            return "A context cannot be of this domain, or not of these variables."
         return None
 
     def took(self, command: Command) -> None:
@@ -176,7 +188,7 @@ def _filter_fits(payload: bytes) -> bool:
     kind = payload[0]
     if kind == 0x01:  # lanes: a count and so many bytes
         return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
-    wanted = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "l", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
+    wanted = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
     return shapes.fits(payload, 1, (wanted,))
 
 

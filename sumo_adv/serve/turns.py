@@ -10,10 +10,19 @@ from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
-from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, step_until
+from sumo_adv.serve.policy import (
+    CONTEXTS,
+    GETTER_TO_SUBSCRIPTION,
+    LONGEST_STEP,
+    SETTERS,
+    SUBSCRIPTIONS,
+    Policy,
+    step_until,
+)
 from sumo_adv.serve.seat import Client, Interrupted, Late, Seat, errors
-from sumo_adv.serve.shapes import Misfit
+from sumo_adv.serve.shapes import Misfit, subscribed
 
+LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
 _WITHOUT_SUMO = {framing.GETVERSION, framing.SETORDER, framing.CLOSE}
 _RESTARTED = "The simulation was restarted: ask again."
@@ -184,6 +193,8 @@ class Turns:
         reason = self.policy.refusal(command)
         if reason is not None:
             return self._refuse(client, command, reason)
+        if number in SUBSCRIPTIONS and (reason := self._deadly(command)):
+            return make_message(make_status(number, framing.ERROR, reason))
         answer = self._link.ask(make_message(command.raw))
         self._our_turn = True
         if framing.accepted(answer):
@@ -192,6 +203,19 @@ class Turns:
             elif number in SUBSCRIPTIONS or number in CONTEXTS:
                 self._note_subscription(command)
         return answer
+
+    def _deadly(self, command: Command) -> str:
+        """What SUMO would complain of, if it would be too long for it: it puts a sentence a variable into one error."""
+        end = 20 + int.from_bytes(command.payload[16:20], "big")
+        getter = command.number - GETTER_TO_SUBSCRIPTION
+        wanted = subscribed(command.payload, end, getter)
+        if len(wanted) < 2:
+            return ""
+        name = command.payload[16:end]
+        asked = (make_command(getter, one[:1] + name + one[1:]) for one in wanted)
+        said = [framing.complaint(self._link.ask(make_message(one))) for one in asked]
+        whole = f"Could not add subscription. {' '.join(said).strip()}"
+        return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
 
     def _refuse(self, client: Client, command: Command, reason: str) -> bytes:
         key = (command.number, command.payload[:64])

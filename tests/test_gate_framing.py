@@ -1,0 +1,190 @@
+"""Messages, commands, shapes and rules, byte by byte."""
+
+from __future__ import annotations
+
+import socket
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sumo_adv.serve import framing, shapes
+from sumo_adv.serve.framing import FramingError, Gone, Line, make_command, make_message, make_status, split
+from sumo_adv.serve.policy import Policy, Rules
+from sumo_adv.serve.seat import errors
+
+NAME = struct.pack("!i", 3) + b"ego"
+SPEED = b"\x0b" + struct.pack("!d", 7.0)
+commands = st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=600)), min_size=1, max_size=5)
+
+
+class Quiet(Exception):
+    """Nothing came."""
+
+
+def quiet() -> None:
+    raise Quiet
+
+
+def line() -> tuple[Line, socket.socket]:
+    """Ours and the other end."""
+    ours, theirs = socket.socketpair()
+    ours.close()
+    listener = socket.create_server(("127.0.0.1", 0))
+    theirs.close()
+    other = socket.create_connection(listener.getsockname())
+    accepted, _ = listener.accept()
+    listener.close()
+    return Line(accepted, framing.LONGEST), other
+
+
+@given(commands)
+def test_what_is_made_is_split_again(made: list[tuple[int, bytes]]) -> None:
+    found = split(make_message(*(make_command(*one) for one in made)))
+    assert [(one.number, one.payload) for one in found] == made
+    assert b"".join(one.raw for one in found) == b"".join(make_command(*one) for one in made)
+
+
+@given(st.binary(max_size=60))
+def test_any_bytes_are_split_whole_or_refused(body: bytes) -> None:
+    try:
+        found = split(make_message(body))
+    except FramingError:
+        return
+    assert b"".join(one.raw for one in found) == body
+
+
+@given(st.binary(max_size=60), st.sampled_from(sorted(shapes.SET)), st.binary(min_size=1, max_size=1))
+def test_no_payload_raises(body: bytes, setter: int, variable: bytes) -> None:
+    policy = Policy(Rules(), ["ego"], [])
+    for number in (setter, setter - 0x20, setter + 0x10, setter - 0x40, framing.FILTER, 0x99):
+        for payload in (body, variable + NAME + body, bytes(16) + NAME + body):
+            policy.refusal(split(make_message(make_command(number, payload)))[0])
+
+
+def test_a_command_by_hand() -> None:
+    assert make_command(0xA4, b"\x40" + NAME) == b"\x0a\xa4\x40\0\0\0\3ego"
+    assert make_message(b"\x02\x02") == b"\0\0\0\x06\x02\x02"
+    assert make_status(0xC4, framing.ERROR, "no") == b"\x09\xc4\xff\0\0\0\2no"
+    long = make_status(0xC4, framing.ERROR, "ü" * 300)
+    assert long[0] == 0xFD and long[7:].decode() == "ü" * 123
+    assert make_command(1, bytes(253))[0] == 255 and make_command(1, bytes(254))[:5] == b"\0\0\0\1\4"
+    assert framing.accepted(make_message(make_status(2))) and not framing.accepted(make_message(long))
+
+
+@pytest.mark.parametrize(
+    "body", [b"\x01", b"\x05\xa4", b"\0", b"\0\0\0\0\5", b"\0\xff\xff\xff\xff\2", b"\0\x7f\0\0\0\2"]
+)
+def test_lengths_that_do_not_add_up(body: bytes) -> None:
+    with pytest.raises(FramingError):
+        split(make_message(body))
+
+
+def test_a_refusal_answers_every_command_and_lets_close_be() -> None:
+    said = split(errors(make_message(make_command(0xA4, b"x"), make_command(framing.CLOSE)), "No."))
+    assert [(one.number, one.payload[0]) for one in said] == [(0xA4, 0xFF), (framing.CLOSE, 0)]
+
+
+def test_subscription_results_of_hidden_objects_are_taken_out() -> None:
+    def entry(name: bytes, size: int) -> bytes:
+        body = b"\xe4" + struct.pack("!i", len(name)) + name + bytes(size)
+        return b"\0" + struct.pack("!i", len(body) + 5) + body
+
+    mine, server, more = entry(b"ego", 300), entry(b"server", 20), entry(b"other", 3)
+    answer = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 3), mine, server, more)
+    left = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 2), mine, more)
+    assert framing.without(answer, {b"server"}) == left
+    assert framing.without(left, {b"server"}) == left
+    failed = make_message(make_status(framing.SIMSTEP, framing.ERROR, "no"))
+    assert framing.without(failed, {b"server"}) == failed
+    with pytest.raises(FramingError):
+        framing.without(answer[:-4], {b"server"})
+
+
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=12), st.integers(1, 4))
+def test_messages_come_whole_however_they_are_cut(cuts: list[int], count: int) -> None:
+    ours, other = line()
+    messages = [make_message(make_command(k, bytes([k]) * 17)) for k in range(count)]
+    stream, at = b"".join(messages), 0
+    for cut in [*cuts, len(stream)]:
+        other.sendall(stream[at : at + cut])
+        at += cut
+    assert [ours.receive(quiet) for _ in messages] == messages
+    ours.close()
+    other.close()
+
+
+def test_half_a_message_is_kept_until_the_rest_comes() -> None:
+    ours, other = line()
+    other.sendall(b"\0\0\0\x08\x04\2")
+    with pytest.raises(Quiet):
+        ours.receive(quiet)
+    other.sendall(b"ab")
+    assert ours.receive(quiet) == b"\0\0\0\x08\x04\2ab"
+    assert not ours.cut
+    other.sendall(b"\0\0")
+    other.close()
+    with pytest.raises(Gone, match="middle of a message"):
+        ours.receive(quiet)
+    assert ours.cut
+    ours.close()
+
+
+@pytest.mark.parametrize("length", [-(2**31), -1, 0, 5, framing.LONGEST + 1, 2**31 - 1])
+def test_lengths_are_bounded(length: int) -> None:
+    ours, other = line()
+    other.sendall(struct.pack("!i", length))
+    with pytest.raises(FramingError, match=str(length)):
+        ours.receive(quiet)
+    other.close()
+    ours.close()
+
+
+@pytest.mark.parametrize(
+    ("shape", "payload", "fits"),
+    [
+        ("", b"", True), ("", b"\0", False), ("d", SPEED, True), ("d", SPEED + b"\0", False), ("d", SPEED[:-1], False),
+        ("i", SPEED, False), ("d", b"\x0b" + struct.pack("!d", float("nan")), False), ("s", b"\x0c" + NAME, True),
+        ("s", b"\x0c\xff\xff\xff\xff", False), ("s", b"\x0c\0\0\0\x51" + b"x" * 81, False),
+        ("(dd)", b"\x0f\0\0\0\2" + SPEED * 2, True), ("(dd)", b"\x0f\0\0\0\1" + SPEED, False),
+        ("(d[d])", b"\x0f\0\0\0\1" + SPEED, True), ("(d[d])", b"\x0f\0\0\0\3" + SPEED * 3, False),
+        ("{d}", b"\x0f\0\0\0\3" + SPEED * 3, True), ("{d}", b"\x0f\x7f\0\0\0" + SPEED, False),
+        ("()", b"\x0f\0\0\0\0", True), ("l", b"\x0e\0\0\0\2" + NAME * 2, True),
+        ("(ru)", b"\x0f\0\0\0\2\x04" + NAME + bytes(9) + b"\1", True), ("p", b"\x06\2" + bytes(32), True),
+        ("p", b"\x06\0\0\0\0\2" + bytes(32), True), ("p", b"\x06\3" + bytes(32), False),
+        ("l", b"\x0e\0\0\0\3" + NAME * 2, False), ("v", b"\x0e\0\0\0\1" + NAME, False), ("c", b"\x11abcd", True),
+    ],
+)  # fmt: skip
+def test_shapes(shape: str, payload: bytes, fits: bool) -> None:
+    assert shapes.fits(b"xx" + payload, 2, (shape,)) is fits
+
+
+def refused(policy: Policy, number: int, payload: bytes) -> bool:
+    return policy.refusal(split(make_message(make_command(number, payload)))[0]) is not None
+
+
+def test_rules_by_hand() -> None:
+    policy = Policy(Rules(), ["ego"], ["server"])
+    other = struct.pack("!i", 5) + b"other"
+    assert not refused(policy, 0xA4, b"\x40" + other)
+    assert not refused(policy, 0xC4, b"\x40" + NAME + SPEED) and refused(policy, 0xC4, b"\x40" + other + SPEED)
+    assert refused(policy, 0xC4, b"\xfe" + NAME + SPEED)
+    assert refused(policy, 0xCB, b"\x95" + bytes(4) + b"\x0c" + NAME) and refused(policy, framing.LOAD, b"")
+    assert refused(policy, framing.EXECUTEMOVE, b"")
+    assert refused(policy, 0xD7, bytes(16) + struct.pack("!i", 6) + b"server" + b"\1\x40")
+    add = split(make_message(make_command(0xC6, b"\x80" + other + b"\x0e\0\0\0\1" + NAME)))[0]
+    assert policy.refusal(add) is None and refused(policy, 0xC6, b"\x81" + other)
+    policy.took(add)
+    assert not refused(policy, 0xC6, b"\x81" + other)
+
+
+def test_contexts_only_of_variables_that_the_objects_have() -> None:
+    policy = Policy(Rules(), [], [])
+    begin = bytes(16) + NAME
+    reach = struct.pack("!d", 50.0)
+    assert not refused(policy, 0x84, begin + b"\xa4" + reach + b"\2\x40\x42")
+    assert refused(policy, 0x84, begin + b"\xaa" + reach + b"\1\x40")  # edges have no such variable
+    assert refused(policy, 0x84, begin + b"\xa4" + reach + b"\1\x68")  # a leader needs a distance
+    assert refused(policy, 0x84, begin + b"\xa6" + reach + b"\1\x00") and refused(policy, 0x84, begin + b"\xa4" + reach)
+    assert not refused(policy, 0x84, begin + b"\xa4" + reach + b"\0")
