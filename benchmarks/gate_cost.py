@@ -5,7 +5,7 @@ connected directly, one through the gate; both clients are processes of their ow
 windows alternate, native (A), gate (B), A, B, ...; a row gives the ratio B/A pair by pair.
 
 A step: the server's and the client's ``simulationStep`` and SUMO's own work.  A getter: ``vehicle.getSpeed`` in the
-client's turn.  Bounds: median ratio.
+client's turn.  A window counts with the median of its calls, a row with the median ratio of its pairs: that is bounded.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sumo_adv.world.simulation import SimulationSpec
 BOUNDS = {"step": 1.5, "getter": 2.5}  # gate over native, at most
 SPEED, SPACING, START = 25.0, 45.0, 40.0  # m/s; m between vehicles of a lane; m from the road's begin to the last
 CLIENT = """\
-import sys, time, traci
+import statistics, sys, time, traci
 client = traci.connect(int(sys.argv[1]), host="127.0.0.1")
 client.setOrder(2)
 client.simulationStep()
@@ -39,10 +39,12 @@ for line in sys.stdin:
     what, count = line.split()
     ask = client.simulationStep if what == "step" else lambda: client.vehicle.getSpeed("v0")
     ask()
-    began = time.perf_counter()
+    times = []
     for _ in range(int(count)):
+        began = time.perf_counter()
         ask()
-    print(time.perf_counter() - began, flush=True)
+        times.append(time.perf_counter() - began)
+    print(statistics.median(times), flush=True)
     if what == "getter":
         client.simulationStep()
 """
@@ -66,12 +68,12 @@ class Side:
         self._client = client
 
     def window(self, what: str, count: int) -> float:
-        """Microseconds of one step or getter."""
+        """Microseconds of one step or getter, the window's median."""
         assert self._client.stdin is not None and self._client.stdout is not None
         print(what, count, file=self._client.stdin, flush=True)
         for _ in range(count + 1 if what == "step" else 1):
             self._ours.simulationStep()
-        return 1e6 * float(self._client.stdout.readline()) / count
+        return 1e6 * float(self._client.stdout.readline())
 
 
 @contextmanager

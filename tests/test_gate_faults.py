@@ -99,6 +99,23 @@ def test_a_client_that_hangs_is_late_and_hears_why(tmp_path: Path) -> None:
         one.end()
 
 
+def test_a_client_that_asks_for_ever_is_late_too(tmp_path: Path) -> None:
+    ask = """
+        try:
+            while True:
+                client.vehicle.getIDList()
+        except traci.TraCIException as error:
+            print(error)
+    """
+    with scene(tmp_path, deadline=0.3) as one:
+        script = Script(one.gate.port, connected(ask))
+        assert one.gate.wait_connected(10.0)
+        one.step(3)
+        assert "more than 0.3 s" in one.told(EventKind.LATE)
+        assert "went on without it" in script.end()
+        one.end()
+
+
 def test_our_own_thinking_is_not_the_clients(tmp_path: Path) -> None:
     with scene(tmp_path, deadline=0.3) as one:
         script = Script(one.gate.port, connected("for _ in range(3): client.simulationStep()\nclient.close()"))

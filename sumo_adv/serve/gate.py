@@ -22,7 +22,7 @@ from sumo_adv.serve.seat import Client, Interrupted, Late, Seat
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
-DEADLINE = 10.0  # s of a client's own time in a turn; SUMO's and the server's are not counted
+DEADLINE = 10.0  # s of a turn, from when SUMO comes to the client; what the server took before is not counted
 PATIENCE = 30.0  # s for SUMO to listen, and for the last simulation to end
 MOST_STRANGERS = 16  # connections at once that have not said anything yet
 _GLANCE = 0.2  # s between two looks whether the gate is to stop
@@ -200,6 +200,8 @@ class Gate:
                     return
             try:
                 self._turns.run()
+            except Exception as error:  # a gate that stops pumping would hold the next simulation for ever
+                self._seat.tell(GateEvent(EventKind.ENDED, f"The gate failed ({type(error).__name__}: {error})."))
             finally:
                 with self._changed:
                     self._running = False

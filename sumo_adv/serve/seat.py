@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -90,9 +91,16 @@ class Seat:
     """Holds at most one client. Thread-safe."""
 
     def __init__(self, tell: Callable[[GateEvent], None]) -> None:
-        self.tell = tell
+        self._listener = tell
         self._changed = threading.Condition()
         self._client: Client | None = None
+
+    def tell(self, event: GateEvent) -> None:
+        """Tell what happened; whoever listens cannot stop the gate by failing."""
+        try:
+            self._listener(event)
+        except Exception:
+            logging.getLogger(__name__).exception("The listener of the gate's events failed.")
 
     @property
     def client(self) -> Client | None:

@@ -49,7 +49,7 @@ class Turns:
         self._served: Client | None = None
         self._subscribed: dict[bytes, Command] = {}
         self._our_turn = False
-        self._used = self._since = 0.0  # s the client took in this turn; when it began to think
+        self._turn_began = 0.0  # s, monotonic
         self._link = connect(self._while_sumo_works)
 
     def part(self, keep: bool) -> None:
@@ -80,7 +80,7 @@ class Turns:
         client = self._seat.client
         if client is not self._served:
             self._forget()
-            self._served, self._used = client, 0.0
+            self._served, self._turn_began = client, time.monotonic()
         if client is None:
             self._stand_in()
         else:
@@ -133,7 +133,12 @@ class Turns:
                 asked = client
 
         self._link.await_turn(listen, talk)
-        self._our_turn = True
+        self._begin_turn()
+
+    def _begin_turn(self) -> None:
+        """SUMO has come to us: from now on it waits, and the client's clock runs."""
+        if not self._our_turn:
+            self._our_turn, self._turn_began = True, time.monotonic()
 
     def _small_talk(self, client: Client) -> bool:
         """Answer a message of commands that need no SUMO; False: its message needs it, and is still to be received."""
@@ -154,21 +159,22 @@ class Turns:
         return done
 
     def _listen(self, client: Client) -> bytes:
-        """The client's next message; its clock runs while SUMO waits for it."""
-        self._since = time.monotonic()
+        """The client's next message, unless its time is up."""
         message = client.line.receive(self._while_client_thinks)
-        if self._our_turn:
-            self._used += time.monotonic() - self._since
+        if self._is_late():
+            client.line.unread(message)
+            raise Late
         return message
 
     def _while_client_thinks(self) -> None:
         if self._interrupted():
             raise Interrupted
-        if not self._our_turn:
-            self._await_turn()
-            self._since = time.monotonic()
-        elif self._used + time.monotonic() - self._since > self._deadline:
+        self._await_turn()
+        if self._is_late():
             raise Late
+
+    def _is_late(self) -> bool:
+        return self._our_turn and time.monotonic() - self._turn_began > self._deadline
 
     def _answer_all(self, client: Client, commands: list[Command]) -> bytes:
         answers: list[bytes] = []
@@ -196,7 +202,7 @@ class Turns:
         if number in SUBSCRIPTIONS and (reason := self._deadly(command)):
             return make_message(make_status(number, framing.ERROR, reason))
         answer = self._link.ask(make_message(command.raw))
-        self._our_turn = True
+        self._begin_turn()
         if framing.accepted(answer):
             if number in SETTERS:
                 self.policy.took(command)
@@ -244,7 +250,7 @@ class Turns:
         answer = self._link.ask(make_message(raw))
         if not stays:
             self.client_steps += 1
-            self._our_turn, self._used = False, 0.0
+            self._our_turn = False
         return framing.without(answer, self.policy.hidden) if self.policy.hidden else answer
 
     def _note_subscription(self, command: Command) -> None:
