@@ -7,7 +7,7 @@ import signal
 import sqlite3
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -32,6 +32,10 @@ class Workers(Protocol):
 
     def run(self, jobs: Sequence[Job], told: Told) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
+        ...
+
+    def close(self) -> None:
+        """End whatever still runs."""
         ...
 
 
@@ -124,8 +128,8 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
                 missing = [job for job in plan.jobs if job.id not in rows]
                 for job in [job for job in missing if job.input.error]:
                     told(job, store.fail(job, job.input.error, ""))
-                workers = _workers(setup, orders, scratch, store, stop)
-                workers.run([job for job in missing if not job.input.error], told)
+                with closing(_workers(setup, orders, scratch, store, stop)) as workers:
+                    workers.run([job for job in missing if not job.input.error], told)
                 summary.stopped = len(rows) < len(jobs)
         finally:
             summary.rows = table_of(plan.jobs, rows, plan.varied)
@@ -154,7 +158,11 @@ def _prepare(
 
 
 def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
-    return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
+    if orders.ray is None:
+        return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
+    from sumo_adv.batch.cluster import ClusterWorkers
+
+    return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 
 
 def _write_table(store: Store, plan: Plan, table: Sequence[Row], *, parquet: bool) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sumo_adv.batch.nouns import Input, Parts
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.world.inputs import input_name, load_input, resolve
+from sumo_adv.world.inputs import input_name, load_input
 
 MAGIC = re.compile(r"[*?\[]")
 
@@ -57,7 +57,8 @@ def _plain(source: Path) -> Input:
     try:
         given = load_input(source)
         content = hash_of(given.files)
-        return Input(given.name, resolve(source), None, content)
+        place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
+        return Input(given.name, place, None, content)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
 
@@ -75,7 +76,7 @@ def _records(source: Path, wanted: Sequence[str], parts: Parts) -> Iterator[Inpu
             name, content = record
             if not wanted or {name, str(k)} & left:
                 left -= {name, str(k)}
-                yield Input(name, source, name, content)
+                yield Input(name, source.absolute(), name, content)
     except SumoAdvError as error:
         yield broken(source, None, str(error))
         return

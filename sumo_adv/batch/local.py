@@ -8,8 +8,8 @@ import shutil
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -93,18 +93,19 @@ class LocalWorkers:
     def run(self, jobs: Iterable[Job], told: Callable[[Job, Done], None]) -> None:
         """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError."""
         waiting = deque(jobs)
-        try:
-            while not self.stop.now:
-                self._staff(len(waiting) + len(self._again))
-                self._assign(waiting)
-                if not any(s.job for s in self._slots) and (self.stop.drain or not (waiting or self._again)):
-                    break
-                self._listen(told)
-                self._watch(told)
-        finally:
-            for slot in self._slots:
-                slot.kill()
-            self._slots.clear()
+        while not self.stop.now:
+            self._staff(len(waiting) + len(self._again))
+            self._assign(waiting)
+            if not any(s.job for s in self._slots) and (self.stop.drain or not (waiting or self._again)):
+                break
+            self._listen(told)
+            self._watch(told)
+
+    def close(self) -> None:
+        """End the workers, whatever they do."""
+        for slot in self._slots:
+            slot.kill()
+        self._slots.clear()
 
     def _staff(self, waiting: int) -> None:
         busy = sum(s.job is not None for s in self._slots)
@@ -121,9 +122,10 @@ class LocalWorkers:
         variables = {**QUIET_VARIABLES, "TMPDIR": str(folder)}
         saved = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
+        process = context.Process(target=_work, args=(theirs, self.setup, folder / "log"))
         try:
-            process = context.Process(target=_work, args=(theirs, self.setup, folder / "log"))
-            process.start()
+            with _deaf():
+                process.start()
         finally:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
@@ -220,11 +222,26 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
         connection.send(error)
 
 
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Processes started within it do not hear Ctrl-C, from their first instruction on."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _alone() -> None:
     """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on."""
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     parent = multiprocessing.parent_process()
     if hasattr(os, "setpgrp"):
         os.setpgrp()

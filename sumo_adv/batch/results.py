@@ -19,8 +19,8 @@ COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback",
 )  # fmt: skip
-"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, an empty min_ttc is never, an empty valid is no
-collision."""
+"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s; an empty min_ttc is never, an empty
+valid is no collision."""
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:

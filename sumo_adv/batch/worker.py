@@ -37,6 +37,7 @@ class Runner:
         self._engine = WarmEngine()
         self._sandboxes: dict[bool, Sandbox] = {}
         self._banks: dict[str, MemoryBank] = {}
+        self._stamp = 0
         for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
             del os.environ[name]  # the plan has its settings from there already
 
@@ -113,6 +114,10 @@ class Runner:
     def _bank(self, settings: Settings) -> MemoryBank:
         """The bank with the metric of the settings, as it is to be seen by this episode."""
         learn = self._setup.learn
+        if (stamp := self._setup.bank.stat().st_mtime_ns) != self._stamp and learn is not Learn.DURING:
+            while self._banks:  # on a cluster a newer snapshot may have come
+                self._banks.popitem()[1].close()
+            self._stamp = stamp
         if settings.metric not in self._banks:
             kind = Collector if learn is Learn.AFTER else MemoryBank
             bank = kind.open(

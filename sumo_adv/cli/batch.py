@@ -15,6 +15,7 @@ from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.batch.campaign import Orders, Summary
+    from sumo_adv.batch.local import Pace
     from sumo_adv.batch.nouns import Learn
     from sumo_adv.batch.plan import Plan
 else:
@@ -62,6 +63,9 @@ def batch(
     workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
     deadline: Annotated[float, typer.Option(min=1, help="Seconds after which an episode is stuck.")] = 600.0,
     recycle: Annotated[int, typer.Option(min=1, help="Episodes after which a worker is replaced.")] = 200,
+    ray: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.")
+    ] = None,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write results.parquet as well.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the episodes and run none.")] = False,
@@ -90,7 +94,10 @@ def batch(
     if dry_run:
         _show(plan, target, as_json=as_json)
         return
-    _run(plan, _orders(plan, target, workers, deadline, recycle, force, retry_failed, parquet), as_json=as_json)
+    from sumo_adv.batch.local import Pace
+
+    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
+    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), as_json=as_json)
 
 
 def _overrides(
@@ -138,17 +145,14 @@ def _settings(given: list[str]) -> dict[str, Any]:
 
 
 def _orders(
-    plan: Plan, out: Path, workers: int | None, deadline: float, recycle: int, force: bool, retry_failed: bool,
-    parquet: bool,
-) -> Orders:  # fmt: skip
+    plan: Plan, out: Path, pace: Pace, force: bool, retry_failed: bool, parquet: bool, ray: str | None
+) -> Orders:
     from sumo_adv.batch.campaign import Orders
-    from sumo_adv.batch.local import Pace
     from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.report.outcome import versions
 
     bank = plan.memory or default_bank_path()
-    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
-    return Orders(out, bank, versions(), pace, force, retry_failed, parquet)
+    return Orders(out, bank, versions(), pace, force, retry_failed, parquet, ray)
 
 
 def _show(plan: Plan, out: Path, *, as_json: bool) -> None:

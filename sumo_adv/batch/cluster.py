@@ -1,0 +1,271 @@
+"""The same batch on a Ray cluster: a task an episode, whose worker runs it in a watched process of its own as on one
+machine, and sends the run's folder back. Results and bank are written here alone.
+
+Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their content is compared
+with the plan's. What a lost node or worker was at is Ray's to try again, ``LOSSES`` times.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import socket
+import sys
+import tempfile
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import redirect_stdout, suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.batch.files import sentences
+from sumo_adv.batch.inputs import hash_of
+from sumo_adv.batch.learning import teach
+from sumo_adv.batch.local import LocalWorkers, Pace, Stop
+from sumo_adv.batch.nouns import Done, Job, Learn, Setup
+from sumo_adv.batch.results import LEARNT, OUTCOME, read_row, write_failure
+from sumo_adv.batch.store import Store
+from sumo_adv.batch.worker import share
+from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.world.inputs import load_input
+
+LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
+JOIN_SECONDS = 60.0  # for a node to say its versions
+KNOCK_SECONDS = 10.0
+TICK = 0.5  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What a node needs for all episodes; ``edition`` of the bank's snapshot."""
+
+    setup: Setup
+    pace: Pace
+    bank: bytes
+    edition: int
+
+
+class ClusterWorkers:
+    """Runs jobs as Ray tasks, as many at a time as the cluster has processors.
+
+    Raises UsageError: Ray is not installed, no cluster at ``address``, another version on a node.
+    """
+
+    def __init__(
+        self, setup: Setup, pace: Pace, address: str, versions: Mapping[str, str], store: Store, stop: Stop
+    ) -> None:
+        self._setup, self._pace, self._store, self._stop = setup, pace, store, stop
+        self._aside = redirect_stdout(sys.stderr)  # where Ray tells of lost workers and nodes: it prints to stdout
+        self._ray = connect(address)
+        self._aside.__enter__()
+        self._edition = 0
+        try:
+            check_nodes(self._ray, versions)
+            self._sent = self._send()
+            self._task = self._ray.remote(num_cpus=1, max_retries=LOSSES, max_calls=pace.recycle)(episode)
+        except BaseException:
+            self.close()
+            raise
+
+    def run(self, jobs: Iterable[Job], told: Callable[[Job, Done], None]) -> None:
+        """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
+        waiting, running = deque(jobs), dict[Any, Job]()
+        while not self._stop.now:
+            while waiting and len(running) < self._places() and not self._stop.drain:
+                job = waiting.popleft()
+                running[self._task.remote(self._sent, job)] = job
+            if not running:
+                break
+            for ready in self._ray.wait(list(running), timeout=TICK)[0]:
+                job = running.pop(ready)
+                told(job, self._result(job, ready))
+
+    def close(self) -> None:
+        """Leave the cluster; what still runs there is ended by Ray."""
+        self._ray.shutdown()
+        self._aside.__exit__(None, None, None)
+
+    def _places(self) -> int:
+        return max(1, int(self._ray.cluster_resources().get("CPU", 0)))
+
+    def _result(self, job: Job, ready: Any) -> Done:
+        try:
+            data, size = self._ray.get(ready)
+        except self._ray.exceptions.RayTaskError as error:
+            cause = error.cause
+            raise cause if isinstance(cause, SumoAdvError) else SumoAdvError(f"A node failed ({cause}).") from error
+        except self._ray.exceptions.RayError as error:
+            return self._store.fail(job, f"Its worker or node was lost {LOSSES + 1} times.", str(error))
+        return self._keep(job, data, size)
+
+    def _keep(self, job: Job, data: bytes, size: int) -> Done:
+        """Put a run's folder in its place, and with ``Learn.DURING`` what was learnt into the bank."""
+        with self._setup.parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder:
+            with zipfile.ZipFile(io.BytesIO(data)) as packed:
+                packed.extractall(folder.stage)
+            share(folder.stage / "inputs", self._setup.runs.parent / "inputs")
+            folder.keep(force=True)
+        kept = self._setup.runs / job.id
+        if self._setup.learn is Learn.DURING and (kept / LEARNT).exists():
+            with MemoryBank.open(self._setup.bank) as bank:
+                if teach(bank, [(kept / LEARNT).read_text(encoding="utf-8")]):
+                    self._sent = self._send()
+        return Done(job.id, read_row(kept), size)
+
+    def _send(self) -> Any:
+        """A snapshot of the bank to the nodes; episodes that begin from now on read it."""
+        self._edition += 1
+        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder, sentences(self._setup.bank):
+            place = Store(Path(folder), self._setup.parts.staged)
+            place.snapshot(self._setup.bank)
+            data = place.bank.read_bytes()
+        learn = Learn.OFF if self._setup.learn is Learn.OFF else Learn.AFTER  # nodes collect, and never write
+        return self._ray.put(Sent(replace(self._setup, learn=learn), self._pace, data, self._edition))
+
+
+def connect(address: str) -> Any:
+    """Ray, connected. Raises UsageError."""
+    try:
+        import ray
+    except ImportError as error:
+        raise UsageError("--ray needs Ray, which is not installed: pip install 'sumo-adv[ray]'.") from error
+    try:
+        _knock(address)
+        ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level="ERROR")
+    except Exception as error:
+        said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
+        raise UsageError(f"There is no Ray cluster to be had at {address} ({said}); see ray start.") from error
+    return ray
+
+
+def _knock(address: str) -> None:
+    """Raises OSError if nobody listens at HOST:PORT: Ray itself would go on trying for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host, int(port)), KNOCK_SECONDS).close()
+
+
+def check_nodes(ray: Any, versions: Mapping[str, str]) -> None:
+    """Raises UsageError if a node has other versions of what takes part in the numbers."""
+    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
+
+    alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
+    if not alive:
+        raise UsageError("The Ray cluster has no node with a processor.")
+    asked = ray.remote(num_cpus=1, max_retries=LOSSES)(node_versions)
+    for node in alive:
+        strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
+        name = node["NodeManagerHostname"]
+        try:
+            theirs = ray.get(asked.options(scheduling_strategy=strategy).remote(list(versions)), timeout=JOIN_SECONDS)
+        except ray.exceptions.RayError as error:
+            raise UsageError(f"The node {name} cannot run sumo_adv ({_first_line(error)}).") from error
+        other = [f"{k} {theirs.get(k)} there, {v} here" for k, v in versions.items() if theirs.get(k) != v]
+        if other:
+            raise UsageError(f"The node {name} has other versions: {'; '.join(other)}; install the same on all.")
+
+
+def _first_line(error: BaseException) -> str:
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return lines[-1].strip() if lines else type(error).__name__
+
+
+# -- on a node ---------------------------------------------------------------------------------------------------------
+
+
+def node_versions(names: Iterable[str]) -> dict[str, str]:
+    """What this node has of what takes part in the numbers: ``sumo_adv``, ``python``, and packages."""
+    import platform
+    from importlib import metadata
+
+    import sumo_adv
+
+    found = {"sumo_adv": sumo_adv.__version__, "python": platform.python_version()}
+    for name in set(names) - set(found):
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+@dataclass
+class _Desk:
+    """What a Ray worker process keeps from episode to episode."""
+
+    folder: Path
+    workers: LocalWorkers
+    edition: int = 0
+
+
+_desks: list[_Desk] = []
+
+
+def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
+    """One episode on this node: its folder as a zip file, and its bytes without inputs."""
+    desk = _desk(sent)
+    runs = desk.folder / "runs"
+    wrong = wrong_content(job.input.source, job.input.content, job.input.record)
+    results: list[Done] = []
+    if wrong:
+        results.append(_fail(runs, job, wrong, ""))
+    else:
+        desk.workers.run([job], lambda _, done: results.append(done))
+    place = runs / job.id
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as packed:
+        for file in sorted(p for p in place.rglob("*") if p.is_file()):
+            packed.write(file, file.relative_to(place).as_posix())
+    shutil.rmtree(place)
+    return data.getvalue(), results[0].bytes
+
+
+def _desk(sent: Sent) -> _Desk:
+    """The desk of this process, with the bank as it was sent."""
+    if not _desks:
+        import atexit
+
+        folder = Path(tempfile.mkdtemp(prefix="sumo_adv-ray-"))
+        (folder / "runs").mkdir()
+        (folder / "scratch").mkdir()
+        setup = replace(sent.setup, runs=folder / "runs", bank=folder / "bank.sqlite")
+        pace = replace(sent.pace, workers=1)
+        workers = LocalWorkers(
+            setup, pace, folder / "scratch", lambda job, why, text: _fail(setup.runs, job, why, text), Stop()
+        )
+        _desks.append(_Desk(folder, workers))
+        atexit.register(_leave)
+    desk = _desks[0]
+    if desk.edition != sent.edition:
+        part = desk.folder / "bank.part"
+        part.write_bytes(sent.bank)
+        part.replace(desk.folder / "bank.sqlite")
+        desk.edition = sent.edition
+    return desk
+
+
+def _leave() -> None:
+    for desk in _desks:
+        desk.workers.close()
+        shutil.rmtree(desk.folder, ignore_errors=True)
+
+
+def _fail(runs: Path, job: Job, why: str, text: str) -> Done:
+    for left in runs.glob(f".{job.id}*"):
+        shutil.rmtree(left, ignore_errors=True)
+    (runs / job.id).mkdir(exist_ok=True)
+    return Done(job.id, write_failure(runs / job.id, job, why, text))
+
+
+@lru_cache(maxsize=10_000)
+def wrong_content(source: Path, content: str, record: str | None) -> str:
+    """Why an input on this node is not the plan's, '' if it is. Records are compared by their ids alone."""
+    if record is not None:
+        return "" if source.is_file() else f"There is no file {source} on this node."
+    try:
+        same = hash_of(load_input(source).files) == content
+    except (SumoAdvError, OSError) as error:
+        return f"On this node: {error}"
+    return "" if same else f"On this node {source} has another content than in the plan."

@@ -1,0 +1,128 @@
+"""Batches on a Ray cluster of two nodes on this machine; skipped where Ray is not installed (extra ``ray``)."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from batch_samples import INPUTS, QUICK, SMALL, clean, summary, table
+from cli_samples import PATIENCE, ROOT, Done, Program, files_of
+from test_cli_bad_input import refused
+from test_interrupt import children_of, wait_until
+
+ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo-adv[ray]'")
+
+from ray.cluster_utils import Cluster  # noqa: E402
+
+from sumo_adv.batch.cluster import check_nodes, connect, wrong_content  # noqa: E402
+from sumo_adv.errors import UsageError  # noqa: E402
+from sumo_adv.memory.bank import MemoryBank  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two nodes with one processor each."""
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    made.add_node(num_cpus=1)
+    made.wait_for_nodes()
+    yield made
+    made.shutdown()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
+    """The small plan on this machine's own workers."""
+    program = Program(tmp_path_factory.mktemp("whole"), caches)
+    return program, program(*SMALL, "--workers", "2")
+
+
+def ray_workers() -> list[int]:
+    """Processes that run an episode's task."""
+    found = []
+    for pid in children_of(os.getpid()):
+        try:
+            if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::episode"):
+                found.append(pid)
+        except OSError:
+            continue
+    return found
+
+
+def settled(outcomes: dict[str, bytes]) -> dict[str, bytes]:
+    """Files without those that say how long it took."""
+    return {name: data for name, data in outcomes.items() if not name.endswith("outcome.json")}
+
+
+def test_a_cluster_gives_the_same_rows_and_folders(program: Program, whole: tuple[Program, Done], cluster: Any) -> None:
+    said = summary(program(*SMALL, "--ray", cluster.address, "--json"))
+    assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
+    assert table(program.folder / "out") == table(whole[1].folder)
+    ours, theirs = (settled(files_of(folder / "runs")) for folder in (program.folder / "out", whole[1].folder))
+    assert ours == theirs
+    assert summary(program(*SMALL, "--json"))["ran"] == 0  # gone on with without a cluster
+    clean(program)
+
+
+@pytest.mark.parametrize("victim", ["worker", "node"])
+def test_kill_9_on_the_cluster_loses_nothing(
+    program: Program, whole: tuple[Program, Done], cluster: Any, victim: str
+) -> None:
+    spare = cluster.add_node(num_cpus=1) if victim == "node" else None
+    cluster.wait_for_nodes()
+    with program.start(*SMALL, "--ray", cluster.address, "--json") as process:
+        wait_until(process, lambda: len(ray_workers()) >= 2)
+        time.sleep(1.0)
+        if spare is None:
+            os.kill(ray_workers()[0], signal.SIGKILL)
+        else:
+            cluster.remove_node(spare, allow_graceful=False)
+        out, err = process.communicate(timeout=PATIENCE)
+    said = json.loads(out)  # on stderr Ray tells what it lost
+    assert (process.returncode, said["finished"], said["failed"]) == (0, 4, 0), err
+    assert table(program.folder / "out") == table(whole[1].folder)
+
+
+def test_broken_members_fail_by_name_on_a_cluster_too(program: Program, cluster: Any) -> None:
+    egos = "idm,no_such_module:NoEgo"
+    done = program("batch", INPUTS[0], "gone", "--egos", egos, *QUICK, "--out", "out", "--ray", cluster.address)
+    assert done.status == 0 and "Traceback" not in done.err
+    good, none, *gone = table(done.folder)
+    assert good["failure"] == "" and "NoEgo" in none["failure"] and all("gone" in r["failure"] for r in gone)
+
+
+def test_what_is_learnt_during_comes_back(program: Program, cluster: Any) -> None:
+    (program.folder / "bank.sqlite").write_bytes((ROOT / "memory_bank.sqlite").read_bytes())
+    options = ("--learn", "during", "--memory", "bank.sqlite", "--ray", cluster.address)
+    done = program(*SMALL, *options)
+    assert done.status == 0
+    with MemoryBank.open(program.folder / "bank.sqlite", read_only=True) as bank:
+        assert bank.evidence()
+
+
+def test_nodes_with_other_versions_are_named(cluster: Any) -> None:
+    connected = connect(cluster.address)
+    try:
+        check_nodes(connected, {"python": platform.python_version()})
+        with pytest.raises(UsageError, match=r"other versions: libsumo 1\.28\.0 there, 0\.1 here"):
+            check_nodes(connected, {"libsumo": "0.1"})
+    finally:
+        connected.shutdown()
+
+
+def test_no_cluster_is_a_sentence(program: Program) -> None:
+    done = program(*SMALL, "--ray", "127.0.0.1:1", "--json")
+    refused(done, 2, "no Ray cluster", "127.0.0.1:1")
+
+
+def test_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.net.xml"
+    file.write_bytes((ROOT / "networks" / "two_way.net.xml").read_bytes())
+    assert "another content" in wrong_content(file, "0" * 64, None)
+    assert "no file" in wrong_content(tmp_path / "b.net.xml", "0" * 64, None)
