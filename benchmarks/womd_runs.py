@@ -4,7 +4,8 @@ First each record of the suites is converted (into OUT, where an earlier convers
 played back through SUMO: the worst distance between SUMO's box centres and the record's over all its vehicles, and the
 least TTC of the ego to anyone, from SUMO's states and from the record (0.1 s steps from the second one on, one size an
 object: the median).  Then ``run`` attacks the recorded ego as ``replay``, ``idm`` and ``careful``, each a process that
-learns nothing.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
+learns nothing; with the ego as ``replay`` the others are replayed as well, since a recorded ego would drive into those
+who go otherwise than recorded.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("womd_runs"), help="conversions and runs are kept here")
     parser.add_argument("--only", nargs="*", help="ids of records [default: all of the suites]")
     parser.add_argument("--egos", nargs="*", default=EGOS)
-    parser.add_argument("--background", choices=("log", "sumo"), help="[default: as converted, sumo]")
+    parser.add_argument("--background", choices=("log", "sumo"), help="[default: sumo, for the ego replay log]")
     parser.add_argument("--attempts", type=int, help="at most so many a run [default: run's own]")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
@@ -171,10 +172,11 @@ def run(
     scenario: Path, name: str, suite: str, ego: str, out: Path, background: str | None, attempts: int | None
 ) -> Run:
     """One run in a process of its own."""
-    folder = out / "runs" / f"{name}-{ego}-{background or 'default'}"
+    background = background or ("log" if ego == "replay" else "sumo")
+    folder = out / "runs" / f"{name}-{ego}-{background}"
     command = [sys.executable, "-m", "sumo_adv", "run", str(scenario), "--ego", ego, "--learn", "off", "--json"]
     command += ["--force", "--out", str(folder), "--memory", str(out / f"bank-{ego}.sqlite")]
-    command += ["--background", background] if background else []
+    command += ["--background", background]
     command += ["--attempts", str(attempts)] if attempts else []
     began = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "200"})
