@@ -72,5 +72,5 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     path = unfinished.replace(folder / NAME)
     pieces = find_pieces(kept.lanes, layout, roads, via)
     report = make_report(record, kept, layout, roads, widths, order, signals, pieces, via)
-    report["links_bent"] = 2 * bent
+    report["close_passes_bent"] = bent
     return ConvertedNetwork(path, pieces, report, time.perf_counter() - began)

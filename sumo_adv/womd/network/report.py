@@ -26,6 +26,7 @@ def make_report(
     shown = sum(end - start for found in pieces.values() for start, end in {(p.start, p.end) for p in found})
     wanted = {(a, b) for a, lane in kept.lanes.items() for b in lane.exits}
     missing = _missing(wanted, pieces, roads, via)
+    kinds = ["traffic_light" if name in signals.programs else kind for name, kind in order.kind.items()]
     return {
         "lanes": len(record.lanes),
         "dropped_lanes": [[number, reason] for number, reason in sorted(kept.dropped.items())],
@@ -43,7 +44,7 @@ def make_report(
         "connections_with_a_gap": [list(pair) for pair in kept.gaps],
         "speeds_assumed": kept.assumed_speeds,
         "widths_from": widths.sources,
-        "junctions": dict(sorted(Counter(order.kind.values()).items())),
+        "junctions": dict(sorted(Counter(kinds).items())),
         "signals_recorded": len(signals.recorded),
         "signals_mapped": len(signals.mapped),
         "signals_without_a_link": sorted(signals.recorded - set(signals.mapped)),
