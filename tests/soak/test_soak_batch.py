@@ -20,7 +20,7 @@ SHORT = ("--set", "attempts=1", "--set", "proposals=8", "--set", "duration=6.0",
 EPISODES = int(os.environ.get("SOAK_EPISODES", "1000"))
 KILLS = 20
 LONGEST = 4 * 3600.0  # s
-GROWTH = 120  # MB from the first tenth of the episodes to the last, of a worker that is never recycled
+GROWTH = 120  # MB from the second tenth of the episodes to the last, of a worker that is never recycled
 
 
 def memory_of(pids: set[int]) -> int:
@@ -57,18 +57,16 @@ def test_many_episodes_none_lost_and_the_same_on_one_worker(program: Program) ->
     seen: list[tuple[int, int]] = []
     with two.start(*plan, "--workers", "2") as process:
         while process.poll() is None:
-            workers = workers_of(process.pid)
-            family = children_of(process.pid) if len(workers) == 2 else set()
-            if family:
-                seen.append((finished(two), memory_of(family)))
+            seen.append((finished(two), max((memory_of({w}) for w in workers_of(process.pid)), default=0)))
             time.sleep(2.0)
         said = summary(patient(two, process))
     assert (said["finished"], said["failed"]) == (EPISODES, 0)
     rows = table(two.folder / "out")
     assert len({r["id"] for r in rows}) == EPISODES
-    early = max(m for n, m in seen if n <= 0.1 * EPISODES)
+    early = max(m for n, m in seen if 0.1 * EPISODES <= n <= 0.2 * EPISODES)
     late = max(m for n, m in seen if n >= 0.9 * EPISODES)
-    assert late - early < GROWTH, f"memory of the batch grew from {early} to {late} MB"
+    assert late - early < GROWTH, f"a worker grew from {early} to {late} MB"
+    print(f"memory of a worker: {early} MB early, {late} MB late")
     clean(two)
     with one.start(*plan, "--workers", "1") as process:
         summary(patient(one, process))
