@@ -229,12 +229,9 @@ def _desk(sent: Sent) -> _Desk:
 
         folder = Path(tempfile.mkdtemp(prefix="sumo_adv-ray-"))
         (folder / "runs").mkdir()
-        (folder / "scratch").mkdir()
         setup = replace(sent.setup, runs=folder / "runs", bank=folder / "bank.sqlite")
         pace = replace(sent.pace, workers=1)
-        workers = LocalWorkers(
-            setup, pace, folder / "scratch", lambda job, why, text: _fail(setup.runs, job, why, text), Stop()
-        )
+        workers = LocalWorkers(setup, pace, folder, lambda job, why, text: _fail(setup.runs, job, why, text), Stop())
         _desks.append(_Desk(folder, workers))
         atexit.register(_leave)
     desk = _desks[0]

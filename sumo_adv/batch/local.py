@@ -203,7 +203,7 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
     """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
     import faulthandler
 
-    _alone()
+    _alone(log.parent.parent)
     words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(words, 1)
     os.dup2(words, 2)
@@ -235,8 +235,8 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _alone() -> None:
-    """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on."""
+def _alone(scratch: Path) -> None:
+    """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on, nor its scratch."""
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -249,6 +249,7 @@ def _alone() -> None:
     def watch() -> None:
         assert parent is not None
         wait([parent.sentinel])
+        shutil.rmtree(scratch, ignore_errors=True)
         if hasattr(os, "killpg"):
             os.killpg(os.getpgrp(), signal.SIGKILL)
         os._exit(1)
