@@ -194,11 +194,14 @@ def test_a_careful_driver_sees_a_box_that_sumo_does_not(tmp_path: Path) -> None:
 # ---- what the log's own faults mean
 
 
-def test_boxes_that_overlap_in_the_log_endanger_nobody(tmp_path: Path) -> None:
+def test_boxes_that_overlap_in_the_log_are_no_collision_and_no_candidates(tmp_path: Path) -> None:
     ghost = moving("ghost", 61.0, RIGHT + 0.3, 14.0)  # inside the ego all the time
-    with playing(tmp_path, [EGO, ghost]) as drive:
+    ram = moving("lead", 140.0, RIGHT, 4.0)  # the ego is driven into its back at about 7.6 s
+    with playing(tmp_path, [EGO, ghost, ram, UNSEEN]) as drive:
         go(drive, 9.0)
-        assert judged(drive) == ("", frozenset())
+        assert judged(drive) == ("", frozenset({"ghost", "lead"}))
+        why, _ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
+        assert why == "in the log itself it overlaps the ego"
 
 
 def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path: Path) -> None:
