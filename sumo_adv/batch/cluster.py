@@ -8,6 +8,7 @@ with the plan's. What a lost node or worker was at is Ray's to try again, ``LOSS
 from __future__ import annotations
 
 import io
+import os
 import shutil
 import socket
 import sys
@@ -36,6 +37,7 @@ from sumo_adv.world.inputs import load_input
 LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
 JOIN_SECONDS = 60.0  # for a node to say its versions
 KNOCK_SECONDS = 10.0
+DESK = "sumo_adv-ray-"  # folders of Ray workers, with their process ids
 TICK = 0.5  # s
 
 
@@ -227,7 +229,8 @@ def _desk(sent: Sent) -> _Desk:
     if not _desks:
         import atexit
 
-        folder = Path(tempfile.mkdtemp(prefix="sumo_adv-ray-"))
+        _sweep()
+        folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
         (folder / "runs").mkdir()
         setup = replace(sent.setup, runs=folder / "runs", bank=folder / "bank.sqlite")
         pace = replace(sent.pace, workers=1)
@@ -241,6 +244,15 @@ def _desk(sent: Sent) -> _Desk:
         part.replace(desk.folder / "bank.sqlite")
         desk.edition = sent.edition
     return desk
+
+
+def _sweep() -> None:
+    """Remove what Ray workers left behind that were killed."""
+    if not Path("/proc/self").exists():
+        return
+    for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
+        if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _leave() -> None:
