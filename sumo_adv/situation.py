@@ -74,7 +74,7 @@ class Target:
 
     def applies(self) -> tuple[str, ...]:
         """Words an intent's ``applies`` list is matched with."""
-        words = {self.relation} - {"crossing"}
+        words = {self.relation} - {"crossing", "merging"}  # these are said by the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:
                 movement = "straight" if way.movement in ("none", "u-turn") else way.movement
