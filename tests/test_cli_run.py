@@ -63,7 +63,7 @@ def test_every_part_of_the_outcome_has_its_keys(runs: Runs) -> None:
     assert set(outcome["intent"]) >= INTENT
     assert set(outcome["raw"]) >= {"min_ttc", "collided"}
     assert set(outcome["outcome"]) >= BEST
-    assert set(outcome["llm"]) == MODEL
+    assert set(outcome["llm"]) >= MODEL
     assert all(set(a) >= ATTEMPT for a in outcome["attempts"])
     assert [a["index"] for a in outcome["attempts"]] == list(range(len(outcome["attempts"])))
 
