@@ -298,10 +298,14 @@ def test_the_wait_can_be_interrupted() -> None:
             time.sleep(0.01)
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
 
-    with ModelServer([Hang()]) as server:
-        threading.Thread(target=press, daemon=True).start()
-        with pytest.raises(KeyboardInterrupt):
-            answer(server)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        with ModelServer([Hang()]) as server:
+            threading.Thread(target=press, daemon=True).start()
+            with pytest.raises(KeyboardInterrupt):
+                answer(server)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_the_environment_names_server_and_key_and_the_key_shows_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
