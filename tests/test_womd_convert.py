@@ -130,7 +130,7 @@ def test_random_traffic_counts(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "choice"),
-    [(None, Choice(index=0)), ("7", Choice(index=7)), ("637f20cafde22ff8", Choice(id="637f20cafde22ff8")),
+    [(None, Choice(index=0)), ("7", Choice(index=7)), ("0f1e2d3c4b5a6978", Choice(id="0f1e2d3c4b5a6978")),
      ("1081039300000000", Choice(id="1081039300000000"))],
 )  # fmt: skip
 def test_what_record_means(name: str | None, choice: Choice) -> None:
