@@ -251,8 +251,24 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
+class Course:
+    """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on.
+
+    x, y [m]; heading [rad]; speed [m/s]: arrays ``(n,)``.
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class Proposal:
-    """One way to attack: which vehicle, with which planner and parameters, how long after the trigger."""
+    """One way to attack: which vehicle, with which planner and parameters, how long after the trigger.
+
+    ``course``: driven as it stands instead of by the planner, which then only names who made it.
+    """
 
     bv: str
     label: str
@@ -263,6 +279,7 @@ class Proposal:
     by: str = "tuner"
     score: float = float("nan")
     predicted: Mapping[str, Any] = field(default_factory=dict)
+    course: Course | None = None
 
     @property
     def family(self) -> tuple[str, str, str]:

@@ -1,8 +1,8 @@
 """One attempt: from the trigger on, the adversary is driven by a planner against the real ego.
 
 Every ``replan`` steps the planner is asked with what the ego really does; between, f_traj leads the adversary towards
-the endpoint and its pose is injected step by step.  The attempt ends at the first contact of the two, when they have
-parted, or at the time limit.
+the endpoint and its pose is injected step by step.  Or a motion given in advance is driven as it stands.  The attempt
+ends at the first contact of the two, when they have parted, or at the time limit.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Limits, Role, Track, VehicleState
+from sumo_adv.datatypes import Boxes, Course, Limits, Proposal, Role, Track, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.boxes import overlaps
@@ -44,6 +44,56 @@ class Driven:
     beyond: Track | None
 
 
+class Led(Protocol):
+    """A BV that somebody leads. ``message``: what was done to what its planner wanted."""
+
+    situation: Situation
+    name: str
+
+    @property
+    def message(self) -> str: ...
+
+    @property
+    def acceleration(self) -> float:
+        """Of the step that was advanced last [m/s2]."""
+        ...
+
+    def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
+        """Look at the ego: x, y, speed, acceleration; ``now`` s since the takeover. A sentence if that failed."""
+        ...
+
+    def advance(self) -> Pose:
+        """One step on; where it is then."""
+        ...
+
+
+class OnCourse:
+    """A BV on a motion given in advance, and straight on at its last speed beyond its end; it asks nobody."""
+
+    message = ""
+
+    def __init__(self, situation: Situation, name: str, course: Course) -> None:
+        self.situation, self.name, self._course = situation, name, course
+        self._steps, self._speed, self.acceleration = 0, situation.targets[name].state.speed, 0.0
+
+    def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
+        """Nothing."""
+        return None
+
+    def advance(self) -> Pose:
+        """The next pose."""
+        c, dt = self._course, self.situation.dt
+        k = min(self._steps, len(c.x) - 1)
+        on = (self._steps - k) * dt * float(c.speed[k])
+        self._steps += 1
+        before, self._speed = self._speed, float(c.speed[k])
+        self.acceleration = (self._speed - before) / dt
+        heading = float(c.heading[k])
+        return Pose(
+            float(c.x[k]) + on * math.cos(heading), float(c.y[k]) + on * math.sin(heading), heading, self._speed
+        )
+
+
 class Adversary:
     """One BV that is led along its ways by a planner's endpoints, or by its own trajectories to them."""
 
@@ -70,6 +120,11 @@ class Adversary:
         """What was done to the planner's own trajectories, the first time of each kind; empty if nothing was."""
         self._note_distance()
         return " ".join(self._remarks.values())
+
+    @property
+    def acceleration(self) -> float:
+        """Of the step that was advanced last [m/s2]."""
+        return self.motion.a
 
     def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
         """Ask the planner; ``now`` s since the trigger, ``ego``: x, y, speed, acceleration. A sentence if it failed."""
@@ -135,25 +190,29 @@ def _many(motion: Motion) -> Motion:
     return Motion(*fields)
 
 
-def attack(
-    drive: Drive, situation: Situation, bv: str, ask: AskOne, *, limits: Limits, steps: int, replan: int
-) -> Driven:
-    """Drive ``bv`` against the ego for at most ``steps`` steps; the drive records everything."""
+def leader(situation: Situation, proposal: Proposal, limits: Limits) -> Led:
+    """Who leads the BV of a proposal."""
+    if proposal.course is not None:
+        return OnCourse(situation, proposal.bv, proposal.course)
+    return Adversary(situation, proposal.bv, limits)
+
+
+def attack(drive: Drive, adversary: Led, ask: AskOne, *, steps: int, replan: int) -> Driven:
+    """Drive the adversary against the ego for at most ``steps`` steps; the drive records everything."""
     assert drive.ego is not None
-    ego_id = drive.ego
-    adversary, apart = Adversary(situation, bv, limits), math.inf
+    ego_id, bv, dt, apart = drive.ego, adversary.name, adversary.situation.dt, math.inf
     for k in range(steps):
         if ego_id not in drive.snapshot.raw or bv not in drive.snapshot.raw:
             return Driven("ego_left" if ego_id not in drive.snapshot.raw else "passed", adversary.message, None)
         if k % replan == 0:
             ego = drive.state(ego_id)
-            failure = adversary.replan(k * situation.dt, (ego.x, ego.y, ego.speed, ego.acceleration), ask)
+            failure = adversary.replan(k * dt, (ego.x, ego.y, ego.speed, ego.acceleration), ask)
             if failure is not None:
                 return Driven("planner_failed", failure, None)
         drive.tick({bv: adversary.advance()})
         before, apart = apart, _apart(drive, ego_id, bv)
         if apart == 0.0:
-            return Driven("contact", adversary.message, _beyond(drive, adversary, bv))
+            return Driven("contact", adversary.message, _beyond(drive, adversary))
         if apart > PARTED and apart > before:
             return Driven("passed", adversary.message, None)
     return Driven("time_limit", adversary.message, None)
@@ -188,13 +247,13 @@ def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
     )
 
 
-def _beyond(drive: Drive, adversary: Adversary, bv: str) -> Track:
+def _beyond(drive: Drive, adversary: Led) -> Track:
     """The plan followed on for ``CONTINUED`` seconds, without the simulation."""
-    dt, now = adversary.situation.dt, drive.now
+    bv, dt, now = adversary.name, adversary.situation.dt, drive.now
     rows: list[tuple[float, ...]] = []
     for k in range(round(CONTINUED / dt)):
         p = adversary.advance()
-        rows.append((now + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.motion.a))
+        rows.append((now + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.acceleration))
     time, x, y, heading, speed, acceleration = np.array(rows).T
     length, width = drive.simulation.fleet.sizes[bv]
     return Track(bv, Role.ADVERSARY, time, x, y, heading, speed, acceleration, length, width)

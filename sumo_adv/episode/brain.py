@@ -26,9 +26,8 @@ class Brain:
         try:
             for proposal in proposals:
                 situation = self._found.situations[proposal.delay]
-                sessions = Sessions(
-                    self._sandbox, situation, [proposal.planner], self._seed, drivable=self._found.drivable
-                )
+                planners = [] if proposal.course is not None else [proposal.planner]  # a course asks nobody
+                sessions = Sessions(self._sandbox, situation, planners, self._seed, drivable=self._found.drivable)
                 opened.append((proposal, sessions.__enter__()))
 
             def answer(question: tuple[int, Any]) -> Answer | str:

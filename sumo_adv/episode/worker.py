@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.episode.attack import attack
+from sumo_adv.episode.attack import attack, leader
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
@@ -223,7 +223,7 @@ class Worker:
         start = drive.now
         limits = settings.limits.limits()
         driven = attack(
-            drive, situation, proposal.bv, ask, limits=limits, steps=drive.within(settings.steps(settings.duration)),
+            drive, leader(situation, proposal, limits), ask, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),
         )  # fmt: skip
         return AttemptResult(

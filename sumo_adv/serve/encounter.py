@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.attack import Driven, attack
+from sumo_adv.episode.attack import Driven, attack, leader
 from sumo_adv.episode.brain import answer_of
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.encounter import Candidate
@@ -135,8 +135,8 @@ class LiveAttempts:
             self._sandbox, situation, [proposal.planner], settings.seed, drivable=self._scene.found.drivable
         ) as planners:
             return attack(
-                session, situation, proposal.bv, lambda told: answer_of(proposal, planners, told),
-                limits=settings.limits.limits(), steps=settings.steps(settings.duration),
+                session, leader(situation, proposal, settings.limits.limits()),
+                lambda told: answer_of(proposal, planners, told), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan),
             )  # fmt: skip
 

@@ -1,0 +1,71 @@
+"""The nouns of the benchmark: an encounter of a suite, what an opponent sees of it and answers, the rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Course, LibraryEntry, Planner, Proposal
+from sumo_adv.situation import Situation
+from sumo_adv.world.network import Drivable
+
+GROUPS = ("straight", "intersection")
+
+Cell = Mapping[str, Any]
+"""What came of a case x ego x row x seed; ``docs/benchmark.md`` lists its keys."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One encounter of a suite. ``record``: the id of a Waymo record in ``path``; ``labels``: what an oracle or people
+    hold to be the most dangerous intents, by ego and criterion: ``{"idm": {"collision": (..), "valid": (..)}}``."""
+
+    name: str
+    path: Path
+    record: str | None
+    kind: str
+    group: str
+    labels: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Suite:
+    """A frozen list of encounters. ``content``: SHA-256 over all its files."""
+
+    name: str
+    version: str
+    cases: tuple[Case, ...]
+    content: str
+
+
+@dataclass(frozen=True, slots=True)
+class Encounter:
+    """What an opponent sees: a situation for each delay [s] after the trigger at which an attack may begin."""
+
+    situations: Mapping[float, Situation]
+    library: Sequence[LibraryEntry]
+    drivable: Drivable
+    settings: Settings
+    seed: int
+
+
+class Opponent(Protocol):
+    """Whoever makes attacks. It is asked until one succeeds or the budget is used up."""
+
+    name: str
+
+    def begin(self, encounter: Encounter) -> None:
+        """A new encounter; what was learnt in others may be kept."""
+        ...
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        """The next attack, from the attempts so far with their gate verdicts; None if nothing is left to try."""
+        ...
+
+
+def course_proposal(row: str, bv: str, delay: float, course: Course) -> Proposal:
+    """An attack that is a motion given in advance. ``delay`` [s]: of the encounter; ``bv``: one of its targets."""
+    return Proposal(bv, row, Planner(row, "course", "", (), row), {}, 0.0, delay, by=row, course=course)
