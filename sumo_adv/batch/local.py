@@ -15,8 +15,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.engine import how
 from sumo_adv.batch.nouns import Done, Job, Setup
+from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.world.engine import QUIET_VARIABLES
 
