@@ -7,7 +7,7 @@ import hashlib
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter
@@ -27,6 +27,7 @@ from sumo_adv.world.recording import tracks_of
 from sumo_adv.world.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
+FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts
 
 
 class RunFolder:
@@ -135,6 +136,18 @@ def _tables(stage: Path, episode: Episode) -> None:
     if best is not None:
         roles = episode.task.roles(episode.found.ego, best.proposal.bv)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
+    if episode.refinement.best:
+        _first(stage / FIRST, episode, sizes)
+
+
+def _first(target: Path, episode: Episode, sizes: Mapping[str, tuple[float, float]]) -> None:
+    """The ego and the adversary of the first attempt, from the step before the trigger on."""
+    assert episode.found is not None and episode.prefix is not None
+    after = episode.refinement.results[0].snapshots
+    names = (episode.found.ego, episode.refinement.attempts[0].proposal.bv)
+    if after:
+        snapshots = [*episode.prefix.snapshots[-2:], *after]
+        write_states(target, snapshots, sizes, episode.task.roles(*names), episode.settings.step_length, names)
 
 
 def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:

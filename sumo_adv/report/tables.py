@@ -29,10 +29,14 @@ def write_states(
     sizes: Mapping[str, tuple[float, float]],
     roles: Mapping[str, Role],
     step_length: float,
+    only: Sequence[str] | None = None,
 ) -> None:
-    """``states.csv.gz``: a row a vehicle and step, by time, then by first appearance. Units s, m, rad, m/s, m/s2."""
+    """``states.csv.gz``: a row a vehicle and step, by time, then by first appearance. Units s, m, rad, m/s, m/s2.
+
+    ``only``: the vehicles to write, all by default.
+    """
     rows: list[tuple[float, int, str]] = []
-    for order, track in enumerate(tracks_of(snapshots, sizes, roles, step_length)):
+    for order, track in enumerate(tracks_of(snapshots, sizes, roles, step_length, only)):
         name = quoted(track.id)
         numbers = np.column_stack([track.x, track.y, track.heading, track.speed, track.acceleration]).tolist()
         size = f"{track.length:.2f},{track.width:.2f}"
