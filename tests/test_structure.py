@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
-    ("datatypes", "errors", "geometry", "situation"),
+    ("datatypes", "errors", "files", "geometry", "situation"),
     ("config", "config_model"),
     ("world", "metrics", "planning", "memory", "agents"),
     ("episode",),

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.batch.files import sentences, write_text
 from sumo_adv.batch.learning import teach
 from sumo_adv.batch.local import LocalWorkers, Pace, Stop
 from sumo_adv.batch.nouns import Done, Job, Learn, Parts, Row, Setup
@@ -22,6 +21,7 @@ from sumo_adv.batch.plan import Plan
 from sumo_adv.batch.results import LEARNT, failed, table_of, write_csv, write_parquet
 from sumo_adv.batch.store import TAUGHT, Store, open_store
 from sumo_adv.errors import BankError
+from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
 
 Told = Callable[[Job, Done], None]

@@ -22,7 +22,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.files import sentences
 from sumo_adv.batch.inputs import hash_of
 from sumo_adv.batch.learning import teach
 from sumo_adv.batch.local import LocalWorkers, Pace, Stop
@@ -31,6 +30,7 @@ from sumo_adv.batch.results import LEARNT, OUTCOME, read_row, write_failure
 from sumo_adv.batch.store import Store
 from sumo_adv.batch.worker import share
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.world.inputs import load_input
 

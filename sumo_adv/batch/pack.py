@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.files import sentences, write_text, write_whole
 from sumo_adv.batch.nouns import Row
 from sumo_adv.batch.results import OUTCOME, read_row
 from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences, write_text, write_whole
 
 SCHEMA = 1
 MOST_RUNS = 1000

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.files import write_whole
 from sumo_adv.batch.nouns import Job, Row
 from sumo_adv.datatypes import ENDING_SENTENCES, Ending
 from sumo_adv.errors import UsageError
+from sumo_adv.files import write_whole
 
 OUTCOME, TRACEBACK, LEARNT = "outcome.json", "traceback.txt", "learnt.json"
 SCHEMA = 1

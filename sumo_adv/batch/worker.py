@@ -12,7 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from sumo_adv.batch.files import FULL, StorageError, is_storage_error
 from sumo_adv.batch.learning import Collector, as_text
 from sumo_adv.batch.nouns import Done, Job, Learn, Row, Setup
 from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
@@ -22,6 +21,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.warm import WarmEngine
 from sumo_adv.errors import BankError, SumoAdvError
+from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.inputs import RunInput

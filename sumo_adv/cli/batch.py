@@ -242,8 +242,8 @@ def unpack(
     as_json: Json = False,
 ) -> None:
     """Put packed runs into folders again; the packs stay."""
-    from sumo_adv.batch.files import sentences
     from sumo_adv.batch.pack import unpack as unpack_runs
+    from sumo_adv.files import sentences
     from sumo_adv.report.folder import staged
 
     _check(folder)
