@@ -1,0 +1,38 @@
+"""Which opponent a name on the command line means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from sumo_adv.benchmark.nouns import Opponent
+from sumo_adv.benchmark.rows.fixed_intent import LABELS, FixedIntent
+from sumo_adv.benchmark.rows.oracle import Oracle
+from sumo_adv.benchmark.rows.random_intent import RandomIntent
+from sumo_adv.errors import UsageError
+
+ROWS: Mapping[str, Callable[[], Opponent]] = {"random": RandomIntent, "oracle": Oracle}
+FIXED = "fixed:"
+
+
+def make_row(text: str) -> Opponent:
+    """The opponent that ``text`` names: one of ``ROWS``, ``fixed:LABEL`` or ``module:Class``.
+
+    Case and signs of a LABEL do not matter (``fixed:aggressive-cut-in``). Raises UsageError.
+    """
+    if text in ROWS:
+        return ROWS[text]()
+    if text.startswith(FIXED):
+        return FixedIntent(_label(text.removeprefix(FIXED)))
+    raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, fixed:LABEL or module:Class.")
+
+
+def _label(text: str) -> str:
+    wanted = _plain(text)
+    found = next((label for label in LABELS if _plain(label) == wanted), None)
+    if found is None:
+        raise UsageError(f"There is no behaviour '{text}' to fix; use one of {', '.join(LABELS)}.")
+    return found
+
+
+def _plain(text: str) -> str:
+    return "".join(c for c in text.lower() if c.isalnum())
