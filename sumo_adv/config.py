@@ -84,7 +84,8 @@ class Settings(ModelSettings, BaseSettings):
     history: float = Field(1.1, gt=0.3, le=10)
     horizon: float = Field(8.0, ge=1, le=30)
     duration: float = Field(12.0, ge=1, le=60)
-    replan: float = Field(0.5, ge=0.1, le=5)
+    replan: float = Field(0.5, ge=0.1, le=60)
+    forecast: Literal["model", "constant"] = "model"  # of the ego: by its driver's model, or its speed kept
     delays: tuple[float, ...] = (0.0, 1.5, 3.0)
     shortlist: int = Field(5, ge=1, le=20)
     search: float = Field(120.0, gt=0)

@@ -62,6 +62,20 @@ def succeeded(verdict: Verdict, until: Until) -> bool:
     return verdict.collided if until is Until.COLLISION else verdict.critical
 
 
+def attempt_of(
+    index: int, phase: str, proposal: Proposal, result: AttemptResult, found: Found, settings: Settings
+) -> Attempt:
+    """An attempt from what came of it; one whose planner failed is not feasible."""
+    verdict = result.verdict or NOTHING
+    if result.driven.ending == "planner_failed":
+        verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
+    path = found.situations[proposal.delay].ego_path
+    diagnosis = diagnose(result, found.ego, proposal.bv, path, settings.limits.limits(), settings.step_length)
+    return Attempt(
+        index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis
+    )
+
+
 class Attempts(Protocol):
     """Who runs attempts; a result is asked for only where those before it did not succeed."""
 
@@ -151,17 +165,7 @@ class Refiner:
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         phase, by = self._credit(index, proposal)
-        verdict = result.verdict or NOTHING
-        if result.driven.ending == "planner_failed":
-            verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
-        situation, settings = self._found.situations[proposal.delay], self._settings
-        diagnosis = diagnose(
-            result, self._found.ego, proposal.bv, situation.ego_path, settings.limits.limits(), settings.step_length
-        )
-        return Attempt(
-            index, phase, replace(proposal, by=by), result.start, verdict, result.driven.ending,
-            result.driven.message, diagnosis,
-        )  # fmt: skip
+        return attempt_of(index, phase, replace(proposal, by=by), result, self._found, self._settings)
 
     def _credit(self, index: int, proposal: Proposal) -> tuple[str, str]:
         """The phase of an attempt and who proposed it; what the tuner drew is never credited to a model."""

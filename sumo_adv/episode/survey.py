@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,9 +45,21 @@ def surveys(
             road, tracks, ego_id, candidates, time + delay, dt=settings.step_length, horizon=settings.horizon,
             ego_model=ego_model, route=route, signals=signals,
         )  # fmt: skip
+        if situation is not None and settings.forecast == "constant":
+            situation = _at_constant_velocity(situation)
         if situation is not None:
             found[delay] = situation
     return found
+
+
+def _at_constant_velocity(situation: Situation) -> Situation:
+    """The situation with an ego that is expected to keep its speed, whatever happens."""
+    speed = np.full_like(situation.profile_v, situation.ego.speed)
+    stations = situation.profile_s[0] + situation.ego.speed * situation.dt * np.arange(len(speed))
+    return replace(
+        situation, profile_s=stations, profile_v=speed, profile_a=np.zeros_like(speed),
+        ego_model={**situation.ego_model, "kind": "replay"},
+    )  # fmt: skip
 
 
 def _delays(candidates: Sequence[Candidate], ego: Track, settings: Settings) -> list[float]:

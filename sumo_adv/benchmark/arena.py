@@ -1,0 +1,153 @@
+"""One encounter of a suite, opened once, and attacked by row after row.
+
+Every row gets the same trigger, the same unattacked run, the same budget, the same stop rule and the same choice of the
+attempt that counts.  Where a scenario leaves the trigger open it is the one that the shipped library takes.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from sumo_adv.benchmark.nouns import Encounter, Opponent
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Ending
+from sumo_adv.episode.brain import Brain, OneByOne
+from sumo_adv.episode.cast import Cast
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.knowledge import read_library, signature
+from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
+from sumo_adv.episode.refine import attempt_of, succeeded
+from sumo_adv.episode.task import Found, Task
+from sumo_adv.errors import ModelError, SumoAdvError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.engine import Engine
+from sumo_adv.world.inputs import RunInput
+
+
+def _silent(*_: object) -> None:
+    """Nobody looks on."""
+
+
+class Arena:
+    """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none."""
+
+    def __init__(
+        self, source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank
+    ) -> None:
+        self.engine, self.sandbox = engine, sandbox
+        self.episode = Episode(source, settings, task, bank_hash=bank.content_hash())
+        began = time.perf_counter()
+        try:
+            if task.trigger is not None:
+                seek(self.episode, engine, _silent)
+            else:
+                met = meet(self.episode, engine, sandbox, bank, _silent)
+                self.episode.found = None if met is None else met.found
+        except SumoAdvError as error:
+            if error.exit_status == 2:
+                raise
+            self.episode.ending, self.episode.reason = Ending.SIMULATION_FAILED, str(error)
+            self.episode.found = None
+        self.episode.timing["opened"] = time.perf_counter() - began
+
+    @property
+    def found(self) -> Found | None:
+        """The encounter."""
+        return self.episode.found
+
+    def fresh(self, cast: Cast | None = None) -> Episode:
+        """An episode at the trigger of this encounter."""
+        e = self.episode
+        return Episode(
+            e.source, e.settings, e.task, e.ending, e.reason, e.found, prefix=e.prefix, lanes=e.lanes,
+            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, cast=cast, timing=dict(e.timing),
+        )  # fmt: skip
+
+    def by_program(self, bank: MemoryBank, cast: Cast) -> Episode:
+        """The program's own loop, from the analyzer on, with the library of ``bank``."""
+        episode = self.fresh(cast)
+        episode.bank_hash = bank.content_hash()
+        if episode.found is None:
+            return episode
+        clock = _Clock(episode.settings)
+        try:
+            met = predicted(episode, episode.found, self.sandbox, bank)
+            entries = decide(episode, met, cast, bank)
+            if entries is not None:
+                brain = Brain(self.engine, self.sandbox, met.found, episode.settings.seed)
+                tries = brain if self.engine.at_once > 1 else OneByOne(brain)
+                pursue(episode, met, entries, tries, cast, bank, clock.tell)
+        except ModelError as error:
+            episode.ending, episode.reason = model_ending(error), str(error)
+        clock.stop(episode)
+        return episode
+
+    def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Episode:
+        """An opponent's attacks, until success or until its budget is used up."""
+        episode = self.fresh()
+        found, settings, done = episode.found, episode.settings, episode.refinement
+        if found is None:
+            return episode
+        clock = _Clock(settings)
+        exhaustive = bool(getattr(opponent, "exhaustive", False))
+        episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
+        try:
+            opponent.begin(self.encounter(found, bank))
+            while len(done.attempts) < settings.attempts or exhaustive:
+                if not self._one(opponent, episode, found, clock):
+                    break
+                if succeeded(done.attempts[-1].verdict, settings.until):
+                    episode.ending = Ending.CRITICAL
+                    if not exhaustive:
+                        break
+        except SumoAdvError as error:
+            if error.exit_status == 2:
+                raise
+            episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
+        clock.stop(episode)
+        return episode
+
+    def _one(self, opponent: Opponent, episode: Episode, found: Found, clock: _Clock) -> bool:
+        done = episode.refinement
+        proposal = opponent.propose(tuple(done.attempts))
+        if proposal is None:
+            episode.reason = "Nothing was left to try."
+            return False
+        brain = Brain(self.engine, self.sandbox, found, episode.settings.seed)
+        result = brain.attempt([proposal])[0]
+        attempt = attempt_of(len(done.attempts), "opponent", proposal, result, found, episode.settings)
+        done.attempts.append(attempt)
+        done.results.append(result)
+        clock.tell("attempt", attempt)
+        return True
+
+    def encounter(self, found: Found, bank: MemoryBank) -> Encounter:
+        """What an opponent sees."""
+        settings, first = self.episode.settings, found.first
+        now = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
+        library, _ = read_library(bank, now, settings.seed)
+        return Encounter(found.situations, library, found.drivable, settings, settings.seed)
+
+
+class _Clock:
+    """Seconds of a row, and until its first success."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings, self._began = settings, time.perf_counter()
+        self._first: float | None = None
+
+    def tell(self, what: str, value: Any) -> None:
+        """Hears of every attempt."""
+        is_first = self._first is None and isinstance(value, Attempt)
+        if is_first and succeeded(value.verdict, self._settings.until):
+            self._first = time.perf_counter() - self._began
+
+    def stop(self, episode: Episode) -> None:
+        """Into the episode's timing: ``row``, ``first_valid`` (until the first success) and ``total``."""
+        row = time.perf_counter() - self._began
+        episode.timing["row"] = row
+        if self._first is not None:
+            episode.timing["first_valid"] = self._first
+        episode.timing["total"] = episode.timing.get("opened", 0.0) + row

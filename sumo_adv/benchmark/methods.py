@@ -1,0 +1,95 @@
+"""The program's own rows, in words: ``expert``, ``llm-f``, ``llm-a:MODEL``, each with changed settings behind a plus.
+
+    raw                        the unattacked run
+    expert                     the whole library, updated as the suite goes on; the expert plays all parts (LLM-A)
+    llm-f                      a bank of Close Car-following and Emergency Braking, nothing learnt (the paper's LLM-F)
+    llm-a:MODEL, llm-f:MODEL   the same with a language model in all parts
+    expert+tuner=off           any setting of ``run`` changed; several: ``expert+learn=off+replan=12``
+    expert+shift=-1.5          the trigger so many seconds later (negative: earlier)
+    transformer                the paper's baseline, which a later issue brings
+
+Whatever else is an opponent (``rows/``).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.errors import UsageError
+
+RAW, TRANSFORMER = "raw", "transformer"
+FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
+OWN = ("expert", "llm-a", "llm-f")
+GIVEN_ELSEWHERE = ("ego", "seed", "until", "attempts", "memory", "trigger")
+
+ABLATIONS: Mapping[str, str] = {
+    "expert": "everything",
+    "expert+learn=off": "no memory: nothing of one encounter is known in the next",
+    "expert+tuner=off+learn=off": "no tuner: the authors' numbers, changed by the modifier alone",
+    "expert+modifications=0+learn=off": "no modifier",
+    "expert+replan=60+learn=off": "no replanning: one endpoint an attempt",
+    "expert+forecast=constant+learn=off": "the ego predicted by constant velocity",
+    "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
+    "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
+}
+"""Row -> what is left out; compared with ``expert+learn=off``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A row that is the program itself. ``settings``: what differs from the table's; ``shift`` [s]: of the trigger."""
+
+    name: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    fixed: bool = False  # a bank of two intents
+    learns: bool = False
+    shift: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """What methods must have in common to share one simulation."""
+        return json.dumps([dict(self.settings), self.shift], sort_keys=True)
+
+
+def method_of(row: str) -> Method | None:
+    """The method of that name; None if it is not the program's own.
+
+    Raises:
+        UsageError: a setting that there is not, or that a table gives for all rows.
+    """
+    base, *changes = row.split("+")
+    kind, _, model = base.partition(":")
+    if kind not in (*OWN, RAW, TRANSFORMER) or (model and kind not in ("llm-a", "llm-f")):
+        return None
+    if kind in (RAW, TRANSFORMER):
+        if changes:
+            raise UsageError(f"The row '{row}' has no settings to change; say just '{kind}'.")
+        return Method(row)
+    if kind == "llm-a" and not model:
+        raise UsageError("The row llm-a needs a model: llm-a:NAME; without one it is the row 'expert'.")
+    settings: dict[str, Any] = {"llm": model} if model else {}
+    shift = 0.0
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals or (name != "shift" and name not in Settings.model_fields):
+            raise UsageError(f"The row '{row}' changes '{name}', which is no setting; say it as expert+NAME=VALUE.")
+        if name in GIVEN_ELSEWHERE:
+            raise UsageError(f"The row '{row}' changes '{name}', which is the same for all rows of a table.")
+        if name == "shift":
+            shift = _number(row, value)
+        else:
+            settings[name] = value
+    load_settings(None, **settings)  # raises for bad values
+    learns = kind != "llm-f" and settings.pop("learn", "on") == "on"
+    return Method(row, settings, kind == "llm-f", learns, shift)
+
+
+def _number(row: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise UsageError(f"The row '{row}' has shift={value}, which is no number of seconds.") from None

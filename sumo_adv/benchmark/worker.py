@@ -1,0 +1,180 @@
+"""Does the jobs of a bench in one process: sandbox, engine and imports stay warm."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import tempfile
+import traceback
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.benchmark.arena import Arena
+from sumo_adv.benchmark.banks import bank_of
+from sumo_adv.benchmark.jobs import Job, Setup, cell_path, slug
+from sumo_adv.benchmark.methods import RAW, TRANSFORMER, method_of
+from sumo_adv.benchmark.motion import motion_of, unattacked
+from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.rows.registry import make_row
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import Ending
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.warm import WarmEngine, die_with_parent
+from sumo_adv.errors import BankError, SumoAdvError, UsageError
+from sumo_adv.files import write_text
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planning.sandbox import Sandbox
+
+SCHEMA = 1
+KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
+LATER = "This row is a place kept for the paper's baseline, a generative transformer; a later issue brings it."
+
+
+class Bencher:
+    """Holds what stays warm."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self._engine = WarmEngine()
+        self._sandboxes: dict[bool, Sandbox] = {}
+        for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
+            del os.environ[name]  # the table has its settings from there already
+
+    def run(self, job: Job) -> None:
+        """Every row's cell into its place. What fails is a cell, too. Raises UsageError, BankError, OSError."""
+        source = self._setup.parts.load(job.case.path, job.case.record)
+        settings = self._settings(job, source.horizon)
+        if job.shift:
+            if source.trigger == "auto":
+                raise UsageError(f"{job.case.name} leaves its trigger open, so no row can shift it.")
+            settings = settings.model_copy(update={"trigger": float(source.trigger) + job.shift})
+        with (
+            tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+            MemoryBank.open(self._setup.bank, read_only=True) as bank,
+        ):
+            task = make_task(source, settings, Path(scratch))
+            with self._engine.episode() as engine:
+                arena = Arena(source, settings, task, engine, self._sandbox(settings), bank)
+                for row in job.rows:
+                    keep_cell(self._setup.folder, self._cell(job, row, arena, bank, Path(scratch)))
+            if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
+                self._engine.close()
+
+    def close(self) -> None:
+        """End its processes."""
+        self._engine.close()
+        for sandbox in self._sandboxes.values():
+            sandbox.close()
+
+    def _settings(self, job: Job, horizon: float | None) -> Settings:
+        table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **job.settings}
+        learn = "off" if job.place is None else "on"
+        return load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
+
+    def _sandbox(self, settings: Settings) -> Sandbox:
+        wall = settings.bubblewrap
+        if wall not in self._sandboxes:
+            self._sandboxes[wall] = Sandbox(bubblewrap=None if wall else False)
+        return self._sandboxes[wall]
+
+    def _cell(self, job: Job, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
+        method = method_of(row)
+        if method is None:
+            return self._filled(job, row, arena.by_opponent(make_row(row), bank))
+        if method.name == TRANSFORMER:
+            return head(self._setup, job, row) | {"ending": "not_there", "reason": LATER, "attempts": [], "best": None}
+        if method.name == RAW:
+            return self._unattacked(job, row, arena)
+        if arena.found is None:
+            return self._filled(job, row, arena.fresh())
+        settings = arena.episode.settings
+        with (
+            bank_of(method, job, self._setup, bank, scratch) as own,
+            self._setup.parts.cast_of(settings, arena.sandbox, scratch / f"{slug(row)}.jsonl") as cast,
+        ):
+            return self._filled(job, row, arena.by_program(own, cast))
+
+    def _filled(self, job: Job, row: str, episode: Episode) -> Cell:
+        """The cell of a row that attacked, or could not."""
+        outcome = self._setup.parts.full_outcome(episode)
+        kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
+        timing = {k: round(v, 4) for k, v in episode.timing.items()}
+        cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
+        if self._setup.keep_runs and episode.found is not None:
+            self._setup.parts.keep_run(self._run_folder(job, row), episode)
+        return cell | {
+            "timing": timing | {"first_success": outcome["timing"].get("first_success")},
+            "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
+            "encounter": outcome["encounter"],
+        }  # fmt: skip
+
+    def _run_folder(self, job: Job, row: str) -> Path:
+        return self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
+
+    def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
+        episode, raw = arena.episode, unattacked(arena.episode)
+        found = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
+        return head(self._setup, job, row) | {
+            "ending": str(episode.ending), "reason": episode.reason, "raw": None, "attempts": [], "best": None,
+            "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
+            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **found,
+        }  # fmt: skip
+
+
+def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
+    """What every cell begins with."""
+    case = job.case
+    return {
+        "schema": SCHEMA, "suite": setup.suite, "case": case.name, "kind": case.kind, "group": case.group,
+        "ego": job.ego, "row": row, "seed": job.seed,
+    }  # fmt: skip
+
+
+def failure(setup: Setup, job: Job, row: str, why: str) -> Cell:
+    """The cell of a row that broke."""
+    return head(setup, job, row) | {
+        "ending": str(Ending.SIMULATION_FAILED), "reason": why, "raw": None, "attempts": [], "best": None,
+        "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {}, "timing": {}, "llm": {},
+    }  # fmt: skip
+
+
+def keep_cell(folder: Path, cell: Cell) -> None:
+    """A cell into its place, whole or not at all. Raises OSError."""
+    target = cell_path(folder, cell["ego"], cell["case"], cell["row"])
+    target.parent.mkdir(parents=True, exist_ok=True)
+    write_text(target, json.dumps(cell, ensure_ascii=False, allow_nan=False, default=str) + "\n")
+
+
+def _recall(outcome: Mapping[str, Any]) -> str | None:
+    """Where the planner's intent came from: ``hit`` = the bank had it, ``generated``; None without one."""
+    intent = outcome.get("intent")
+    if intent is None:
+        return None
+    return "generated" if intent.get("source") == "generated" else "hit"
+
+
+_bencher: list[Bencher] = []
+
+
+def begin(setup: Setup) -> None:
+    """Make this process ready for jobs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the front's
+    die_with_parent()
+    _bencher.append(Bencher(setup))
+
+
+def work(setup: Setup, job: Job) -> None:
+    """One job in this process; what breaks becomes the cells of its rows. Raises UsageError, BankError, OSError."""
+    try:
+        _bencher[-1].run(job)
+    except (UsageError, BankError, OSError):
+        raise
+    except Exception as error:
+        why = str(error) if isinstance(error, SumoAdvError) else f"A fault of sumo_adv itself: {traceback.format_exc()}"
+        _bencher.pop().close()
+        _bencher.append(Bencher(setup))
+        for row in job.rows:
+            keep_cell(setup.folder, failure(setup, job, row, why))

@@ -1,0 +1,33 @@
+"""What ``bench`` composes for its workers: functions importable by name, since they go to other processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.benchmark.jobs import Parts
+from sumo_adv.cli.models import cast_of
+from sumo_adv.cli.records import load
+from sumo_adv.episode.episode import Episode
+from sumo_adv.report.folder import raw_figures, staged, write_run
+from sumo_adv.report.outcome import outcome
+from sumo_adv.report.verdicts import figures, judge_best
+
+
+def full_outcome(episode: Episode) -> dict[str, Any]:
+    """What ``outcome.json`` holds of an episode, without writing anything."""
+    judged = judge_best(episode)
+    realism = judged.realism if judged is not None else None
+    return outcome(episode, raw_figures(episode), figures(judged), realism)
+
+
+def keep_run(target: Path, episode: Episode) -> None:
+    """The whole folder of a run. Raises UsageError."""
+    with staged(target, force=True) as folder:
+        write_run(folder, episode)
+        folder.keep(force=True)
+
+
+def bench_parts() -> Parts:
+    """All of them."""
+    return Parts(load, cast_of, full_outcome, keep_run)
