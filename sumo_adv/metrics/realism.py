@@ -29,12 +29,20 @@ class Bins:
     high: float
     count: int
 
-    def histogram(self, values: Floats) -> Floats:
-        """Smoothed probabilities ``(count,)`` of finite values: counts + 0.1, normalised."""
+    def counts(self, values: Floats) -> Floats:
+        """How many finite values lie in each bin ``(count,)``."""
         edges = np.linspace(self.low, self.high, self.count + 1)
         finite = values[np.isfinite(values)]
-        counts = np.histogram(np.clip(finite, self.low, self.high), edges)[0] + PSEUDOCOUNT
-        return np.asarray(counts / counts.sum())
+        return np.asarray(np.histogram(np.clip(finite, self.low, self.high), edges)[0], dtype=float)
+
+    def histogram(self, values: Floats) -> Floats:
+        """Smoothed probabilities ``(count,)`` of finite values."""
+        return smoothed(self.counts(values))
+
+
+def smoothed(counts: Floats) -> Floats:
+    """Probabilities of bins: counts + 0.1, normalised."""
+    return np.asarray((counts + PSEUDOCOUNT) / (counts + PSEUDOCOUNT).sum())
 
 
 PAPER_BINS: Mapping[str, Bins] = {

@@ -6,9 +6,10 @@ Only numpy and the standard library.  Every bootstrap takes a seed and is determ
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,8 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 
 RESAMPLES = 10_000
+AT_ONCE = 1_000_000  # values drawn at a time
+Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
 Values = Sequence[float] | NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
 
@@ -54,12 +57,17 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Estimate:
     return Estimate(p, low, high, n)
 
 
-def bootstrap(values: Values, *, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0) -> Estimate:
-    """The mean with a percentile bootstrap interval.  Raises UsageError on no values or on any not finite."""
+def bootstrap(
+    values: Values, *, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0, of: Summary = np.mean
+) -> Estimate:
+    """The mean (or another summary ``of`` the values) with a percentile bootstrap interval.
+
+    Raises UsageError on no values or on any not finite.
+    """
     data = _finite(values)
-    means = _resampled_means(data, resamples, seed)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return Estimate(float(data.mean()), float(low), float(high), len(data))
+    found = _resampled(data, resamples, seed, of)
+    low, high = np.quantile(found, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return Estimate(float(of(data, axis=0)), float(low), float(high), len(data))
 
 
 def _finite(values: Values) -> Floats:
@@ -69,9 +77,12 @@ def _finite(values: Values) -> Floats:
     return data
 
 
-def _resampled_means(data: Floats, resamples: int, seed: int) -> Floats:
-    generator = np.random.default_rng(seed)
-    return np.array([data[generator.integers(0, len(data), len(data))].mean() for _ in range(resamples)])
+def _resampled(data: Floats, resamples: int, seed: int, of: Summary) -> Floats:
+    """The summary of each resample, so many at a time that memory stays small."""
+    generator, size = np.random.default_rng(seed), len(data)
+    at_once = max(AT_ONCE // size, 1)
+    counts = [min(at_once, resamples - begun) for begun in range(0, resamples, at_once)]
+    return np.concatenate([of(data[generator.integers(0, size, (count, size))], axis=1) for count in counts])
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +119,7 @@ def paired_bootstrap(
     """
     _same_length(len(first), len(second))
     one, two = _finite(first), _finite(second)
-    means = _resampled_means(one - two, resamples, seed)
+    means = _resampled(one - two, resamples, seed, np.mean)
     low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
     side = min(int((means <= 0).sum()), int((means >= 0).sum()))
     p = min(2 * (side + 1) / (resamples + 1), 1.0)

@@ -1,0 +1,224 @@
+"""The columns of the tables: what each is of a cell, how it is summed up, and what it means in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.tables import cells as c
+from sumo_adv.benchmark.tables.realism import distance, step_share
+from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
+
+BUDGETS = (1, 5, 10, 25)
+CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --ttc
+RATE, MEAN, MEDIAN = "rate", "mean", "median"
+SECTIONS = ("Verdicts", "Why not", "Min TTC", "Attempts", "Modification", "Realism", "Cost", "Margin")
+
+Value = float | bool | None
+"""Of a cell; None where the question does not arise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One figure of a row. ``summary``: rate (Wilson), mean or median (bootstrap), of the cells that have a value.
+
+    ``pooled`` instead takes all cells at once. ``raw``: the unattacked row has it too. ``asked_of_all``: every
+    encounter has a value, so that rows can be compared pair by pair.
+    """
+
+    key: str
+    title: str
+    section: str
+    meaning: str
+    summary: str = RATE
+    of: Callable[[Cell], Value] = lambda _: None
+    pooled: Callable[[Sequence[Cell]], Estimate | None] | None = None
+    raw: bool = False
+    asked_of_all: bool = True
+    digits: int = 2
+
+    @property
+    def paired(self) -> bool:
+        """Whether differences of rows are taken."""
+        return self.asked_of_all and self.pooled is None and self.summary != MEDIAN
+
+    def values(self, cells: Sequence[Cell]) -> dict[c.Key, float]:
+        """The value of each cell that has one."""
+        found = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
+        return {name: float(value) for name, value in found.items() if value is not None}
+
+    def estimate(self, cells: Sequence[Cell], seed: int = 0) -> Estimate | None:
+        """The figure with its interval; None where no cell has a value."""
+        if self.pooled is not None:
+            attacked = [cell for cell in cells if not c.is_raw(cell)]
+            return self.pooled(attacked) if attacked else None
+        values = list(self.values(cells).values())
+        if not values:
+            return None
+        if self.summary == RATE:
+            return wilson(round(sum(values)), len(values))
+        return bootstrap(values, seed=seed, of=np.median if self.summary == MEDIAN else np.mean)
+
+
+def _verdict(name: str) -> Callable[[Cell], Value]:
+    return lambda cell: c.counted(cell).get(name) is True
+
+
+def _gate(name: str) -> Callable[[Cell], Value]:
+    return lambda cell: name in (c.counted(cell).get("failed_gates") or ())
+
+
+def _paper_collision(cell: Cell) -> Value:
+    verdict = c.counted(cell)
+    if c.is_raw(cell) and "paper_centre_distance" not in verdict:
+        return None
+    return (verdict.get("paper_centre_distance") or {}).get("within") is True
+
+
+def _infeasible(cell: Cell) -> Value:
+    return c.counted(cell).get("feasible") is False
+
+
+def _valid_within(budget: int) -> Callable[[Cell], Value]:
+    return lambda cell: any(a.get("valid") for a in c.attempts(cell)[:budget])
+
+
+def _strict_within(cell: Cell) -> Value:
+    return any(a.get("valid") and a.get("strict") for a in c.attempts(cell)[: BUDGETS[-1]])
+
+
+def _critical(attempt: Mapping[str, Any]) -> bool:
+    return bool(attempt.get("critical") and attempt.get("feasible") and not attempt.get("rear_end"))
+
+
+def _raw_critical(cell: Cell) -> Value:
+    raw = cell.get("raw")
+    if raw is None:
+        return None
+    return bool(raw["collided"]) or (raw["min_ttc"] is not None and raw["min_ttc"] <= CRITICAL_TTC)
+
+
+def _first_critical(cell: Cell) -> Value:
+    return any(_critical(a) for a in c.attempts(cell)[:1])
+
+
+def _unmodified_critical(cell: Cell) -> Value:
+    tried = c.attempts(cell)
+    until = next((k for k, a in enumerate(tried) if a.get("phase") == "modifier"), len(tried))
+    return any(_critical(a) for a in tried[:until])
+
+
+def _ever_critical(cell: Cell) -> Value:
+    return any(_critical(a) for a in c.attempts(cell))
+
+
+def _seconds(cell: Cell, *, model: bool) -> Value:
+    total = (cell.get("timing") or {}).get("total")
+    asked = (cell.get("llm") or {}).get("seconds") or 0.0
+    return None if total is None else float(total) - (0.0 if model else asked)
+
+
+def _tokens(cell: Cell) -> Value:
+    llm = cell.get("llm") or {}
+    return float((llm.get("prompt_tokens") or 0) + (llm.get("completion_tokens") or 0))
+
+
+def _hit(cell: Cell) -> Value:
+    recall = cell.get("recall")
+    return None if recall is None else recall == "hit"
+
+
+def _to_first_valid(cell: Cell) -> Value:
+    seconds = (cell.get("timing") or {}).get("first_success")
+    return None if seconds is None or c.first_valid(cell) is None else float(seconds)
+
+
+def _margin(cell: Cell, tier: str, names: Sequence[str]) -> Value:
+    verdict = c.counted(cell)
+    sensitivity = verdict.get("sensitivity")
+    if verdict.get(tier) is not True or not sensitivity:
+        return None
+    return any(bool(sensitivity.get(name)) for name in names)
+
+
+COLUMNS: tuple[Column, ...] = (
+    Column("collision", "collision", "Verdicts", "the adversary touched the ego", of=_verdict("collided"), raw=True),
+    Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
+           of=lambda cell: c.no_rear(c.counted(cell))),
+    Column("valid", "valid", "Verdicts", "noRear, and some brake-and-steer manoeuvre or the careful driver avoids it",
+           of=_verdict("valid")),
+    Column("strict", "strict", "Verdicts", "valid, and the careful driver (brake only) alone avoids it",
+           of=_verdict("strict")),
+    Column("critical", "critical", "Verdicts", "min TTC at or below --ttc, a collision included",
+           of=_verdict("critical"), raw=True),
+    Column("unavoidable", "unavoidable", "Why not", "a collision that nothing avoids",
+           of=lambda cell: c.counted(cell).get("avoidable") == "unavoidable"),
+    Column("rear_end", "rear-end", "Why not", "the adversary ran into the ego's back", of=_verdict("rear_end")),
+    Column("infeasible", "infeasible", "Why not", "some gate failed", of=_infeasible),
+    Column("third_party", "third party", "Why not", "the adversary touched someone else first",
+           of=_gate("third_party")),
+    Column("off_road", "off-road", "Why not", "a corner of the adversary left the road", of=_gate("off_road")),
+    Column("no_attack", "no attack", "Why not", "no encounter, or nothing to try", of=c.without_attack),
+    Column("failed", "failed", "Why not", "a crash, a model or a budget; counts as neither critical nor valid",
+           of=c.failed, raw=True),
+    Column("mean_min_ttc", "mean [s]", "Min TTC", "a collision is 0; never and failures are 10", MEAN,
+           lambda cell: c.capped_ttc(c.counted(cell)), raw=True),
+    Column("median_min_ttc", "median [s]", "Min TTC", "of the same", MEDIAN,
+           lambda cell: c.capped_ttc(c.counted(cell)), raw=True),
+    Column("mean_min_ttc_apart", "mean where no collision [s]", "Min TTC", "over encounters without a collision", MEAN,
+           lambda cell: None if c.counted(cell).get("collided") else c.capped_ttc(c.counted(cell)), raw=True,
+           asked_of_all=False),
+    Column("paper_collision", "collision rate (paper)", "Min TTC", "the centres came within 5 m", of=_paper_collision,
+           raw=True),
+    Column("attempts", "attempts until valid", "Attempts", "median, of encounters where some attempt was valid", MEDIAN,
+           lambda cell: None if (k := c.first_valid(cell)) is None else float(k), asked_of_all=False, digits=1),
+    *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"some of the first {k} attempts was valid",
+             of=_valid_within(k)) for k in BUDGETS),
+    Column("strict_25", "strict after 25", "Attempts", "some of the first 25 attempts was strict, whichever counts",
+           of=_strict_within),
+    Column("critical_raw", "critical raw", "Modification", "the same pair and window unattacked: min TTC <= 1 s",
+           of=_raw_critical, asked_of_all=False),
+    Column("critical_first", "after the first attempt", "Modification", "critical, feasible and not rear-end",
+           of=_first_critical),
+    Column("critical_unmodified", "before modification", "Modification",
+           "some attempt before the modifier's first one was", of=_unmodified_critical),
+    Column("critical_modified", "after modification", "Modification", "some attempt was", of=_ever_critical),
+    *(Column(f"{name}_{measure}", f"{title} {label}", "Realism",
+             "pooled over encounters, up to contact, against the unattacked vehicles near in the same window",
+             pooled=distance(name, measure), digits=3)
+      for name, title in (("speed", "speed"), ("acceleration", "acceleration"))
+      for measure, label in (("kl", "KL [nat]"), ("js", "JS [nat]"), ("wasserstein", "W1"))),
+    Column("abnormal_lateral", "steps with |a_lat| > 4", "Realism", "share of the adversary's steps",
+           pooled=step_share("abnormal_lateral_share"), digits=4),
+    Column("off_road_steps", "steps off-road", "Realism", "share of the adversary's steps, by its box centre",
+           pooled=step_share("off_road_share"), digits=4),
+    Column("jerk", "jerk beyond limits", "Realism", "share of attempts that count", of=_gate("jerk")),
+    Column("lateral", "|a_lat| beyond limits", "Realism", "share of attempts that count", of=_gate("lateral")),
+    Column("seconds", "s without the model", "Cost", "of an encounter, from start to verdict", MEAN,
+           lambda cell: _seconds(cell, model=False), asked_of_all=False),
+    Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
+           lambda cell: _seconds(cell, model=True), asked_of_all=False),
+    Column("seconds_valid", "s to the first valid", "Cost", "from the first attempt on, where one was valid", MEAN,
+           _to_first_valid, asked_of_all=False),
+    Column("calls", "model calls", "Cost", "an encounter", MEAN,
+           lambda cell: float((cell.get("llm") or {}).get("calls") or 0), digits=1),
+    Column("tokens", "tokens", "Cost", "an encounter, prompt and completion", MEAN, _tokens, digits=0),
+    Column("memory_hit", "memory hits", "Cost", "of encounters in which the bank was asked", of=_hit,
+           asked_of_all=False),
+    Column("margin_valid", "valid at +0.4 s", "Margin", "of valid ones: still valid if both tiers begin 0.4 s later",
+           of=lambda cell: _margin(cell, "valid", ("careful_+0.4", "manoeuvre_+0.4")), asked_of_all=False),
+    Column("margin_strict", "strict at +0.4 s", "Margin", "of strict ones: still strict if braking begins 0.4 s later",
+           of=lambda cell: _margin(cell, "strict", ("careful_+0.4",)), asked_of_all=False),
+)  # fmt: skip
+
+BY_PART = ("collision", "no_rear", "valid", "strict", "critical", "mean_min_ttc")
+"""What is shown of groups and kinds too."""
+
+COMPARED = (
+    "collision", "no_rear", "valid", "strict", "critical", "unavoidable", "mean_min_ttc", "valid_1", "valid_25",
+)  # fmt: skip
+"""Differences that the Markdown shows; CSV and JSON have all."""

@@ -1,0 +1,162 @@
+"""From cells to a table: each ego for itself, each row, each column with its interval, differences paired."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from sumo_adv.benchmark.nouns import Case, Cell
+from sumo_adv.benchmark.tables.cells import RAW, Key, key, names, parts
+from sumo_adv.benchmark.tables.columns import BY_PART, COLUMNS, RATE, Column
+from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap
+
+LATER = {"transformer": "a later issue"}
+SHOWN = 6  # names of missing encounters in a sentence
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One figure. ``part``: all, a group or a kind. ``difference``: to the reference row, over the same encounters."""
+
+    ego: str
+    part: str
+    row: str
+    column: str
+    estimate: Estimate
+    difference: Paired | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of rows for every ego, never pooled.
+
+    ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row.
+    """
+
+    title: str
+    egos: tuple[str, ...]
+    rows: tuple[str, ...]
+    columns: tuple[Column, ...]
+    entries: Mapping[tuple[str, str, str, str], Entry]
+    sizes: Mapping[tuple[str, str, str], int]
+    reference: str | None
+    notes: tuple[str, ...] = ()
+    later: Mapping[str, str] = field(default_factory=dict)
+
+    def parts(self, ego: str) -> list[str]:
+        """The parts of an ego's encounters: all, groups, kinds."""
+        return list(dict.fromkeys(part for e, part, _ in self.sizes if e == ego))
+
+    def entry(self, ego: str, part: str, row: str, column: str) -> Entry | None:
+        """One figure, None where there is none."""
+        return self.entries.get((ego, part, row, column))
+
+
+def make_table(
+    cells: Sequence[Cell],
+    *,
+    title: str,
+    cases: Sequence[Case] | None = None,
+    egos: Sequence[str] | None = None,
+    rows: Sequence[str] | None = None,
+    reference: str | None = None,
+    columns: Sequence[Column] = COLUMNS,
+    later: Mapping[str, str] = LATER,
+) -> Table:
+    """The table of cells of any egos, rows and seeds.
+
+    ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
+    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks).
+    """
+    shown = tuple(rows or names(cells, "row"))
+    cells = [cell for cell in cells if cell["row"] in shown]
+    reference = reference or next((row for row in shown if row != RAW), None)
+    entries: list[Entry] = []
+    sizes: dict[tuple[str, str, str], int] = {}
+    drivers = list(egos or names(cells, "ego"))
+    for ego in drivers:
+        for part, mine in parts(c for c in cells if c["ego"] == ego).items():
+            wanted = [q for q in columns if part == "all" or q.key in BY_PART]
+            by_row = {row: [c for c in mine if c["row"] == row] for row in shown}
+            sizes |= {(ego, part, row): len(found) for row, found in by_row.items() if found}
+            entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
+    notes = (*_missing(cells, drivers, shown, cases), *_several_seeds(cells))
+    indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
+    left = {row: why for row, why in later.items() if row not in shown}
+    return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left)
+
+
+def _entries(
+    ego: str, part: str, row: str, by_row: Mapping[str, Sequence[Cell]], columns: Sequence[Column],
+    reference: str | None,
+) -> list[Entry]:  # fmt: skip
+    found = []
+    for column in columns:
+        estimate = column.estimate(by_row[row])
+        if estimate is None:
+            continue
+        compared = column.paired and reference is not None and row not in (reference, RAW)
+        difference = compare(column, by_row[row], by_row.get(reference or "", ())) if compared else None
+        found.append(Entry(ego, part, row, column.key, estimate, difference))
+    return found
+
+
+def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Paired | None:
+    """``first`` - ``second`` over the encounters that both have; None without any.
+
+    The interval resamples encounters; p is McNemar's for rates, the bootstrap's for means.
+    """
+    one, two = column.values(first), column.values(second)
+    common = [name for name in one if name in two]
+    if not common:
+        return None
+    return paired([one[name] for name in common], [two[name] for name in common], rate=column.summary == RATE)
+
+
+def paired(one: Sequence[float], two: Sequence[float], *, rate: bool) -> Paired:
+    """The difference of two lists of the same encounters."""
+    found = paired_bootstrap(one, two)
+    if not rate:
+        return found
+    p = mcnemar([v > 0.5 for v in one], [v > 0.5 for v in two])
+    return Paired(found.difference, found.low, found.high, p, found.n)
+
+
+def _missing(
+    cells: Sequence[Cell], egos: Sequence[str], rows: Sequence[str], cases: Sequence[Case] | None
+) -> list[str]:
+    """A sentence for each ego and row of which cells are not there."""
+    notes = []
+    expected = list(dict.fromkeys(names(cells, "case") if cases is None else [case.name for case in cases]))
+    for ego in egos:
+        mine = [c for c in cells if c["ego"] == ego]
+        seeds = sorted({int(c["seed"]) for c in mine}) or [0]
+        wanted: list[Key] = [(case, seed) for case in expected for seed in seeds]
+        for row in rows:
+            there = {key(c) for c in mine if c["row"] == row}
+            gone = [name for name in wanted if name not in there]
+            if gone:
+                notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(wanted)))
+    return notes
+
+
+def _name(which: Key, with_seed: bool) -> str:
+    return f"{which[0]} (seed {which[1]})" if with_seed else which[0]
+
+
+def _sentence(row: str, ego: str, gone: Sequence[str], of: int) -> str:
+    listed = ", ".join(gone[:SHOWN]) + (f" and {len(gone) - SHOWN} more" if len(gone) > SHOWN else "")
+    return (
+        f"{row} against {ego}: {len(gone)} of {of} cells are missing ({listed}); its figures rest on the others. "
+        "The same command again runs what is missing."
+    )
+
+
+def _several_seeds(cells: Sequence[Cell]) -> list[str]:
+    seeds = {int(c["seed"]) for c in cells}
+    if len(seeds) < 2:
+        return []
+    return [
+        f"{len(seeds)} seeds of each encounter are taken as encounters of their own, so intervals are too narrow where "
+        "seeds of one encounter agree."
+    ]
