@@ -6,7 +6,6 @@
     llm-a:MODEL, llm-f:MODEL   the same with a language model in all parts
     expert+tuner=off           any setting of ``run`` changed; several: ``expert+learn=off+replan=12``
     expert+shift=-1.5          the trigger so many seconds later (negative: earlier)
-    transformer                the paper's baseline, which a later issue brings
 
 Whatever else is an opponent (``rows/``).
 """
@@ -36,7 +35,8 @@ ABLATIONS: Mapping[str, str] = {
     "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
     "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
 }
-"""Row -> what is left out; compared with ``expert+learn=off``."""
+"""Row -> what is left out; each compared with ``REFERENCE``."""
+REFERENCE = "expert+learn=off"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,9 @@ def method_of(row: str) -> Method | None:
     kind, _, model = base.partition(":")
     if kind not in (*OWN, RAW, TRANSFORMER) or (model and kind not in ("llm-a", "llm-f")):
         return None
-    if kind in (RAW, TRANSFORMER):
+    if kind == TRANSFORMER:
+        raise UsageError(f"The row '{kind}' is a place that tables keep for the paper's baseline; it is not built yet.")
+    if kind == RAW:
         if changes:
             raise UsageError(f"The row '{row}' has no settings to change; say just '{kind}'.")
         return Method(row)

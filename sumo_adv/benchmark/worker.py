@@ -14,7 +14,7 @@ from typing import Any
 from sumo_adv.benchmark.arena import Arena
 from sumo_adv.benchmark.banks import bank_of
 from sumo_adv.benchmark.jobs import Job, Setup, cell_path, slug
-from sumo_adv.benchmark.methods import RAW, TRANSFORMER, method_of
+from sumo_adv.benchmark.methods import RAW, method_of
 from sumo_adv.benchmark.motion import motion_of, unattacked
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.rows.registry import make_row
@@ -30,7 +30,6 @@ from sumo_adv.planning.sandbox import Sandbox
 
 SCHEMA = 1
 KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
-LATER = "This row is a place kept for the paper's baseline, a generative transformer; a later issue brings it."
 
 
 class Bencher:
@@ -84,8 +83,6 @@ class Bencher:
         method = method_of(row)
         if method is None:
             return self._filled(job, row, arena.by_opponent(make_row(row), bank))
-        if method.name == TRANSFORMER:
-            return head(self._setup, job, row) | {"ending": "not_there", "reason": LATER, "attempts": [], "best": None}
         if method.name == RAW:
             return self._unattacked(job, row, arena)
         if arena.found is None:
@@ -106,7 +103,7 @@ class Bencher:
         if self._setup.keep_runs and episode.found is not None:
             self._setup.parts.keep_run(self._run_folder(job, row), episode)
         return cell | {
-            "timing": timing | {"first_success": outcome["timing"].get("first_success")},
+            "timing": timing,
             "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
             "encounter": outcome["encounter"],
         }  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sumo_adv import __version__
-from sumo_adv.cli import batch, convert, doctor, memory, run, serve
+from sumo_adv.cli import batch, bench, convert, doctor, memory, run, serve
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
@@ -26,6 +26,7 @@ app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.add_typer(batch.app, name="batch")
+app.add_typer(bench.app, name="bench")
 app.add_typer(memory.app, name="memory")
 
 

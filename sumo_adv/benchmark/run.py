@@ -1,0 +1,111 @@
+"""One table from the command to its cells: what was asked for, what is there, what is run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.benchmark.bench import Bench, Watcher, read_cells
+from sumo_adv.benchmark.jobs import Parts, Setup, make_jobs
+from sumo_adv.benchmark.methods import method_of
+from sumo_adv.benchmark.nouns import Cell, Suite
+from sumo_adv.benchmark.rows.registry import make_row
+from sumo_adv.config import load_settings
+from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences, write_text
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.world.egos import make_ego
+
+SCHEMA = 1
+PLAN = "bench.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a table is made of. ``settings``: the same for all rows, as data; ``bank``: the library."""
+
+    suite: Suite
+    egos: tuple[str, ...]
+    rows: tuple[str, ...]
+    seed: int
+    settings: Mapping[str, Any]
+    bank: Path
+
+    def check(self) -> None:
+        """Raises UsageError for a row, an ego or a setting that there is not, before anything is run."""
+        load_settings(None, **{**self.settings, "seed": self.seed})
+        for ego in self.egos:
+            make_ego(ego, {})
+        for row in self.rows:
+            if method_of(row) is None:
+                make_row(row)
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    """How a table is run."""
+
+    folder: Path
+    workers: int
+    parts: Parts
+    versions: Mapping[str, str]
+    keep_runs: bool = False
+
+
+def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
+    """The cells of a table, those that are missing run now; also those that other commands left in the folder.
+
+    Raises:
+        UsageError: bad rows, egos or settings, or a folder that holds cells of something else; BankError.
+    """
+    asked.check()
+    with sentences(means.folder):
+        means.folder.mkdir(parents=True, exist_ok=True)
+        _keep_plan(asked, means)
+        setup = Setup(
+            means.folder.absolute(), asked.suite.name, asked.bank.absolute(), asked.settings, means.parts,
+            means.keep_runs,
+        )  # fmt: skip
+        free, chains = make_jobs(asked.suite.cases, asked.egos, asked.rows, asked.seed)
+        Bench(setup, means.workers, watcher).run(free, chains)
+    return read_cells(means.folder)
+
+
+def manifest(asked: Asked, means: Means) -> dict[str, Any]:
+    """What the cells of a folder have in common."""
+    with MemoryBank.open(asked.bank, read_only=True) as bank:
+        content = bank.content_hash()
+    suite = asked.suite
+    return {
+        "schema": SCHEMA, "suite": suite.name, "version": suite.version, "content": suite.content,
+        "cases": len(suite.cases), "seed": asked.seed, "settings": dict(asked.settings), "bank_hash": content,
+        "versions": dict(means.versions),
+    }  # fmt: skip
+
+
+def _keep_plan(asked: Asked, means: Means) -> None:
+    """Remember what the folder is of. Raises UsageError where it holds something else."""
+    now, file = json.loads(json.dumps(manifest(asked, means))), means.folder / PLAN
+    if file.exists():
+        try:
+            before = json.loads(file.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
+        changed = [k for k in now if before.get(k) != now[k]]
+        if changed:
+            raise UsageError(
+                f"{means.folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
+                "give another --out."
+            )
+        return
+    if any(means.folder.iterdir()):
+        raise UsageError(f"{means.folder} is not empty and not the folder of a bench; give another --out.")
+    write_text(file, json.dumps(now, indent=2) + "\n")
+
+
+def of_rows(cells: Sequence[Cell], rows: Sequence[str], egos: Sequence[str]) -> list[Cell]:
+    """Those cells that a table asks for."""
+    return [c for c in cells if c["row"] in rows and c["ego"] in egos]

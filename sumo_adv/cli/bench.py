@@ -1,0 +1,188 @@
+"""``bench``: tables of rows over a suite of encounters, with intervals; they resume where they stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.benchmark.nouns import Cell, Suite
+    from sumo_adv.benchmark.run import Asked, Means
+
+EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert --row random --out runs/bench"
+ROWS = ("raw", "llm-f", "expert", "random")
+OPPONENTS = ("random_search", "cma", "bezier", "resampling", "oracle")
+
+app = typer.Typer(
+    no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+    help="Tables over suites of encounters: the paper's rows, stronger opponents, honest intervals.",
+)  # fmt: skip
+SuiteOption = Annotated[
+    list[str], typer.Option("--suite", help="smoke, suite81, a folder, scenario files (repeatable), womd:FOLDER.")
+]
+Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
+Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
+Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
+Until = Annotated[str, typer.Option(help="Success: ttc, collision or valid.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
+Out = Annotated[Path | None, typer.Option(help="Folder (default: runs/bench-<suite>); the same one goes on.")]
+Memory = Annotated[Path | None, typer.Option(help="Library of all rows (default: the shipped bank); only read.")]
+Setting = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of all rows.")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
+
+
+@app.command("table", epilog=EXAMPLE)
+def table(
+    suite: SuiteOption,
+    ego: Egos = "idm",
+    row: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed:LABEL, oracle, random_search, cma, "
+            "bezier, resampling, module:Class; repeatable (default: raw, llm-f, expert, random)."
+        ),
+    ] = None,
+    seed: Seed = 0,
+    attempts: Attempts = 25,
+    until: Until = "valid",
+    reference: Annotated[str | None, typer.Option(help="Row the others are compared with (default: expert).")] = None,
+    setting: Setting = None,
+    memory: Memory = None,
+    workers: Workers = None,
+    keep_runs: Annotated[bool, typer.Option("--keep-runs", help="Keep the folder of each run, for report.")] = False,
+    out: Out = None,
+    as_json: Json = False,
+) -> None:
+    """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
+    rows = _unique(row or ROWS)
+    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
+    cells = _run(asked, means, as_json=as_json)
+    _write(asked, means, cells, "table", reference or ("expert" if "expert" in rows else None), as_json=as_json)
+
+
+@app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
+def ablations(
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    llm: Annotated[str | None, typer.Option(help="With a model also: 1, 3 and 5 samples of the analyzer.")] = None,
+    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """What each part is worth: the expert without memory, tuner, modifier, replanning, ego model, at other times."""
+    from sumo_adv.benchmark.methods import ABLATIONS, REFERENCE
+
+    rows = [*ABLATIONS, *(f"llm-a:{llm}+samples={k}" for k in (1, 3, 5) if llm)]
+    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(asked, means, as_json=as_json)
+    _write(asked, means, cells, "ablations", REFERENCE, as_json=as_json)
+
+
+@app.command("make", epilog="Example: sumo-adv bench make --seed 1 --out suites/other")
+def make(
+    seed: Annotated[int, typer.Option(min=0, help="Another seed: other encounters of the same kinds.")],
+    out: Annotated[Path, typer.Option(help="A new folder.")],
+    as_json: Json = False,
+) -> None:
+    """Make a fresh copy of suite81: 50 straight and 31 intersection encounters."""
+    from dataclasses import asdict
+
+    from sumo_adv.benchmark.making.suite import make_suite
+
+    def told(case: str, wrong: str) -> None:
+        if not as_json and not wrong:
+            typer.echo(case, err=True)
+
+    made = make_suite(seed, out, name=out.name, told=told)
+    if as_json:
+        typer.echo(json.dumps(asdict(made), default=str))
+        return
+    typer.echo(f"{made.file}: {made.drawn} candidates drawn, {sum(made.rejected.values())} rejected.")
+
+
+def _unique(rows: Sequence[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(rows))
+
+
+def _order(
+    suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
+    setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, keep_runs: bool,
+) -> tuple[Asked, Means]:  # fmt: skip
+    from sumo_adv.benchmark.run import Asked, Means
+    from sumo_adv.benchmark.suites import load_suite
+    from sumo_adv.cli.bench_parts import bench_parts
+    from sumo_adv.report.outcome import versions
+    from sumo_adv.world.inputs import data_folder
+
+    egos = _unique([e.strip() for e in ego.split(",") if e.strip()])
+    if not egos:
+        raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
+    found = load_suite(*suite)
+    settings = {**_settings(setting or ()), "attempts": attempts, "until": until}
+    asked = Asked(found, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
+    folder = out or Path("runs") / f"bench-{found.name}"
+    return asked, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs)
+
+
+def _settings(given: Sequence[str]) -> dict[str, Any]:
+    """``--set`` as data: a value is what TOML makes of it, else text."""
+    found: dict[str, Any] = {}
+    for each in given:
+        name, equals, value = each.partition("=")
+        if not equals or not name.strip():
+            raise UsageError(f"--set takes NAME=VALUE, such as proposals=60, not '{each}'.")
+        try:
+            found[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[name.strip()] = value.strip()
+    return found
+
+
+def _run(asked: Asked, means: Means, *, as_json: bool) -> list[Cell]:
+    from sumo_adv.benchmark.run import of_rows, run_table
+    from sumo_adv.cli.bench_progress import make_watcher
+
+    try:
+        with make_watcher(quiet=as_json) as watcher:
+            cells = run_table(asked, means, watcher)
+    except KeyboardInterrupt:
+        typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
+        raise typer.Exit(1) from None
+    return of_rows(cells, asked.rows, asked.egos)
+
+
+def _write(
+    asked: Asked, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *, as_json: bool
+) -> None:
+    """The table's files; the table itself on stdout."""
+    from sumo_adv.benchmark.tables.compute import make_table
+    from sumo_adv.benchmark.tables.write import write_table
+
+    found: Suite = asked.suite
+    made = make_table(
+        cells, title=f"{found.name}, {len(found.cases)} encounters", cases=found.cases, egos=asked.egos,
+        rows=asked.rows, reference=reference,
+    )  # fmt: skip
+    files = write_table(made, cells, means.folder, _about(asked, means), name)
+    if as_json:
+        typer.echo(json.dumps({"folder": str(means.folder), "cells": len(cells), "files": [str(f) for f in files]}))
+        return
+    typer.echo(next(f for f in files if f.suffix == ".md").read_text(encoding="utf-8"))
+    typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
+
+
+def _about(asked: Asked, means: Means) -> Any:
+    from sumo_adv.benchmark.run import manifest
+    from sumo_adv.benchmark.tables.write import About
+
+    given = manifest(asked, means)
+    return About(
+        " ".join(["sumo-adv", *sys.argv[1:]]), asked.suite.name, asked.suite.version, asked.suite.content,
+        means.versions, asked.settings, asked.seed, given["bank_hash"],
+    )  # fmt: skip
