@@ -145,9 +145,9 @@ class _Clock:
             self._first = time.perf_counter() - self._began
 
     def stop(self, episode: Episode) -> None:
-        """Into the episode's timing: ``row``, ``first_success`` (from the encounter to the first success), ``total``."""
+        """Into the episode's timing: ``row``, ``first_valid`` (from the encounter to the first success), ``total``."""
         row = time.perf_counter() - self._began
         episode.timing["row"] = row
         if self._first is not None:
-            episode.timing["first_success"] = self._first
+            episode.timing["first_valid"] = self._first
         episode.timing["total"] = episode.timing.get("opened", 0.0) + row
