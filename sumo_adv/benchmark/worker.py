@@ -164,10 +164,10 @@ def begin(setup: Setup) -> None:
 
 
 def work(setup: Setup, job: Job) -> None:
-    """One job in this process; what breaks becomes the cells of its rows. Raises UsageError, BankError, OSError."""
+    """One job in this process; what breaks becomes the cells of its rows. Raises BankError, OSError."""
     try:
         _bencher[-1].run(job)
-    except (UsageError, BankError, OSError):
+    except (BankError, OSError):
         raise
     except Exception as error:
         why = str(error) if isinstance(error, SumoAdvError) else f"A fault of sumo_adv itself: {traceback.format_exc()}"

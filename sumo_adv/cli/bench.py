@@ -170,11 +170,18 @@ def _write(
         rows=asked.rows, reference=reference,
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(asked, means), name)
+    broken = [c for c in cells if c["ending"] == "simulation_failed"]
     if as_json:
-        typer.echo(json.dumps({"folder": str(means.folder), "cells": len(cells), "files": [str(f) for f in files]}))
-        return
-    typer.echo(next(f for f in files if f.suffix == ".md").read_text(encoding="utf-8"))
-    typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
+        count = {"cells": len(cells), "failed": len(broken)}
+        typer.echo(json.dumps({"folder": str(means.folder), **count, "files": [str(f) for f in files]}))
+    else:
+        typer.echo(next(f for f in files if f.suffix == ".md").read_text(encoding="utf-8"))
+        typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
+    if broken:
+        first = f"{broken[0]['case']} ({broken[0]['row']}): {broken[0]['reason']}"
+        typer.echo(f"sumo-adv: {len(broken)} of {len(cells)} cells failed, for instance {first}", err=True)
+    if len(broken) == len(cells):
+        raise typer.Exit(1)
 
 
 def _about(asked: Asked, means: Means) -> Any:

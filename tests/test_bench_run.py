@@ -1,0 +1,132 @@
+"""Benches through the real command line: cells, tables, resuming, rows that learn, what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import ROOT, Done, Program
+
+MOTORWAY, TEE = (f"scenarios/{n}.toml" for n in ("motorway_cut_in_left", "t_junction_left_from_stem"))
+SMALL = (
+    "bench", "table", "--suite", MOTORWAY, "--suite", TEE, "--ego", "idm", "--attempts", "3", "--set", "proposals=30",
+    "--workers", "2",
+)  # fmt: skip
+ROWS = ("raw", "expert", "llm-f", "random")
+
+
+def cell(folder: Path, case: str, row: str) -> dict[str, Any]:
+    file = folder / "cells" / "idm" / case / f"{row}.json"
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
+
+
+def unhurried(cell: dict[str, Any]) -> dict[str, Any]:
+    """A cell without what a clock says."""
+    return {k: v for k, v in cell.items() if k != "timing"} | {"llm": {**cell["llm"], "seconds": None}}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[tuple[Program, Done]]:
+    """The small table, undisturbed."""
+    program = Program(tmp_path_factory.mktemp("bench"), caches)
+    yield program, program(*SMALL, "--out", "out")
+
+
+def test_a_table_is_made_of_cells_and_says_what_it_means(whole: tuple[Program, Done]) -> None:
+    program, done = whole
+    assert done.status == 0, done.err
+    out = program.folder / "out"
+    assert {p.name for p in out.iterdir()} >= {"bench.json", "cells", "table.md", "table.csv", "table.json"}
+    raw, expert = (cell(out, "motorway_cut_in_left", row) for row in ("raw", "expert"))
+    assert raw["outcome"]["collided"] is False and raw["attempts"] == []
+    assert 1 <= len(expert["attempts"]) <= 3 and expert["outcome"]["collided"] in (True, False)
+    assert expert["recall"] == "hit" and len(expert["motion"]["adversary"]["speed"]) > 10
+    # two encounters, neither of which a bank of following and braking can do anything about
+    assert cell(out, "t_junction_left_from_stem", "llm-f")["ending"] == "no_encounter"
+    assert "| `llm-f` | 2 | 0.00 (0.00–0.66) |" in done.out  # Wilson's interval of 0 of 2
+
+
+def test_every_row_attacks_the_same_encounter(whole: tuple[Program, Done]) -> None:
+    out = whole[0].folder / "out"
+    for case in ("motorway_cut_in_left", "t_junction_left_from_stem"):
+        met = [cell(out, case, row)["encounter"] for row in ("expert", "random")]
+        assert met[0] == met[1] and met[0]["time"] > 0
+
+
+def test_a_cell_that_is_gone_is_made_again_and_is_the_same(whole: tuple[Program, Done]) -> None:
+    program, _ = whole
+    out = program.folder / "resumed"
+    shutil.copytree(program.folder / "out", out)
+    before = {row: cell(out, "t_junction_left_from_stem", row) for row in ROWS}
+    for row in ("expert", "random"):
+        (out / "cells" / "idm" / "t_junction_left_from_stem" / f"{row}.json").unlink()
+    kept = (out / "cells" / "idm" / "motorway_cut_in_left" / "expert.json").stat().st_mtime_ns
+    done = program(*SMALL, "--out", "resumed")
+    assert done.status == 0 and "8 cells, 6 of them there." in done.err
+    after = {row: cell(out, "t_junction_left_from_stem", row) for row in ROWS}
+    assert {r: unhurried(c) for r, c in after.items()} == {r: unhurried(c) for r, c in before.items()}
+    assert (out / "cells" / "idm" / "motorway_cut_in_left" / "expert.json").stat().st_mtime_ns == kept
+
+
+def test_a_row_that_learns_has_a_bank_that_grew_and_others_have_not(whole: tuple[Program, Done]) -> None:
+    out = whole[0].folder / "out"
+    first, second = (cell(out, c, "expert") for c in ("motorway_cut_in_left", "t_junction_left_from_stem"))
+    frozen = json.loads((out / "bench.json").read_text(encoding="utf-8"))["bank_hash"]
+    assert first["bank_hash"] == frozen != second["bank_hash"]  # what the first encounter taught is there in the second
+    assert sorted(p.name for p in (out / "banks" / "idm" / "expert").iterdir()) == ["1.sqlite", "2.sqlite"]
+
+
+def test_a_folder_holds_the_cells_of_one_bench_only(whole: tuple[Program, Done]) -> None:
+    program, _ = whole
+    done = program(*SMALL, "--seed", "1", "--out", "out")
+    assert done.status == 2
+    assert (
+        done.err == "sumo-adv: out holds cells of another seed: they cannot stand in one table; give another --out.\n"
+    )
+    (program.folder / "mine").mkdir()
+    (program.folder / "mine" / "thesis.tex").write_text("")
+    done = program(*SMALL, "--out", "mine")
+    assert (done.status, "mine is not empty and not the folder of a bench" in done.err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        (("--row", "nobody"), "There is no row 'nobody'"),
+        (("--row", "expert+tunr=off"), "The row 'expert+tunr=off' changes 'tunr', which is no setting"),
+        (("--row", "expert+seed=3"), "which is the same for all rows of a table"),
+        (("--row", "expert+replan=soon"), "Setting 'replan' cannot be 'soon'"),
+        (("--row", "llm-a"), "The row llm-a needs a model"),
+        (("--row", "raw+tuner=off"), "The row 'raw+tuner=off' has no settings to change"),
+        (("--row", "transformer"), "it is not built yet"),
+        (("--ego", "ghost"), "ghost"),
+        (("--ego", ","), "--ego names no driver"),
+        (("--set", "proposals"), "--set takes NAME=VALUE"),
+        (("--suite", "nowhere.toml"), "nowhere.toml"),
+    ],
+)
+def test_what_there_is_not_is_refused_before_anything_runs(
+    program: Program, given: tuple[str, ...], sentence: str
+) -> None:
+    done = program(*SMALL, "--out", "out", *given)
+    assert done.status == 2 and done.err.startswith("sumo-adv: ") and done.err.count("\n") == 1
+    assert sentence in done.err and not (program.folder / "out").exists()
+
+
+def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: Program) -> None:
+    text = (ROOT / MOTORWAY).read_text(encoding="utf-8").replace('"../networks', f'"{ROOT}/networks')
+    text = text.replace('"demand/', f'"{ROOT}/scenarios/demand/').replace("trigger = 5.0", "trigger = 500.0")
+    assert "trigger = 500.0" in text  # long after its end
+    (program.folder / "broken.toml").write_text(text)
+    done = program(
+        "bench", "table", "--suite", "broken.toml", "--suite", MOTORWAY, "--row", "random", "--attempts", "1",
+        "--out", "out", "--workers", "1",
+    )  # fmt: skip
+    assert done.status == 0
+    assert "sumo-adv: 1 of 2 cells failed, for instance broken (random): " in done.err and "500 s" in done.err
+    assert "| `random` | 2 |" in done.out  # it stays in the denominator
