@@ -1,0 +1,296 @@
+const FONT = "600 12px system-ui, sans-serif";
+
+/** The map: the road on one canvas, drawn again only when the view changes, and what moves on another. */
+class MapView {
+  constructor(road, moving, scene) {
+    this.roadCanvas = road;
+    this.canvas = moving;
+    this.scene = scene;
+    this.view = { x: 0, y: 0, scale: 4 };
+    this.follow = false;
+    this.offset = { x: 0, y: 0 };
+    this.beside = false;
+    this.spot = { x: 0, y: 0, heading: 0 };
+    this.paths = roadPaths(scene.lanes);
+    this.drawn = "";
+    this.resize();
+  }
+
+  resize() {
+    sharpen(this.roadCanvas);
+    Object.assign(this, sharpen(this.canvas));
+    this.colours = palette();
+    this.drawn = "";
+  }
+
+  /** The attempts' parts of the canvas, in CSS pixels. */
+  panels(attempts) {
+    const list = this.beside ? attempts : attempts.slice(0, 1);
+    const stacked = this.width < 640, n = Math.max(1, list.length);
+    return list.map((attempt, k) => ({
+      attempt,
+      left: stacked ? 0 : (this.width * k) / n, top: stacked ? (this.height * k) / n : 0,
+      width: stacked ? this.width : this.width / n, height: stacked ? this.height / n : this.height,
+    }));
+  }
+
+  /** Show the paths of ego and adversary from `from` to `to`. */
+  fit(attempts, from, to) {
+    let low = [Infinity, Infinity], high = [-Infinity, -Infinity];
+    for (const a of attempts) {
+      for (const v of [a.egoVehicle, a.adversaryVehicle]) {
+        for (let f = from; v && f <= Math.min(to, a.to); f += 1) {
+          if (!pose(v, f, this.spot)) continue;
+          low = [Math.min(low[0], this.spot.x), Math.min(low[1], this.spot.y)];
+          high = [Math.max(high[0], this.spot.x), Math.max(high[1], this.spot.y)];
+        }
+      }
+    }
+    if (!Number.isFinite(low[0])) return;
+    const box = this.panels(attempts)[0] || this;
+    const scale = Math.min(box.width / (high[0] - low[0] + 24), box.height / (high[1] - low[1] + 24));
+    this.view = { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, scale: Math.min(Math.max(scale, 0.4), 14) };
+    this.offset = { x: 0, y: 0 };
+  }
+
+  /** Zoom by a factor; the place under (px, py) stays where it is. */
+  zoom(factor, px, py) {
+    const v = this.view, scale = Math.min(Math.max(v.scale * factor, 0.2), 60);
+    if (!this.follow && px !== undefined) {
+      const box = this.panelAt(px, py);
+      v.x += (px - box.left - box.width / 2) * (1 / v.scale - 1 / scale);
+      v.y -= (py - box.top - box.height / 2) * (1 / v.scale - 1 / scale);
+    }
+    v.scale = scale;
+  }
+
+  panelAt(px, py) {
+    const found = this.shownPanels.find((p) => px >= p.left && px < p.left + p.width && py >= p.top && py < p.top + p.height);
+    return found || this.shownPanels[0] || { left: 0, top: 0, width: this.width, height: this.height };
+  }
+
+  pan(dx, dy) {
+    const to = this.follow ? this.offset : this.view;
+    to.x -= dx / this.view.scale;
+    to.y += dy / this.view.scale;
+  }
+
+  /** Draw a frame (any real number) of the attempts that are shown. */
+  draw(attempts, frame) {
+    this.shownPanels = this.panels(attempts);
+    const at = this.shownPanels.map((p) => this.centre(p.attempt, frame));
+    this.drawRoad(at);
+    const c = this.canvas.getContext("2d");
+    c.setTransform(1, 0, 0, 1, 0, 0);
+    c.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.shownPanels.forEach((panel, k) => {
+      c.save();
+      c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      c.beginPath();
+      c.rect(panel.left, panel.top, panel.width, panel.height);
+      c.clip();
+      const ghosts = this.beside ? [] : attempts.slice(1);
+      this.drawPanel(c, panel, at[k], ghosts, frame);
+      c.restore();
+    });
+  }
+
+  centre(attempt, frame) {
+    const ego = attempt.egoVehicle;
+    if (this.follow && ego && pose(ego, Math.min(frame, attempt.to), this.spot)) {
+      this.view.x = this.spot.x + this.offset.x;
+      this.view.y = this.spot.y + this.offset.y;
+    }
+    return { x: this.view.x, y: this.view.y };
+  }
+
+  drawRoad(at) {
+    const key = `${this.shownPanels.length};${this.view.scale};${at.map((p) => `${p.x},${p.y}`).join(";")}`;
+    if (key === this.drawn) return;
+    this.drawn = key;
+    const c = this.roadCanvas.getContext("2d"), k = this.colours, s = this.view.scale * this.ratio;
+    c.setTransform(1, 0, 0, 1, 0, 0);
+    c.fillStyle = k.ground;
+    c.fillRect(0, 0, this.roadCanvas.width, this.roadCanvas.height);
+    this.shownPanels.forEach((panel, i) => {
+      const r = this.ratio;
+      c.save();
+      c.setTransform(1, 0, 0, 1, 0, 0);
+      c.beginPath();
+      c.rect(panel.left * r, panel.top * r, panel.width * r, panel.height * r);
+      c.clip();
+      c.setTransform(s, 0, 0, -s, (panel.left + panel.width / 2) * r - at[i].x * s, (panel.top + panel.height / 2) * r + at[i].y * s);
+      c.lineJoin = "round";
+      c.fillStyle = k.junction;
+      c.fill(this.paths.areas);
+      for (const { path, width, kind } of this.paths.strips) {
+        const mark = kind === 0 ? Math.max(0.24, 1.2 / s) : 0;
+        c.lineWidth = width;
+        c.strokeStyle = kind === 2 ? k.footway : kind === 1 ? k.junction : k.marking;
+        c.stroke(path);
+        if (!mark) continue;
+        c.lineWidth = Math.max(width - mark, 0.1);
+        c.strokeStyle = k.asphalt;
+        c.stroke(path);
+      }
+      c.restore();
+    });
+  }
+
+  drawPanel(c, panel, at, ghosts, frame) {
+    const s = this.view.scale, k = this.colours, a = panel.attempt;
+    const ox = panel.left + panel.width / 2 - at.x * s, oy = panel.top + panel.height / 2 + at.y * s;
+    const place = { s, ox, oy, panel };
+    const now = Math.min(frame, a.to);
+    this.drawTrails(c, place, [a, ...ghosts], now);
+    this.drawOthers(c, place, a, now);
+    for (const g of ghosts) this.drawPair(c, place, g, Math.min(frame, g.to), true);
+    this.drawPair(c, place, a, now, false);
+    this.drawScale(c, panel, s);
+    c.font = FONT;
+    c.textAlign = "left";
+    if (this.beside || ghosts.length === 0) this.label(c, `${a.name}${frame > a.to + 0.5 ? " (ended)" : ""}`, panel.left + 10, panel.top + 18, k[a.key] || k.ink);
+    if (panel.left > 0 || panel.top > 0) {
+      c.strokeStyle = k.soft;
+      c.lineWidth = 1;
+      c.strokeRect(panel.left - 0.5, panel.top - 0.5, panel.width + 1, panel.height + 1);
+    }
+  }
+
+  /** What ego and adversary drive, from the trigger to their attempt's end. */
+  drawTrails(c, { s, ox, oy }, attempts, now) {
+    for (const [n, a] of attempts.entries()) {
+      for (const v of [a.egoVehicle, a.adversaryVehicle]) {
+        if (!v) continue;
+        a.trails = a.trails || new Map();
+        if (!a.trails.has(v)) a.trails.set(v, trail(v, this.scene.triggerFrame, a.to));
+        c.setTransform(s * this.ratio, 0, 0, -s * this.ratio, ox * this.ratio, oy * this.ratio);
+        c.strokeStyle = v === a.egoVehicle ? this.colours.ego : this.colours.adversary;
+        c.lineWidth = (n ? 1.3 : 2) / s;
+        c.setLineDash(n ? (a.key === "raw" ? [1.5 / s, 4 / s] : [7 / s, 4 / s]) : []);
+        c.globalAlpha = n ? 0.55 : 0.75;
+        c.stroke(a.trails.get(v));
+      }
+    }
+    c.setLineDash([]);
+    c.globalAlpha = 1;
+    c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+  }
+
+  drawOthers(c, { s, ox, oy, panel }, attempt, frame) {
+    const p = this.spot, margin = 12 * s;
+    c.beginPath();
+    for (const v of attempt.others) {
+      if (!pose(v, frame, p)) continue;
+      const x = ox + p.x * s, y = oy - p.y * s;
+      if (x < panel.left - margin || x > panel.left + panel.width + margin || y < panel.top - margin || y > panel.top + panel.height + margin) continue;
+      const fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s, l = v.length / 2, w = v.width / 2;
+      corner(c, x, y, fx, fy, l, w, true);
+      corner(c, x, y, fx, fy, l, -w);
+      corner(c, x, y, fx, fy, -l, -w);
+      corner(c, x, y, fx, fy, -l, w);
+      c.closePath();
+      if (v.role === "obstacle") continue;
+      corner(c, x, y, fx, fy, l * 0.15, w * 0.7, true);
+      corner(c, x, y, fx, fy, l * 0.75, 0);
+      corner(c, x, y, fx, fy, l * 0.15, -w * 0.7);
+      c.closePath();
+    }
+    c.fillStyle = this.colours.other;
+    c.fill("evenodd");
+  }
+
+  /** Ego and adversary: filled with an arrow and a name, or as outlines of another attempt. */
+  drawPair(c, { s, ox, oy }, a, frame, ghost) {
+    const k = this.colours, p = this.spot;
+    for (const [v, colour, word] of [[a.adversaryVehicle, k.adversary, "adversary"], [a.egoVehicle, k.ego, "ego"]]) {
+      if (!v || !pose(v, frame, p)) continue;
+      const x = ox + p.x * s, y = oy - p.y * s, fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s;
+      const l = v.length / 2, w = v.width / 2;
+      c.beginPath();
+      corner(c, x, y, fx, fy, l, w, true);
+      corner(c, x, y, fx, fy, l, -w);
+      corner(c, x, y, fx, fy, -l, -w);
+      corner(c, x, y, fx, fy, -l, w);
+      c.closePath();
+      c.lineWidth = ghost ? 1.6 : 1.4;
+      c.setLineDash(ghost ? (a.key === "raw" ? [2, 3] : [6, 3]) : []);
+      c.strokeStyle = ghost ? colour : k.ink;
+      if (ghost) { c.stroke(); c.setLineDash([]); continue; }
+      c.fillStyle = colour;
+      c.fill();
+      c.stroke();
+      c.beginPath();
+      if (word === "ego") {  // an arrow; the adversary has two bars: told apart without colour
+        corner(c, x, y, fx, fy, l * 0.2, w * 0.7, true);
+        corner(c, x, y, fx, fy, l * 0.85, 0);
+        corner(c, x, y, fx, fy, l * 0.2, -w * 0.7);
+      } else {
+        for (const [b, f] of [[0.35, 0.6], [-0.2, 0.05]]) {
+          corner(c, x, y, fx, fy, l * b, w * 0.75, true);
+          corner(c, x, y, fx, fy, l * f, 0);
+          corner(c, x, y, fx, fy, l * b, -w * 0.75);
+          corner(c, x, y, fx, fy, l * (b - 0.2), -w * 0.75);
+          corner(c, x, y, fx, fy, l * (f - 0.2), 0);
+          corner(c, x, y, fx, fy, l * (b - 0.2), w * 0.75);
+          c.closePath();
+        }
+      }
+      c.fillStyle = k.paper;
+      c.fill();
+      c.font = FONT;
+      c.textAlign = "center";
+      const reach = Math.abs(fy) * l + Math.abs(fx) * w;
+      this.label(c, word, x, word === "ego" ? y + reach + 15 : y - reach - 7, colour);
+    }
+  }
+
+  label(c, text, x, y, colour) {
+    c.lineWidth = 4;
+    c.lineJoin = "round";
+    c.strokeStyle = this.colours.paper;
+    c.strokeText(text, x, y);
+    c.fillStyle = colour;
+    c.fillText(text, x, y);
+  }
+
+  drawScale(c, panel, s) {
+    const metres = [500, 200, 100, 50, 20, 10, 5, 2].find((m) => m * s <= panel.width / 3) || 1;
+    const x = panel.left + 12, y = panel.top + panel.height - 12;
+    c.fillStyle = this.colours.ink;
+    c.fillRect(x, y, metres * s, 3);
+    c.font = FONT;
+    c.textAlign = "left";
+    this.label(c, `${metres} m`, x, y - 5, this.colours.ink);
+  }
+}
+
+function corner(c, x, y, fx, fy, along, left, first) {
+  const px = x + fx * along + fy * left, py = y + fy * along - fx * left;
+  if (first) c.moveTo(px, py); else c.lineTo(px, py);
+}
+
+/** A vehicle's way over some frames, in metres. */
+function trail(vehicle, from, to) {
+  const path = new Path2D(), at = { x: 0, y: 0, heading: 0 };
+  let on = false;
+  for (let f = from; f <= to; f++) {
+    if (!pose(vehicle, f, at)) { on = false; continue; }
+    if (on) path.lineTo(at.x, at.y); else path.moveTo(at.x, at.y);
+    on = true;
+  }
+  return path;
+}
+
+/** Lanes as paths in metres, those of one width and kind together; the areas of junctions as one. */
+function roadPaths(lanes) {
+  const groups = new Map(), areas = new Path2D();
+  for (const lane of lanes) {
+    const key = `${lane.kind} ${lane.width}`;
+    if (lane.kind !== 3 && !groups.has(key)) groups.set(key, { path: new Path2D(), width: lane.width, kind: lane.kind });
+    const path = lane.kind === 3 ? areas : groups.get(key).path;
+    for (let i = 0; i < lane.count; i++) i ? path.lineTo(lane.x[i], lane.y[i]) : path.moveTo(lane.x[i], lane.y[i]);
+    if (lane.kind === 3) path.closePath();
+  }
+  return { areas, strips: [...groups.values()].sort((a, b) => b.kind - a.kind) };
+}

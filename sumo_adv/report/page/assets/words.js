@@ -1,0 +1,138 @@
+const GATE_WORDS = {
+  longitudinal: "braking and acceleration", lateral: "lateral acceleration", friction_circle: "friction circle",
+  curvature: "curvature", jerk: "jerk", continuity: "no jumps", off_road: "on the road", third_party: "no third party hit",
+};
+const TIERS = {
+  careful_driver: "avoidable for a careful driver", any_manoeuvre: "avoidable by some manoeuvre", unavoidable: "unavoidable",
+};
+
+const panel = (title, ...children) => el("section", { class: "panel", "aria-label": title }, el("h2", null, title), ...children);
+
+function table(heads, rows) {
+  const cells = (row) => row.cells.map((c, i) => el(i ? "td" : "th", i ? null : { scope: "row" }, c));
+  return el("div", { class: "scroll", tabindex: "0", role: "group", "aria-label": "Table" }, el("table", null,
+    heads.length ? el("thead", null, el("tr", null, heads.map((h) => el("th", { scope: "col" }, h)))) : null,
+    el("tbody", null, rows.map((row) => el("tr", row.counts ? { class: "counts" } : null, cells(row))))));
+}
+
+const list = (pairs) => el("dl", null, pairs.filter((p) => p[1] !== null && p[1] !== undefined)
+  .map(([name, value]) => [el("dt", null, name), el("dd", null, value)]));
+
+/** A link to a time in the replay. */
+const at = (time, words) => (time === null || time === undefined ? null : el("a", { href: `#t=${time}` }, words || `${time.toFixed(2)}\u202fs`));
+
+const knots = (a) => (Array.isArray(a) ? a.map(([t, v]) => `${v} m/s² at ${t} s`).join(", ") : `${a} m/s²`);
+
+function headline(outcome) {
+  const label = outcome.intent ? outcome.intent.label : null, names = (outcome.adversaries || []).map((a) => a.id);
+  byId("title").replaceChildren(...(names.length
+    ? [quoted(outcome.network), " — ", quoted(label), " by ", quoted(names[0])] : [quoted(outcome.network)]).map((n) => (typeof n === "string" ? document.createTextNode(n) : n)));
+  document.title = `${plain(outcome.network)} — replay`;
+  byId("lead").replaceChildren(el("span", null, "Ego ", quoted(outcome.ego.id ?? "–"), " driven by ",
+    quoted(outcome.ego.controller), `, seed ${outcome.seed}. `, quoted(outcome.reason)));
+  const v = outcome.outcome, badges = [];
+  if (v) {
+    badges.push([v.collided ? "collision" : "no contact", v.collided ? "bad" : ""]);
+    badges.push([`min TTC ${number(v.min_ttc, 2, "s")}`, ""]);
+    badges.push([v.critical ? "critical" : "not critical", ""]);
+    if (v.valid !== null) badges.push([v.valid ? "✓ valid" : "✗ not valid", v.valid ? "good" : "bad"]);
+    badges.push([v.feasible ? "✓ feasible" : "✗ not feasible", v.feasible ? "good" : "bad"]);
+    if (v.avoidable) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
+    if (v.rear_end) badges.push(["rear-end", "bad"]);
+  } else badges.push([answer(outcome.ending), "bad"]);
+  byId("badges").replaceChildren(...badges.map(([words, kind]) => el("li", { class: kind || null }, words)));
+}
+
+function verdictPanel(outcome) {
+  const v = outcome.outcome, raw = outcome.raw;
+  if (!v) return panel("Verdict", el("p", null, "There was no attempt: ", quoted(outcome.reason)));
+  const row = (name, before, after) => ({ cells: [name, before, after] });
+  const numbers = table(["", "unattacked", "attacked"], [
+    row("min TTC", raw ? number(raw.min_ttc, 2, "s") : "not run", number(v.min_ttc, 2, "s")),
+    row("collided", raw ? answer(raw.collided) : "not run", answer(v.collided)),
+    row("min TTC to anyone", "", number(v.min_ttc_any, 2, "s")), row("min distance", "", number(v.min_distance, 2, "m")),
+    row("min PET", "", number(v.min_pet, 2, "s")), row("max DRAC", "", number(v.max_drac, 2, "m/s²")),
+  ]);
+  const failed = new Set(v.failed_gates), gates = data.gates.map((g) => ({ cells: [
+    el("span", { class: failed.has(g) ? "bad" : "good" }, failed.has(g) ? "✗ fails" : "✓ holds"), GATE_WORDS[g] || answer(g)] }));
+  const impact = v.impact, times = [["trigger", outcome.trigger_time], ["hazard", v.hazard_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
+  return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
+    ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["avoidable", v.avoidable ? answer(v.avoidable) : null],
+    ["rear-end", answer(v.rear_end)], ["fault", v.fault ? answer(v.fault) : null], ["kind", v.kind ? answer(v.kind) : null],
+    ["class", v.collision_class ? answer(v.collision_class) : null],
+    ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego, delta-v ${number(impact.delta_v, 2, "m/s")}` : null],
+    ...times.map(([name, time]) => [name, data.scene ? at(time) : null]),
+  ]));
+}
+
+function attemptsPanel(outcome) {
+  const rows = outcome.attempts.map((a) => ({ counts: a.index === outcome.best, cells: [
+    `${a.index + 1}${a.index === outcome.best ? " (counts)" : ""}`, el("span", null, quoted(a.intent), " by ", quoted(a.adversaries.join(", "))),
+    quoted(a.planner.mode), quoted(a.by), `${a.trigger_time.toFixed(1)}\u202fs`, number(a.min_ttc, 2, "s"), number(a.min_distance, 2, "m"),
+    a.collided ? (a.valid ? "valid collision" : "collision") : answer(a.ending),
+    el("span", null, quoted(a.failed_gates.map(answer).join(", ") || (a.feasible ? "" : "not feasible")), a.message ? [" ", quoted(a.message)] : null),
+  ] }));
+  const made = panel(`Attempts (${rows.length})`, table(["", "intent", "planner", "by", "trigger", "min TTC", "distance", "came to", "remarks"], rows), parametersOf(outcome));
+  made.classList.add("wide");
+  return made;
+}
+
+/** What changed between the first attempt and the one that counts, where both had the same parameters. */
+function parametersOf(outcome) {
+  const first = outcome.attempts[0], best = outcome.attempts[outcome.best ?? -1];
+  if (!best || best === first) return null;
+  const names = [...new Set([...Object.keys(first.parameters), ...Object.keys(best.parameters)])];
+  const shown = (p, n) => (n in p ? String(p[n]) : "–");
+  return el("details", null, el("summary", null, "Parameters: the first attempt and the one that counts"), table(["", "first", "counts"],
+    [...names.map((n) => ({ cells: [quoted(n), shown(first.parameters, n), shown(best.parameters, n)] })),
+      { cells: ["acceleration", knots(first.acceleration), knots(best.acceleration)] }]));
+}
+
+function analyzerPanel(outcome) {
+  const agents = outcome.agents || {}, ranking = (outcome.encounter || {}).ranking || [];
+  const intents = (outcome.intents || []).map((i) => [
+    el("h3", null, quoted(i.label), " by ", quoted(i.bv), ` — risk ${answer(i.risk)}`), el("p", null, quoted(i.description)),
+    i.reason ? el("p", { class: "soft" }, "Because: ", quoted(i.reason)) : null,
+    el("p", { class: "soft" }, `Acceleration ${knots(i.acceleration)}; from ${answer(i.source)}.`)]);
+  const [shown, rest] = [intents.slice(0, 3), intents.slice(3)];
+  return panel("What the analyzer said", el("p", null, "Analyzer: ", quoted(agents.analyzer ?? "–"), ". ", quoted(agents.note ?? "")),
+    ranking.length ? el("p", null, "Encounter: ", ranking.map((r, k) => [k ? ", " : "", quoted(r.id), ` (${answer(r.relation)}, risk ${r.risk})`])) : null,
+    shown, rest.length ? el("details", null, el("summary", null, `${rest.length} more`), rest) : null);
+}
+
+function plannersPanel() {
+  if (!data.planners.length) return null;
+  const versions = [...data.planners].sort((a, b) => b.counts - a.counts);
+  return panel("Planners", versions.map((p) => {
+    const used = p.attempts.map((n) => n + 1).join(", ");
+    const head = el("summary", null, quoted(p.label), ", ", quoted(p.mode), ` — ${p.counts ? "counts; " : ""}attempts ${used}; `, quoted(p.origin));
+    const source = el("details", null, el("summary", null, "Source"), el("pre", { tabindex: "0" }, plain(p.source)));
+    const diff = p.diff ? el("details", { open: p.counts }, el("summary", null, p.diff.length ? "What the modifier changed" : "The modifier changed nothing"), el("pre", { tabindex: "0" },
+      p.diff.map((text) => el("span", { class: { "+": "added", "-": "removed", "@": "hunk" }[text[0]] || null }, text)))) : null;
+    return el("details", { open: p.counts }, head, el("p", { class: "soft" }, `Version ${p.hash.slice(0, 12)}`,
+      p.parent ? [", made of ", p.parent.slice(0, 12)] : null), diff, source);
+  }));
+}
+
+function restPanel(outcome) {
+  const figures = Object.entries(outcome.realism || {}).filter(([, v]) => typeof v === "number" || v === null);
+  const versions = data.about.versions ? Object.entries(data.about.versions).map(([k, v]) => `${k} ${v}`).join(", ") : null;
+  return panel("All the figures", figures.length ? el("details", null, el("summary", null, "Realism of the adversary's motion"),
+    table(["", ""], figures.map(([k, v]) => ({ cells: [answer(k), v === null ? "too little to say" : String(v)] })))) : null,
+  el("details", null, el("summary", null, "outcome.json"), el("pre", { tabindex: "0" }, plain(JSON.stringify(outcome, null, 1)))),
+  el("details", null, el("summary", null, "Settings"), el("pre", { tabindex: "0" }, plain(JSON.stringify(data.about.settings, null, 1) ?? "unknown"))),
+  versions ? el("p", { class: "soft" }, quoted(versions)) : null);
+}
+
+/** Everything in words. */
+function writeWords() {
+  const outcome = data.outcome;
+  headline(outcome);
+  if (data.back) {
+    byId("back").hidden = false;
+    byId("back").append(el("a", { href: data.back }, "All episodes"));
+  }
+  byId("beside").replaceChildren(verdictPanel(outcome));
+  byId("panels").replaceChildren(...[outcome.attempts.length ? attemptsPanel(outcome) : null,
+    (outcome.intents || []).length ? analyzerPanel(outcome) : null, plannersPanel(), restPanel(outcome)].filter(Boolean));
+}

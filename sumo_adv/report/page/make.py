@@ -1,0 +1,111 @@
+"""From a run's folder to the text of its page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Track
+from sumo_adv.errors import UsageError
+from sumo_adv.metrics.feasibility import GATES
+from sumo_adv.report.page.document import asset, document
+from sumo_adv.report.page.read import RunRead, read_run
+from sumo_adv.report.page.road import Strip, network, strips_near
+from sumo_adv.report.page.scene import Shown, make_attempts, make_scene
+from sumo_adv.report.page.words import planner_versions
+
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
+STYLES = ("common.css", "replay.css")
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A run's page: its text, and where the encounter came to its point (the ego's centre [m], None if nowhere)."""
+
+    html: str
+    place: tuple[float, float] | None
+
+
+def make_page(folder: Path) -> str:
+    """The page of a run as HTML, in one file. Raises UsageError: no run's folder, or a file in it is damaged."""
+    return page_of(folder).html
+
+
+def page_of(folder: Path, back: str | None = None) -> Page:
+    """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
+    run = read_run(folder)
+    try:
+        made = make_attempts(run)
+        scene, moments, place = None, [], None
+        if made is not None:
+            grid, attempts = made
+            scene = make_scene(_strips(run, attempts), grid, attempts)
+            moments = _moments(run.outcome, attempts)
+            place = _place(run, attempts)
+        data = {
+            "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
+            "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
+        }  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise UsageError(
+            f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
+        ) from error
+    return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place)
+
+
+def _strips(run: RunRead, attempts: Sequence[Shown]) -> list[Strip]:
+    name = run.manifest.get("network")
+    file = run.folder / "inputs" / Path(str(name)).name
+    if not name or not file.is_file():
+        return []
+    paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
+    return strips_near(network(file), paths) if paths else []
+
+
+def _about(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: manifest.get(k) for k in ("name", "versions", "seed", "settings")}
+
+
+def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict[str, Any]]:
+    """Links into the time line, by time: a key for the address, words, and the time [s]."""
+    verdict = outcome.get("outcome") or {}
+    shown = {a.key: a for a in attempts}
+    best = shown.get("best")
+    found = [
+        ("trigger", "trigger", outcome.get("trigger_time")),
+        ("hazard", "hazard shows", verdict.get("hazard_time")),
+        ("contact", "contact", verdict.get("contact_time")),
+    ]
+    if best is not None and best.closest is not None and verdict.get("contact_time") is None:
+        found.append(("closest", "closest approach", best.closest[0]))
+    if best is not None and verdict.get("contact_time") is None and verdict.get("min_ttc_time") is not None:
+        found.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
+    raw = shown.get("raw")
+    if best is not None and raw is not None and raw.closest is not None:
+        found.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))
+    rows = [{"key": key, "name": name, "time": float(t)} for key, name, t in found if t is not None]
+    return sorted(rows, key=lambda m: m["time"])
+
+
+def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | None:
+    """The ego's centre at contact, else at the closest approach, else at the end."""
+    if not attempts:
+        return None
+    verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
+    ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)
+    if ego is None:
+        return None
+    time = verdict.get("contact_time")
+    if time is None:
+        time = shown.closest[0] if shown.closest else float(ego.time[-1])
+    return _at(ego, float(time))
+
+
+def _at(track: Track, time: float) -> tuple[float, float]:
+    x, y = (round(float(np.interp(time, track.time, values)), 1) for values in (track.x, track.y))
+    return x, y

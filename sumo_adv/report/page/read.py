@@ -1,0 +1,96 @@
+"""A run's folder, read back: what happened in words and numbers, and the tracks of up to three attempts."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.errors import UsageError
+from sumo_adv.report.folder import FIRST
+from sumo_adv.report.tables import HEADER
+
+OUTCOME, MANIFEST = "outcome.json", "manifest.json"
+NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
+
+
+@dataclass(frozen=True, slots=True)
+class RunRead:
+    """A run as its files tell it. ``manifest`` is empty and tracks are missing where the run did not get that far.
+
+    ``best``: the attempt that counts from the start of its simulation on, or the unattacked run where there was no
+    attempt; ``raw``: the unattacked run; ``first``: ego and adversary of the first attempt where that is another.
+    """
+
+    folder: Path
+    outcome: Mapping[str, Any]
+    manifest: Mapping[str, Any]
+    best: Sequence[Track]
+    raw: Sequence[Track]
+    first: Sequence[Track]
+
+
+def read_run(folder: Path) -> RunRead:
+    """All that a page shows. Raises UsageError: no run's folder, or a file in it is damaged."""
+    if not (folder / OUTCOME).is_file():
+        raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
+    outcome = _json(folder / OUTCOME)
+    manifest = _json(folder / MANIFEST) if (folder / MANIFEST).is_file() else {}
+    best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
+    return RunRead(folder, outcome, manifest, best, raw, first)
+
+
+def _json(file: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise damaged(file, error) from error
+    if not isinstance(value, dict):
+        raise damaged(file, "not an object")
+    return value
+
+
+def damaged(file: Path, error: Exception | str) -> UsageError:
+    """The sentence about a file that cannot be used."""
+    return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
+
+
+def _tracks(file: Path) -> list[Track]:
+    """Tracks in order of first appearance; none where there is no such file."""
+    if not file.is_file():
+        return []
+    try:
+        text = gzip.decompress(file.read_bytes()).decode()
+        header, *rows = csv.reader(io.StringIO(text, newline=""))
+        if header != HEADER.strip().split(","):
+            raise ValueError("its columns are others")
+        return _of_rows(header, rows)
+    except (OSError, EOFError, ValueError, csv.Error) as error:
+        raise damaged(file, error) from error
+
+
+def _of_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Track]:
+    if not rows:
+        return []
+    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+    values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
+    if not all(np.isfinite(v).all() for v in values.values()):
+        raise ValueError("a number is not finite")
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(columns["id"]):
+        places.setdefault(name, []).append(place)
+    tracks = []
+    for name, of in places.items():
+        time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
+        length, width = (float(values[n][of[0]]) for n in ("length", "width"))
+        role = Role(columns["role"][of[0]])
+        tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width))
+    return tracks
