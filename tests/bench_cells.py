@@ -37,7 +37,7 @@ def cell(case: str, row: str = "expert", *tried: dict[str, Any], **given: Any) -
         "ending": "critical" if valid else "attempts_exhausted", "raw": {"min_ttc": None, "collided": False},
         "attempts": list(tried), "best": len(tried) - 1 if tried else None, "outcome": verdict, "realism": {},
         "intent": None, "intents": [], "recall": None, "motion": None,
-        "timing": {"total": 2.0, "first_success": 0.5 if valid else None},
+        "timing": {"total": 2.0, "first_valid": 0.5 if valid else None},
         "llm": {"model": None, "calls": 0, "prompt_tokens": 0, "completion_tokens": 0, "seconds": 0.0},
     }  # fmt: skip
     return made | given

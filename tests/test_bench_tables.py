@@ -160,11 +160,21 @@ def test_missing_cells_are_told() -> None:
     cases = [Case(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(9)]
     cells = [cell("straight-0", "expert", attempt(valid=True))]
     table = make_table(cells, title="Made", cases=cases, rows=["expert", "cma"], egos=["idm", "eidm"])
-    assert len(table.notes) == 4  # each ego and row
+    assert len(table.notes) == 5  # each ego and row; what no row made valid
+    assert table.notes[4] == "No row makes 0 of 1 encounters valid against idm: 0.00 (0.00-0.79)."
     assert table.notes[0].startswith("expert against idm: 8 of 9 cells are missing (straight-1, straight-2,")
     assert "and 2 more" in table.notes[0] and table.notes[1].startswith("cma against idm: 9 of 9")
     assert table.notes[0] in to_markdown(table)
-    assert make_table(cells, title="Made", cases=cases[:1]).notes == ()
+    assert not any("missing" in note for note in make_table(cells, title="Made", cases=cases[:1]).notes)
+
+
+def test_the_best_fixed_intent_is_chosen_with_hindsight() -> None:
+    cut = [cell(f"straight-{k}", "fixed:Aggressive Cut-in", attempt(valid=k < 1)) for k in range(3)]
+    shift = [cell(f"straight-{k}", "fixed:Straight Lane Shift", attempt(valid=k < 2)) for k in range(3)]
+    table = make_table([*cut, *shift], title="Made")
+    assert table.rows[-1] == "best-fixed" and value(table, "valid", "best-fixed") == pytest.approx(2 / 3)
+    assert any("is fixed:Straight Lane Shift" in note for note in table.notes)
+    assert make_table(cut, title="Made").rows == ("fixed:Aggressive Cut-in",)
 
 
 def test_files(tmp_path: Path) -> None:
@@ -181,7 +191,7 @@ def test_files(tmp_path: Path) -> None:
     assert float(rows["all", "expert", "valid"]["value"]) == 0.25 and rows["all", "expert", "valid"]["n"] == "4"
     document = json.loads((tmp_path / "out/table.json").read_text())
     assert document["later"] == {"transformer": "a later issue"} and len(document["entries"]) == len(rows)
-    manifest = json.loads((tmp_path / "out/manifest.json").read_text())
+    manifest = json.loads((tmp_path / "out/table.manifest.json").read_text())
     assert manifest["content"] == "c0ffee" and manifest["cells"] == 5 and manifest["bank_hash"] == "ba4c"
 
 

@@ -133,7 +133,7 @@ def _hit(cell: Cell) -> Value:
 
 
 def _to_first_valid(cell: Cell) -> Value:
-    seconds = (cell.get("timing") or {}).get("first_success")
+    seconds = (cell.get("timing") or {}).get("first_valid")
     return None if seconds is None or c.first_valid(cell) is None else float(seconds)
 
 
@@ -202,7 +202,7 @@ COLUMNS: tuple[Column, ...] = (
            lambda cell: _seconds(cell, model=False), asked_of_all=False),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
            lambda cell: _seconds(cell, model=True), asked_of_all=False),
-    Column("seconds_valid", "s to the first valid", "Cost", "from the first attempt on, where one was valid", MEAN,
+    Column("seconds_valid", "s to the first valid", "Cost", "from the row's first look on, where one was valid", MEAN,
            _to_first_valid, asked_of_all=False),
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
            lambda cell: float((cell.get("llm") or {}).get("calls") or 0), digits=1),

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from sumo_adv.benchmark.nouns import Case, Cell
-from sumo_adv.benchmark.tables.cells import RAW, Key, key, names, parts
+from sumo_adv.benchmark.tables.cells import RAW, Key, counted, first_valid, is_raw, key, names, parts
 from sumo_adv.benchmark.tables.columns import BY_PART, COLUMNS, RATE, Column
-from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap
+from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap, wilson
 
 LATER = {"transformer": "a later issue"}
+FIXED, BEST_FIXED = "fixed:", "best-fixed"
 SHOWN = 6  # names of missing encounters in a sentence
 
 
@@ -68,8 +69,10 @@ def make_table(
     ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
     those of the cells); ``reference``: the row others are compared with (left out: the first that attacks).
     """
-    shown = tuple(rows or names(cells, "row"))
-    cells = [cell for cell in cells if cell["row"] in shown]
+    asked = tuple(rows or names(cells, "row"))
+    cells = [cell for cell in cells if cell["row"] in asked]
+    best, hindsight = best_fixed(cells)
+    cells, shown = [*cells, *best], asked + ((BEST_FIXED,) if best else ())
     reference = reference or next((row for row in shown if row != RAW), None)
     entries: list[Entry] = []
     sizes: dict[tuple[str, str, str], int] = {}
@@ -80,10 +83,44 @@ def make_table(
             by_row = {row: [c for c in mine if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(found) for row, found in by_row.items() if found}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_missing(cells, drivers, shown, cases), *_several_seeds(cells))
+    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers), *_several_seeds(cells))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left)
+
+
+def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
+    """For each ego the cells of its ``fixed:LABEL`` row with most valid encounters, as one row, and what to say of it.
+
+    Empty where there are not two such rows to choose from.
+    """
+    found: list[Cell] = []
+    notes = []
+    for ego in names(cells, "ego"):
+        fixed = [c for c in cells if c["ego"] == ego and str(c["row"]).startswith(FIXED)]
+        rows = names(fixed, "row")
+        if len(rows) < 2:
+            continue
+        won = {row: sum(counted(c).get("valid") is True for c in fixed if c["row"] == row) for row in rows}
+        best = max(rows, key=lambda row: won[row])
+        found += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
+        notes.append(
+            f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} with hindsight, which flatters it."
+        )
+    return found, notes
+
+
+def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
+    """A sentence for each ego about encounters that no row makes valid: they stay in every denominator."""
+    notes = []
+    for ego in egos:
+        attacked = [c for c in cells if c["ego"] == ego and not is_raw(c)]
+        won = {key(c) for c in attacked if first_valid(c) is not None}
+        every = {key(c) for c in attacked}
+        if every:
+            share = wilson(len(every - won), len(every)).text()
+            notes.append(f"No row makes {len(every - won)} of {len(every)} encounters valid against {ego}: {share}.")
+    return notes
 
 
 def _entries(

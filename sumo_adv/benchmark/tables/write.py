@@ -7,7 +7,6 @@ import hashlib
 import io
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.tables.cells import names
 from sumo_adv.benchmark.tables.compute import Entry, Table
 from sumo_adv.benchmark.tables.markdown import to_markdown
-from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences, write_text
 
 SCHEMA = 1
 COLUMNS = (
@@ -42,32 +41,22 @@ class About:
 
 
 def write_table(table: Table, cells: Sequence[Cell], folder: Path, about: About, name: str = "table") -> list[Path]:
-    """``NAME.md``, ``NAME.csv``, ``NAME.json`` and ``manifest.json`` in ``folder``, each whole or not at all.
+    """``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json`` in ``folder``, each whole or not at all.
 
     Raises:
         UsageError: the folder cannot be written.
     """
-    texts = {
-        f"{name}.md": to_markdown(table), f"{name}.csv": _csv(table), f"{name}.json": as_json(_document(table)),
-        "manifest.json": as_json(manifest(about, cells, [f"{name}.{kind}" for kind in ("md", "csv", "json")])),
-    }  # fmt: skip
+    texts = {f"{name}.md": to_markdown(table), f"{name}.csv": _csv(table), f"{name}.json": as_json(_document(table))}
+    texts[f"{name}.manifest.json"] = as_json(manifest(about, cells, list(texts)))
     return write_texts(folder, texts)
 
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> list[Path]:
     """Text files of a folder, each whole or not at all. Raises UsageError where they cannot be written."""
-    try:
+    with sentences(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            part = folder / f".{name}.{os.getpid()}.part"
-            try:
-                part.write_text(text, encoding="utf-8")
-                part.replace(folder / name)
-            finally:
-                part.unlink(missing_ok=True)
-    except OSError as error:
-        what = f"The tables cannot be written to {folder} ({error.strerror or error})"
-        raise UsageError(f"{what}; give another --out.") from error
+            write_text(folder / name, text)
     return [folder / name for name in texts]
 
 

@@ -1,0 +1,137 @@
+"""The analyzer table: answers against sets of labels, chance, ceiling, confusion, calibration of risk."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from bench_cells import Cell, attempt, cell
+
+from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.tables.analysis import ANSWERS, CEILING, CHANCE, Analysis, Part, Score, analyze
+from sumo_adv.benchmark.tables.analysis_files import to_markdown, write_analysis
+from sumo_adv.benchmark.tables.write import About
+
+CUT, BRAKE, SHIFT, TURN = (
+    "Aggressive Cut-in", "Emergency Braking", "Straight Lane Shift", "Intersection Rush-through Turn Left",
+)  # fmt: skip
+ABOUT = About("sumo-adv bench analyzer", "made", "1", "c0ffee", {}, {}, 0, None)
+LABELS = {"a": (CUT,), "b": (CUT, SHIFT), "c": (SHIFT,), "d": (TURN,)}
+
+
+def cases(labels: dict[str, tuple[str, ...]] = LABELS, criterion: str = "collision", ego: str = "idm") -> list[Case]:
+    return [Case(n, Path("x"), None, "leader", "straight", {ego: {criterion: found}}) for n, found in labels.items()]
+
+
+def answered(case: str, row: str, *labels: str, risk: str = "high", won: bool = True) -> Cell:
+    """A cell whose analyzer ranks ``labels``."""
+    ranked = [{"bv": "1", "label": label, "risk": risk} for label in labels]
+    return cell(case, row, attempt(valid=True) if won else attempt(min_ttc=5.0), intents=ranked)
+
+
+def expert() -> list[Cell]:
+    """Right on a and b (a tie), wrong on c with the second answer right, silent on d."""
+    return [
+        answered("a", "expert", CUT, SHIFT),
+        answered("b", "expert", SHIFT),
+        answered("c", "expert", CUT, SHIFT, risk="low", won=False),
+        answered("d", "expert"),
+    ]
+
+
+def oracle() -> list[Cell]:
+    """Encounters with two applicable intents but d, in which one alone applies."""
+    two = [attempt(CUT, valid=True)] * 4 + [attempt(SHIFT, min_ttc=5.0)] * 4
+    return [*(cell(name, "oracle", *two) for name in "abc"), cell("d", "oracle", attempt(TURN, valid=True))]
+
+
+def part(found: Analysis, criterion: str = "collision") -> Part:
+    return next(p for p in found.parts if p.criterion == criterion)
+
+
+def score(found: Analysis, who: str, criterion: str = "collision") -> Score:
+    return next(s for s in part(found, criterion).scores if s.who.startswith(who))
+
+
+def test_an_answer_in_the_tie_is_right_and_none_is_wrong() -> None:
+    found = score(analyze(expert(), cases(), title="Made"), "expert")
+    assert (found.accuracy.value, found.accuracy.n) == (0.5, 4)
+    assert found.top2 is not None and found.top2.value == 0.75
+    # answers: CUT 1/2, SHIFT 1/4, none 1/4; allowed: CUT 1/2, SHIFT 1/2, TURN 1/4: chance 3/8, kappa (1/8) / (5/8)
+    assert found.kappa is not None and found.kappa.value == pytest.approx(0.2)
+
+
+def test_kappa_of_single_labels_is_cohens() -> None:
+    """Two by two: 20 both yes, 15 both no, 5 and 10 apart: po 0.7, pe 0.5, kappa 0.4 (Cohen's textbook example)."""
+    pairs = [(CUT, CUT)] * 20 + [(CUT, SHIFT)] * 5 + [(SHIFT, CUT)] * 10 + [(SHIFT, SHIFT)] * 15
+    cells = [answered(f"x{k}", "expert", given) for k, (given, _) in enumerate(pairs)]
+    found = analyze(cells, cases({f"x{k}": (label,) for k, (_, label) in enumerate(pairs)}), title="Made")
+    kappa = score(found, "expert").kappa
+    assert kappa is not None and kappa.value == pytest.approx(0.4) and kappa.low < 0.4 < kappa.high
+
+
+def test_chance_ceiling_and_constant_stand_beside() -> None:
+    found = analyze([*expert(), *oracle()], cases(), title="Made")
+    assert score(found, CHANCE).accuracy.value == pytest.approx((1 / 2 + 1 + 1 / 2 + 1) / 4)
+    several = score(found, CHANCE).several
+    assert several is not None and (several.value, several.n) == (pytest.approx(2 / 3), 3)
+    assert score(found, CEILING).accuracy.value == 1  # the halves are alike
+    assert score(found, f"always {CUT}").accuracy.value == 0.5
+    mine = score(found, "expert").several
+    assert mine is not None and (mine.value, mine.n) == (pytest.approx(2 / 3), 3)
+
+
+def test_without_labels_the_oracles_cell_says_them() -> None:
+    found = analyze([*expert(), *oracle()], cases({}), title="Made")
+    assert [p.criterion for p in found.parts] == ["collision", "valid"]
+    assert score(found, "expert").accuracy.value == 0.5  # a and c: the cut-in alone collides
+    assert found.notes == ()
+
+
+def test_annotations_of_people() -> None:
+    found = analyze(expert(), cases({"a": (CUT,), "c": (CUT,)}, "annotated", "people"), title="Made")
+    assert [p.criterion for p in found.parts] == ["annotated"]
+    assert score(found, "expert", "annotated").accuracy.value == 1 and part(found, "annotated").unlabelled == 2
+    assert part(found, "annotated").calibration == {}
+
+
+def test_models_are_compared_with_the_expert() -> None:
+    model = [answered(name, "llm-a:m", CUT) for name in "abcd"]
+    found = analyze([*expert(), *model], cases(), title="Made", analyzers=["expert", "llm-a:m"])
+    difference = score(found, "llm-a:m").difference
+    assert difference is not None and (difference.difference, difference.n, difference.p) == (0, 4, 1)
+    assert score(found, "expert").difference is None
+
+
+def test_confusion_and_calibration() -> None:
+    strange = [*expert()[:3], answered("d", "expert", "Blind-side Merge", won=False)]
+    found = part(analyze(strange, cases(), title="Made"))
+    assert found.confusion["expert"] == {(CUT, CUT): 1, (SHIFT, SHIFT): 1, (SHIFT, CUT): 1, (TURN, "novel"): 1}
+    rates = {risk: (e.value, e.n) for risk, e in found.calibration["expert"].items()}
+    assert rates == {"low": (0, 1), "high": (pytest.approx(2 / 3), 3)}
+
+
+def test_a_miss_of_a_tie_is_spread_over_it() -> None:
+    found = part(analyze([answered("b", "expert", BRAKE)], cases(), title="Made"))
+    assert found.confusion["expert"] == {(CUT, BRAKE): 0.5, (SHIFT, BRAKE): 0.5}
+
+
+def test_nothing_to_judge_is_said() -> None:
+    found = analyze(expert(), cases({}), title="Made")
+    assert found.parts == () and any("Nothing is labelled for idm" in note for note in found.notes)
+
+
+def test_files(tmp_path: Path) -> None:
+    cells = [*expert(), *oracle()]
+    found = analyze(cells, cases(), title="Made", analyzers=["expert"])
+    write_analysis(found, cells, tmp_path, ABOUT)
+    text = (tmp_path / "analyzer.md").read_text()
+    assert "| DeepSeek-R1 | 0.815 |" in text and text == to_markdown(found)
+    with (tmp_path / "analyzer-confusion.csv").open() as file:
+        rows = [r for r in csv.DictReader(file) if r["criterion"] == "collision"]
+    assert len(rows) == len(ANSWERS) - 1 and sum(float(r[a]) for r in rows for a in ANSWERS) == 4
+    document = json.loads((tmp_path / "analyzer.json").read_text())
+    assert document["unlabelled"][0] == {"ego": "idm", "criterion": "collision", "encounters": 0}
+    assert json.loads((tmp_path / "analyzer.manifest.json").read_text())["cells"] == 8
