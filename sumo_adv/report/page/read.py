@@ -92,5 +92,6 @@ def _of_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Track
         time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
         length, width = (float(values[n][of[0]]) for n in ("length", "width"))
         role = Role(columns["role"][of[0]])
-        tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width))
+        lane = tuple(columns["lane"][i] for i in of)
+        tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
     return tracks

@@ -1,0 +1,152 @@
+"""A folder that plain ``sumo`` or ``sumo-gui`` plays by itself: network, vehicle types, trajectories, configuration.
+
+SUMO's own ``fcd-replay`` device moves every vehicle along its trajectory.  Two things about it (SUMO 1.28, measured):
+a vehicle comes in at a place on a lane, so one that is first seen beside a lane's middle is let in a step earlier; and
+the route is put together from the lanes in the file, which fails for one that drives against the traffic, so each is
+said to be on one lane throughout: where it is placed does not depend on it.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.report.export.fcd import Row, fcd_text, track_rows, type_name
+from sumo_adv.report.export.piece import Piece
+from sumo_adv.world.network import Lane, RoadMap, read_network
+
+CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
+COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}
+OFF_CENTRE = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
+SEARCHED = (10.0, 100.0, 1000.0, 100_000.0)  # m
+DELAY = 100  # ms a step that sumo-gui waits
+SHOWN = 120.0  # m of road in sumo-gui's window
+
+
+def write_replay(folder: Path, piece: Piece) -> None:
+    """Write the folder. Raises UsageError: the network cannot be read."""
+    road = read_network(piece.network)
+    network = "net.net.xml.gz" if piece.network.suffix == ".gz" else "net.net.xml"
+    rows = [row for track in piece.tracks for row in _rows(track, road, piece)]
+    begin = min(row.time for row in rows)
+    shutil.copyfile(piece.network, folder / network)
+    (folder / TRAJECTORIES).write_text(fcd_text(rows, piece), encoding="utf-8")
+    (folder / TYPES).write_text(_types(piece), encoding="utf-8")
+    (folder / VIEW).write_text(_view(piece), encoding="utf-8")
+    (folder / CONFIGURATION).write_text(_configuration(piece, network, begin), encoding="utf-8")
+
+
+def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
+    home = _home(track, road)
+    first, *others = track_rows(track, road, lambda *_: home)
+    heading = float(track.heading[0])
+    point = _point_at(home, first.position)
+    if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE or math.cos(point[2] - heading) < math.cos(1e-3):
+        before = first.time - piece.step
+        yield replace(first, time=before) if before >= 0 else first
+    yield first
+    yield from others
+
+
+def _home(track: Track, road: RoadMap) -> Lane:
+    """The first lane outside junctions that it is on, else the nearest to where it begins."""
+    for name in track.lane:
+        lane = road.lanes.get(name)
+        if lane is not None and not lane.internal:
+            return lane
+    x, y = float(track.x[0]), float(track.y[0])
+    near: list[Lane] = next((found for radius in SEARCHED if (found := road.lanes_near(x, y, radius))), [])
+    return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
+
+
+def _point_at(lane: Lane, position: float) -> tuple[float, float, float]:
+    """x, y [m] and heading [rad] of a place on a lane."""
+    step = np.diff(lane.shape, axis=0)
+    length = np.hypot(step[:, 0], step[:, 1])
+    station = np.concatenate([[0.0], np.cumsum(length)])
+    s = position * station[-1] / lane.length
+    i = min(int(np.searchsorted(station, s, side="right")) - 1, len(step) - 1)
+    x, y = (float(np.interp(s, station, lane.shape[:, axis])) for axis in (0, 1))
+    return x, y, math.atan2(step[i, 1], step[i, 0])
+
+
+def _types(piece: Piece) -> str:
+    """A vType a role and size; its class may be anywhere, its size is the recorded one."""
+    found = {type_name(track): track for track in piece.tracks}
+    lines = [
+        f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
+        f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{COLOURS[track.role]}"/>\n'
+        for name, track in sorted(found.items())
+    ]
+    return "<additional>\n" + "".join(lines) + "</additional>\n"
+
+
+def _shape(track: Track) -> str:
+    if track.role is Role.OBSTACLE:
+        return "pedestrian" if track.length < 1.2 else "passenger/van"
+    return "passenger" if track.length < 6.5 else "truck"
+
+
+def _view(piece: Piece) -> str:
+    """The view follows nobody: it stands over where ego and adversary come closest, or over the ego's middle."""
+    ego = piece.track(piece.ego)
+    x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
+    if piece.adversary is not None:
+        other = piece.track(piece.adversary)
+        gap = np.hypot(
+            ego.x - np.interp(ego.time, other.time, other.x), ego.y - np.interp(ego.time, other.time, other.y)
+        )
+        k = int(np.argmin(gap))
+        x, y = float(ego.x[k]), float(ego.y[k])
+    left, right, low, high = x - SHOWN / 2, x + SHOWN / 2, y - SHOWN / 2, y + SHOWN / 2
+    return (
+        '<viewsettings>\n    <scheme name="real world"/>\n'
+        f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{_zoom(piece, right - left, high - low):.0f}"/>\n'
+        f'    <delay value="{DELAY}"/>\n</viewsettings>\n'
+    )
+
+
+def _zoom(piece: Piece, width: float, height: float) -> float:
+    """sumo-gui's zoom in percent of the whole network's extent."""
+    points = np.vstack([lane.shape for lane in read_network(piece.network).lanes.values()])
+    extent = np.ptp(points, axis=0)
+    return 100.0 * max(1.0, float(max(extent[0] / width, extent[1] / height)))
+
+
+def _configuration(piece: Piece, network: str, begin: float) -> str:
+    return f"""<configuration>
+    <input>
+        <net-file value="{network}"/>
+        <additional-files value="{TYPES}"/>
+    </input>
+    <time>
+        <begin value="{begin:.2f}"/>
+        <end value="{piece.end + piece.step:.2f}"/>
+        <step-length value="{piece.step:g}"/>
+    </time>
+    <processing>
+        <time-to-teleport value="-1"/>
+        <collision.action value="none"/>
+        <insertion-checks value="none"/>
+    </processing>
+    <fcd_replay_device>
+        <device.fcd-replay.files value="{TRAJECTORIES}"/>
+    </fcd_replay_device>
+    <report>
+        <xml-validation value="never"/>
+        <no-step-log value="true"/>
+        <no-warnings value="true"/>
+    </report>
+    <gui_only>
+        <gui-settings-file value="{VIEW}"/>
+        <start value="true"/>
+    </gui_only>
+</configuration>
+"""
