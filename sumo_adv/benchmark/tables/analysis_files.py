@@ -41,7 +41,7 @@ def write_analysis(
 def to_markdown(analysis: Analysis) -> str:
     """The analyzer table as text."""
     lines = [f"# {analysis.title}", "", HOW, ""]
-    lines += [line for note in analysis.notes for line in (f"**{note}**", "")]
+    lines += [*(f"- {note}" for note in analysis.notes), ""] if analysis.notes else []
     for part in analysis.parts:
         lines += _part(part, analysis.reference)
     reported = [[who, f"{value:.3f}"] for who, value in paper.ACCURACY.items()]

@@ -74,6 +74,16 @@ def first_valid(cell: Cell) -> int | None:
     return next((k for k, a in enumerate(attempts(cell), 1) if a.get("valid")), None)
 
 
+def remembered(cell: Cell) -> bool | None:
+    """Whether the bank had it: with ``recall = scene`` an attack on a like scene, else the intent. None: not asked."""
+    intent, recall = cell.get("intent") or {}, cell.get("recall")
+    if recall is None:
+        return None
+    if intent.get("recall") == "scene":
+        return any(a.get("by") == "memory" for a in (cell.get("attempts") or ())[:1])
+    return bool(recall == "hit")
+
+
 def parts(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
     """The cells altogether (``all``), by group, and by kind; parts without a cell are left out."""
     every = list(cells)

@@ -127,11 +127,6 @@ def _tokens(cell: Cell) -> Value:
     return float((llm.get("prompt_tokens") or 0) + (llm.get("completion_tokens") or 0))
 
 
-def _hit(cell: Cell) -> Value:
-    recall = cell.get("recall")
-    return None if recall is None else recall == "hit"
-
-
 def _to_first_valid(cell: Cell) -> Value:
     seconds = (cell.get("timing") or {}).get("first_valid")
     return None if seconds is None or c.first_valid(cell) is None else float(seconds)
@@ -176,28 +171,28 @@ COLUMNS: tuple[Column, ...] = (
            raw=True),
     Column("attempts", "attempts until valid", "Attempts", "median, of encounters where some attempt was valid", MEDIAN,
            lambda cell: None if (k := c.first_valid(cell)) is None else float(k), asked_of_all=False, digits=1),
-    *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"some of the first {k} attempts was valid",
+    *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"one of the first {k} attempts was valid",
              of=_valid_within(k)) for k in BUDGETS),
-    Column("strict_25", "strict after 25", "Attempts", "some of the first 25 attempts was strict, whichever counts",
+    Column("strict_25", "strict after 25", "Attempts", "one of the first 25 attempts was strict, whichever counts",
            of=_strict_within),
     Column("critical_raw", "critical raw", "Modification", "the same pair and window unattacked: min TTC <= 1 s",
            of=_raw_critical, asked_of_all=False),
     Column("critical_first", "after the first attempt", "Modification", "critical, feasible and not rear-end",
            of=_first_critical),
     Column("critical_unmodified", "before modification", "Modification",
-           "some attempt before the modifier's first one was", of=_unmodified_critical),
-    Column("critical_modified", "after modification", "Modification", "some attempt was", of=_ever_critical),
+           "one of the attempts before the modifier's first was", of=_unmodified_critical),
+    Column("critical_modified", "after modification", "Modification", "one of all attempts was", of=_ever_critical),
     *(Column(f"{name}_{measure}", f"{title} {label}", "Realism",
              "pooled over encounters, up to contact, against the unattacked vehicles near in the same window",
              pooled=distance(name, measure), digits=3)
-      for name, title in (("speed", "speed"), ("acceleration", "acceleration"))
-      for measure, label in (("kl", "KL [nat]"), ("js", "JS [nat]"), ("wasserstein", "W1"))),
-    Column("abnormal_lateral", "steps with |a_lat| > 4", "Realism", "share of the adversary's steps",
+      for name, title, unit in (("speed", "speed", "m/s"), ("acceleration", "acceleration", "m/s²"))
+      for measure, label in (("kl", "KL [nat]"), ("js", "JS [nat]"), ("wasserstein", f"W1 [{unit}]"))),
+    Column("abnormal_lateral", "steps with a_lat > 4", "Realism", "share of the adversary's steps",
            pooled=step_share("abnormal_lateral_share"), digits=4),
     Column("off_road_steps", "steps off-road", "Realism", "share of the adversary's steps, by its box centre",
            pooled=step_share("off_road_share"), digits=4),
     Column("jerk", "jerk beyond limits", "Realism", "share of attempts that count", of=_gate("jerk")),
-    Column("lateral", "|a_lat| beyond limits", "Realism", "share of attempts that count", of=_gate("lateral")),
+    Column("lateral", "a_lat beyond limits", "Realism", "share of attempts that count", of=_gate("lateral")),
     Column("seconds", "s without the model", "Cost", "of an encounter, from start to verdict", MEAN,
            lambda cell: _seconds(cell, model=False), asked_of_all=False),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
@@ -207,7 +202,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
            lambda cell: float((cell.get("llm") or {}).get("calls") or 0), digits=1),
     Column("tokens", "tokens", "Cost", "an encounter, prompt and completion", MEAN, _tokens, digits=0),
-    Column("memory_hit", "memory hits", "Cost", "of encounters in which the bank was asked", of=_hit,
+    Column("memory_hit", "memory hits", "Cost", "of encounters in which the bank was asked", of=c.remembered,
            asked_of_all=False),
     Column("margin_valid", "valid at +0.4 s", "Margin", "of valid ones: still valid if both tiers begin 0.4 s later",
            of=lambda cell: _margin(cell, "valid", ("careful_+0.4", "manoeuvre_+0.4")), asked_of_all=False),

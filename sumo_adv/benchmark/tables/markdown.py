@@ -19,7 +19,7 @@ HOW = {
 def to_markdown(table: Table) -> str:
     """The whole table as text."""
     lines = [f"# {table.title}", ""]
-    lines += [*(f"**{note}**" for note in table.notes), ""] if table.notes else []
+    lines += [*(f"- {note}" for note in table.notes), ""] if table.notes else []
     lines += [" ".join(HOW.values()) + " Egos are never pooled.", ""]
     for ego in table.egos:
         lines += [f"## Ego: {ego}", ""]
@@ -29,17 +29,18 @@ def to_markdown(table: Table) -> str:
     return "\n".join([*lines, *_meanings(table)]) + "\n"
 
 
-def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A Markdown table, numbers to the right, and an empty line."""
-    rule = ["---", *["---:"] * (len(head) - 1)]
-    return [*("| " + " | ".join(line) + " |" for line in (head, rule, *rows)), ""]
+def grid(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> list[str]:
+    """A Markdown table, numbers to the right (unless it is of ``words``), and an empty line."""
+    rule = ["---", *["---" if words else "---:"] * (len(head) - 1)]
+    return [*("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in (head, rule, *rows)), ""]
 
 
 def number(estimate: Estimate | None, digits: int = 2) -> str:
     """``0.75 (0.70–0.80)``; a dash where there is none."""
     if estimate is None:
         return NONE
-    return f"{estimate.value:.{digits}f} ({estimate.low:.{digits}f}–{estimate.high:.{digits}f})"
+    between = "–" if estimate.low >= 0 else " to "
+    return f"{estimate.value:.{digits}f} ({estimate.low:.{digits}f}{between}{estimate.high:.{digits}f})"
 
 
 def signed(difference: Paired | None, digits: int = 2) -> str:
@@ -138,4 +139,4 @@ def _realism_beside(table: Table, ego: str) -> list[str]:
 def _meanings(table: Table) -> list[str]:
     of = {RATE: "share", MEAN: "mean", MEDIAN: "median"}
     rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in table.columns]
-    return ["## The columns", "", *grid(["section", "column", "figure", "meaning"], rows)]
+    return ["## The columns", "", *grid(["section", "column", "figure", "meaning"], rows, words=True)]

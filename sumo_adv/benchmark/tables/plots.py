@@ -1,0 +1,225 @@
+"""The benchmark's pictures: distributions, confusion, min TTC, seconds, growth of the bank.
+
+Colours are Okabe and Ito's; rows differ by line style too. A file's bytes depend on its cells and matplotlib's version
+alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.tables.analysis import ANSWERS, NO_ANSWER, Analysis
+from sumo_adv.benchmark.tables.cells import CAP, RAW, capped_ttc, counted, names
+from sumo_adv.benchmark.tables.growth import WINDOW, Step
+from sumo_adv.benchmark.tables.realism import samples
+from sumo_adv.datatypes import Floats
+from sumo_adv.files import sentences, write_whole
+from sumo_adv.metrics.realism import PAPER_BINS
+
+RAW_COLOUR, OURS, UNATTACKED = "#0072B2", "#D55E00", "#8C8C8C"
+COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+UNITS = {"speed": "speed [m/s]", "acceleration": "acceleration [m/s²]"}
+DPI = 150
+
+
+def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = None) -> list[Path]:
+    """Every picture of a table's cells into ``folder``, for each ego; gives back the files.
+
+    ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows, ``distributions-EGO-ROW.png`` is of one that attacks.
+    Raises UsageError where the folder cannot be written.
+    """
+    found: list[Path] = []
+    for ego in names(cells, "ego"):
+        mine = [c for c in cells if c["ego"] == ego]
+        by_row = {row: [c for c in mine if c["row"] == row] for row in rows or names(mine, "row")}
+        by_row = {row: part for row, part in by_row.items() if part}
+        found.append(draw_ttc(folder / file_name("ttc", ego), by_row, f"Min TTC against {ego}"))
+        timed = {row: part for row, part in by_row.items() if any(_seconds(c) is not None for c in part)}
+        if timed:
+            found.append(draw_seconds(folder / file_name("seconds", ego), timed, f"Time an encounter against {ego}"))
+        for row, part in by_row.items():
+            if samples(part, "speed")[0]:
+                title = f"Raw and generated motion: {row} against {ego}"
+                found.append(draw_distributions(folder / file_name("distributions", ego, row), part, title))
+    return found
+
+
+def file_name(*words: str) -> str:
+    """A PNG's name of words that may hold any sign."""
+    return "".join(sign if sign.isalnum() or sign in "-_.=+" else "-" for sign in "-".join(words)) + ".png"
+
+
+def draw_distributions(target: Path, cells: Sequence[Cell], title: str) -> Path:
+    """Speed and acceleration of unattacked (blue) and attacking vehicles (orange), like the paper's Fig. 5."""
+    figure, axes = _figure(11.0, 4.2, 1, 2)
+    for panel, feature in zip(axes[0], UNITS, strict=True):
+        bins = PAPER_BINS[feature]
+        ours, theirs = (np.concatenate(side) for side in samples(cells, feature))
+        edges = np.linspace(bins.low, bins.high, bins.count + 1)
+        for values, colour, label in ((theirs, RAW_COLOUR, "raw"), (ours, OURS, "generated")):
+            share = bins.counts(values) / max(len(values), 1)
+            panel.stairs(share, edges, color=colour, alpha=0.35, fill=True)
+            panel.stairs(share, edges, color=colour, lw=1.8, label=f"{label} ({len(values)} steps)")
+        panel.set_xlim(*_range(np.concatenate([ours, theirs]), bins.low, bins.high))
+        panel.set_ylim(top=1.25 * panel.get_ylim()[1])
+        panel.set_xlabel(UNITS[feature])
+        panel.set_ylabel("share of steps")
+        panel.legend(fontsize=9, ncols=2, loc="upper center", frameon=False)
+    return _save(figure, target, title)
+
+
+def _range(values: Floats, low: float, high: float) -> tuple[float, float]:
+    """The part of the bins in which there is something, with a margin."""
+    least, most = np.clip([values.min(), values.max()], low, high)
+    margin = 0.05 * (high - low)
+    return max(float(least) - margin, low), min(float(most) + margin, high)
+
+
+def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> Path:
+    """The share of encounters with a min TTC of at most so many seconds, for each row."""
+    figure, axes = _figure(9.0, 5.5, 1, 1)
+    panel = axes[0][0]
+    for k, (row, cells) in enumerate(by_row.items()):
+        values = np.sort([capped_ttc(counted(c)) for c in cells])
+        x, y = np.append(values, CAP), np.append(np.arange(1, len(values) + 1) / len(values), 1.0)
+        x, y = np.concatenate([[0.0], x]), np.concatenate([[0.0], y])
+        look = _look(k) | ({"color": UNATTACKED, "ls": "-"} if row == RAW else {})
+        look["lw"] = 5.0 - 3.5 * k / max(len(by_row) - 1, 1)  # lines that coincide all show
+        panel.step(x, y, where="post", label=f"{row} (n {len(cells)})", **look)
+    panel.axvline(1.0, color="#8C8C8C", lw=1, ls=":", zorder=0)
+    panel.annotate("1 s: critical", (1.0, 0.0), xytext=(4, 6), textcoords="offset points", fontsize=9, color="#555555")
+    panel.set_xlim(-0.15, CAP)
+    panel.set_ylim(0, 1.02)
+    panel.set_xlabel("min TTC [s]; a collision is 0, never and failures are 10")
+    panel.set_ylabel("share of encounters")
+    _legend_beside(panel)
+    return _save(figure, target, title)
+
+
+def draw_seconds(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> Path:
+    """Seconds of each encounter, a line of points for each row with its median and quartiles; logarithmic."""
+    figure, axes = _figure(9.0, 1.6 + 0.45 * len(by_row), 1, 1)
+    panel = axes[0][0]
+    for k, (_, cells) in enumerate(by_row.items()):
+        values = np.array([s for c in cells if (s := _seconds(c)) is not None])
+        y = np.full(values.size, k) + 0.5 * (np.linspace(0, 1, values.size) - 0.5)
+        panel.plot(values, y, ls="", marker="o", ms=3, alpha=0.5, color=RAW_COLOUR, mew=0)
+        low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
+        panel.plot([low, high], [k, k], color=OURS, lw=3.5, solid_capstyle="butt")
+        panel.plot([middle], [k], marker="|", ms=15, mew=2.5, color="black")
+        panel.annotate(
+            f"{middle:.1f} s", (1.0, k), xycoords=("axes fraction", "data"), xytext=(6, 0),
+            textcoords="offset points", va="center", fontsize=9,
+        )  # fmt: skip
+    panel.set_xscale("log")
+    panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panel.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    panel.set_yticks(range(len(by_row)), list(by_row), parse_math=False)
+    panel.set_ylim(len(by_row) - 0.5, -0.5)
+    panel.set_xlabel("seconds an encounter, the model included; bar: quartiles, tick and figure: median")
+    return _save(figure, target, title)
+
+
+def _seconds(cell: Cell) -> float | None:
+    total = (cell.get("timing") or {}).get("total")
+    return None if total is None else float(total)
+
+
+def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
+    """``confusion-EGO-CRITERION-WHO.png`` for every matrix."""
+    found = []
+    for part in analysis.parts:
+        accuracy = {s.who: s.accuracy for s in part.scores}
+        for who, matrix in part.confusion.items():
+            name = file_name("confusion", part.ego, part.criterion, who)
+            said = f"{who} against {part.ego}, by {part.criterion}: accuracy {accuracy[who].text()}"
+            found.append(draw_confusion(folder / name, matrix, said))
+    return found
+
+
+def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title: str) -> Path:
+    """Labels down, answers across; the colour is the share of a label's encounters, the figure their number."""
+    figure, axes = _figure(11.0, 8.6, 1, 1)
+    panel = axes[0][0]
+    columns = [a for a in ANSWERS if a != NO_ANSWER or any(a in pair for pair in matrix)]
+    labels = [a for a in columns if a != NO_ANSWER]
+    counts = np.array([[matrix.get((label, a), 0.0) for a in columns] for label in labels])
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1e-9)
+    panel.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for i, j in np.argwhere(counts > 0):
+        colour = "white" if share[i, j] > 0.6 else "black"
+        text = f"{counts[i, j]:.0f}" if counts[i, j] == round(counts[i, j]) else f"{counts[i, j]:.1f}"
+        panel.text(j, i, text, ha="center", va="center", fontsize=12, color=colour)
+    panel.set_xticks(range(len(columns)), [_folded(a) for a in columns], rotation=35, ha="right", fontsize=10)
+    panel.set_yticks(range(len(labels)), [_folded(a) for a in labels], fontsize=10)
+    panel.set_xlabel("answer")
+    panel.set_ylabel("label")
+    return _save(figure, target, title)
+
+
+def _folded(label: str) -> str:
+    """A long label on two lines."""
+    words = label.split(" ")
+    middle = (len(words) + 1) // 2
+    return label if len(label) < 18 else "\n".join((" ".join(words[:middle]), " ".join(words[middle:])))
+
+
+def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
+    """Memory hits so far and seconds of the last encounters, over the sequence, a line for each row."""
+    figure, axes = _figure(11.0, 6.8, 2, 1)
+    lines = list(dict.fromkeys((s.row, s.ego, s.seed) for s in steps))
+    for k, line in enumerate(lines):
+        mine = [s for s in steps if (s.row, s.ego, s.seed) == line]
+        place = [s.place for s in mine]
+        label = f"{line[0]}, {line[1]}" + (f", seed {line[2]}" if len({s.seed for s in steps}) > 1 else "")
+        rates, seconds = (
+            np.array([np.nan if v is None else v for v in given])
+            for given in ([s.hit_rate for s in mine], [s.seconds_window for s in mine])
+        )
+        axes[0][0].plot(place, rates, label=label, **_look(k))
+        axes[1][0].plot(place, seconds, label=label, **_look(k))
+        each = [np.nan if s.seconds is None else s.seconds for s in mine]
+        axes[1][0].plot(place, each, ls="", marker="o", ms=3, alpha=0.35, mew=0, color=_look(k)["color"])
+    axes[0][0].set_ylim(-0.02, 1.02)
+    axes[0][0].set_ylabel("memory hits so far")
+    axes[1][0].set_ylabel(f"seconds an encounter\n(line: mean of the last {WINDOW})")
+    axes[1][0].set_ylim(bottom=0)
+    axes[1][0].set_xlabel("encounter")
+    _legend_beside(axes[0][0])
+    return _save(figure, target, title)
+
+
+def _look(k: int) -> dict[str, Any]:
+    return {"color": COLOURS[k % len(COLOURS)], "ls": STYLES[(k // len(COLOURS)) % len(STYLES)], "lw": 1.9}
+
+
+def _legend_beside(panel: Any) -> None:
+    panel.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=9, frameon=False)
+
+
+def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, Any]:
+    """A figure (inches) with panels ``[row][column]``."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for panel in axes.flat:
+        panel.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _save(figure: Any, target: Path, title: str) -> Path:
+    """Write the PNG, whole or not at all."""
+    figure.suptitle(title, x=0.01, ha="left", fontsize=13, parse_math=False)
+    with sentences(target.parent):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(target, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
+    return target
