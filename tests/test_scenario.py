@@ -105,7 +105,7 @@ def test_every_key_is_read_and_paths_count_from_the_scenarios_folder(tmp_path: P
 
 def test_a_minimal_scenario_has_the_documented_defaults(tmp_path: Path) -> None:
     scenario = load_scenario(written(tmp_path, MINIMAL))
-    assert (scenario.background, scenario.window.trigger, scenario.window.warm_up) == ("sumo", "auto", 3.0)
+    assert (scenario.background, scenario.window.trigger, scenario.window.warm_up) == (None, "auto", 3.0)
     assert scenario.label is None
 
 

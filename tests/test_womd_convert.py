@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -19,7 +22,15 @@ from sumo_adv.womd.traffic import random_traffic
 from sumo_adv.world.inputs import load_input
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
-FILES = {"network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml", "fidelity.json", "fidelity.png"}
+FILES = {
+    "network.net.xml",
+    "scenario.toml",
+    "tracks.csv.gz",
+    "routes.rou.xml",
+    "fidelity.json",
+    "fidelity.png",
+    "crosswalks.add.xml",
+}
 
 
 def read(path: Path) -> Record:
@@ -58,6 +69,24 @@ def test_the_report_of_the_four_way_junction(tmp_path: Path) -> None:
     total = totals([report, report])
     assert (total["records"], total["signals_mapped"], total["connectivity"]) == (2, 24, 1.0)
     assert total["disturbed"] == float(report["traffic"]["teleports"] > 0)
+
+
+def test_crosswalks_are_polygons_that_sumo_loads(tmp_path: Path) -> None:
+    """The four-way junction has one, 7 m by 3 m; ``run`` loads it with the network, from the cache too."""
+    record = read(write(tmp_path / "a.tfrecord", four_way()))
+    ask = (
+        "import libsumo, sys\nlibsumo.start(['sumo', '-n', sys.argv[1], '-a', sys.argv[2], '--no-step-log'])\n"
+        "print({n: (libsumo.polygon.getType(n), libsumo.polygon.getShape(n)) for n in libsumo.polygon.getIDList()})"
+    )
+    for cached in (False, True):
+        with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
+            assert made.cached == cached and made.report["converter"]["crosswalks"] == 1
+            given = load_input(made.scenario)
+    assert given.additional == (made.folder / "crosswalks.add.xml",) and given.additional[0] in given.files
+    command = [sys.executable, "-c", ask, str(given.network), str(given.additional[0])]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    corners = ((-3.5, -14.0), (3.5, -14.0), (3.5, -11.0), (-3.5, -11.0))
+    assert ast.literal_eval(done.stdout.splitlines()[-1]) == {"crosswalk401": ("crosswalk", corners)}
 
 
 def test_nothing_is_converted_twice(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from sumo_adv.womd.record import Record
 from sumo_adv.womd.routes import Router
 from sumo_adv.womd.scene import parked_vehicles, write_scene
 from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.world.playback_spec import scenario_playback, with_background
 from sumo_adv.world.scan import scan_demand
 from sumo_adv.world.scenario import load_scenario
 from sumo_adv.world.tracks import read_tracks
@@ -92,7 +93,7 @@ def test_the_scenario_of_the_straight_road(tmp_path: Path) -> None:
     graph = net_graph(roads)
     write_scene(found, roads, {t.id: match(graph, t) for t in found.tracks if t.kind == 1}, tmp_path)
     scenario = load_scenario(tmp_path / "scenario.toml")
-    assert scenario.network == tmp_path / "network.net.xml" and scenario.background == "sumo"
+    assert scenario.network == tmp_path / "network.net.xml" and scenario.background is None
     assert scenario.ego.id == "1" and scenario.window.warm_up == pytest.approx(1.0)
     (box,) = scenario.parked
     assert (box.x, box.y, box.heading, box.length, box.width) == (100.0, -3.2, 0.0, 4.6, 1.9)
@@ -100,6 +101,25 @@ def test_the_scenario_of_the_straight_road(tmp_path: Path) -> None:
     text = (tmp_path / "routes.rou.xml").read_text()
     assert text.count("<route ") == 3 and '<route id="3" edges="e"/>' in text
     assert "Objects of interest: 1, 3. Tracks to predict: 3." in (tmp_path / "scenario.toml").read_text()
+
+
+def test_a_replayed_ego_goes_among_replayed_vehicles(tmp_path: Path) -> None:
+    """Unless something else is asked for; any other ego goes among vehicles that SUMO drives."""
+    write_scene(record(straight()), two_lanes(tmp_path), {}, tmp_path)
+    spec = scenario_playback(load_scenario(tmp_path / "scenario.toml"))
+    backgrounds = {
+        (asked, replayed): found.background
+        for asked in (None, "sumo", "log") for replayed in (False, True)
+        if (found := with_background(spec, asked, replayed=replayed)) is not None  # type: ignore[arg-type]
+    }  # fmt: skip
+    assert backgrounds == {
+        (None, False): "sumo", (None, True): "log", ("sumo", False): "sumo", ("sumo", True): "sumo",
+        ("log", False): "log", ("log", True): "log",
+    }  # fmt: skip
+    text = (tmp_path / "scenario.toml").read_text()
+    (tmp_path / "scenario.toml").write_text(text.replace("[demand]", 'background = "sumo"\n\n[demand]'))
+    said = with_background(scenario_playback(load_scenario(tmp_path / "scenario.toml")), None, replayed=True)
+    assert said is not None and said.background == "sumo"
 
 
 def test_the_tracks_of_the_straight_road(tmp_path: Path) -> None:

@@ -39,7 +39,8 @@ Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", F
 
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task; demand is generated into ``folder`` where the input has none."""
-    routes, playback = source.routes, with_background(source.playback, settings.background)
+    routes = source.routes
+    playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else source.begin
     driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
     if begin is None:

@@ -1,4 +1,4 @@
-"""From a record and its converted network to a scenario that ``run`` takes: tracks, routes, parked vehicles.
+"""From a record and its network to a scenario that ``run`` takes: tracks, routes, parked vehicles, crosswalks.
 
 The clock begins with the record's first step, 0.1 s a step; coordinates are the record's own. The ego is the vehicle
 that recorded (``sdc``), under its own track id, and its warm-up ends at the record's current step.
@@ -28,10 +28,11 @@ QUEUED_TURN = 0.52  # rad between it and the lane
 VEHICLE = 1  # index of TRACK_KINDS
 
 NETWORK, SCENARIO, TRACKS, ROUTES = "network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
+CROSSWALKS = "crosswalks.add.xml"
 
 
 def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Stretch]], folder: Path) -> None:
-    """Scenario, tracks and routes into ``folder``, beside the network there.
+    """Scenario, tracks, routes and crosswalks into ``folder``, beside the network there.
 
     Raises UsageError if the record's steps are not 0.1 s apart or its ego is never seen.
     """
@@ -46,6 +47,7 @@ def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Str
     moving = [t for t in record.tracks if t.id not in left_out and t.valid.any()]
     write_tracks(folder / TRACKS, track_log(record, moving))
     _write_routes(record, Router(net), moving, matched, folder / ROUTES)
+    _write_crosswalks(record, folder / CROSSWALKS)
     (folder / SCENARIO).write_text(_scenario(record, ego, parked), encoding="utf-8", newline="\n")
 
 
@@ -105,6 +107,19 @@ def _write_routes(
     path.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
 
 
+def _write_crosswalks(record: Record, path: Path) -> None:
+    """The crosswalks as filled polygons over the road, for sumo-gui; they rule nobody's way."""
+    lines = ['<?xml version="1.0" encoding="UTF-8"?>\n\n<additional>\n']
+    for area in record.areas:
+        if area.kind == "crosswalk" and len(area.points) > 2:
+            shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in area.points[:, :2].tolist())
+            lines.append(
+                f'    <poly id="crosswalk{area.id}" type="crosswalk" color="230,230,230,160" fill="true" layer="1" '
+                f'shape="{shape}"/>\n'
+            )
+    path.write_text("".join([*lines, "</additional>\n"]), encoding="utf-8", newline="\n")
+
+
 def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -> str:
     """The scenario file's text."""
     first = int(np.flatnonzero(ego.valid)[0])
@@ -117,7 +132,7 @@ def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -
 schema = 1
 network = "{NETWORK}"
 tracks = "{TRACKS}"
-background = "sumo"
+additional = ["{CROSSWALKS}"]
 
 [demand]
 files = ["{ROUTES}"]

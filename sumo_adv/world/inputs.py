@@ -183,7 +183,7 @@ def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
 def _from_scenario(path: Path) -> RunInput:
     """A run from a scenario file, its demand and ids checked against one another."""
     scenario = load_scenario(path)
-    routes, additional = scenario.demand.files, scenario.signals.files
+    routes, additional = scenario.demand.files, (*scenario.signals.files, *scenario.additional)
     edges, scans = _scan_all(path, scenario.network, (*routes, *additional))
     playback = scenario_playback(scenario)
     recorded = frozenset() if playback is None else playback.vehicles

@@ -20,12 +20,13 @@ from sumo_adv.world.tracks import read_tracks
 class PlaybackSpec:
     """What is played back. Paths exist and hold what they should.
 
+    background: who drives recorded BVs from the hand-over on; None: not said yet (``with_background`` decides).
     routes: edges of recorded vehicles, by id; vehicles, obstacles: ids of what is one and of what is not; begin, end
     [s]: of the log, 0 and inf without one.
     """
 
     tracks: Path | None = None
-    background: Literal["sumo", "log"] = "sumo"
+    background: Literal["sumo", "log"] | None = "sumo"
     signals: Path | None = None
     props: tuple[Prop, ...] = ()
     routes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -42,7 +43,7 @@ class PlaybackSpec:
 
 def make_playback(
     tracks: Path | None,
-    background: Literal["sumo", "log"],
+    background: Literal["sumo", "log"] | None,
     signals: Path | None,
     props: Sequence[Prop],
     route_files: Sequence[Path],
@@ -73,10 +74,19 @@ def make_playback(
     )  # fmt: skip
 
 
-def with_background(spec: PlaybackSpec | None, background: Literal["sumo", "log"] | None) -> PlaybackSpec | None:
-    """The spec with another background. Raises UsageError if there are no tracks to take it from."""
+def with_background(
+    spec: PlaybackSpec | None, background: Literal["sumo", "log"] | None, *, replayed: bool = False
+) -> PlaybackSpec | None:
+    """The spec with another background, if one is given; else its own; else the log for an ego that is ``replayed``
+    (it would drive into vehicles that go otherwise than recorded) and SUMO for any other.
+
+    Raises:
+        UsageError: there are no tracks to take it from.
+    """
     if background is None:
-        return spec
+        if spec is None or spec.background is not None:
+            return spec
+        return replace(spec, background="log" if replayed and spec.tracks is not None else "sumo")
     if spec is None or spec.tracks is None:
         raise UsageError(f"--background {background} needs recorded tracks: give a scenario with 'tracks'.")
     return replace(spec, background=background)

@@ -3,7 +3,9 @@
     schema = 1                              # version of this layout
     network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder
     tracks = "log.csv.gz"                   # recorded tracks with valid flags (``tracks.py``), from which time 0 on
-    background = "sumo"                     # from the hand-over on: sumo | log (the BVs are driven by the tracks)
+    background = "sumo"                     # from the hand-over on: sumo | log (the BVs are driven by the tracks);
+                                            # not given: log for an ego that is replayed, else sumo
+    additional = ["drawn.add.xml"]          # further SUMO additional files (polygons and the like)
 
     [demand]     files = [..] | density [departures per minute over the whole network]; seed, begin [s], end [s]
     [ego]        id | route = [edges..] with depart [s], lane, position [m], speed [m/s];
@@ -145,7 +147,8 @@ class Scenario(_Table):
     schema_version: Literal[1] = Field(alias="schema")
     network: Located
     tracks: Located | None = None
-    background: Literal["sumo", "log"] = "sumo"
+    background: Literal["sumo", "log"] | None = None
+    additional: tuple[Located, ...] = ()
     demand: Demand = Demand()
     ego: Ego = Ego()
     window: Window = Window()
