@@ -8,10 +8,15 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
+
+from sumo_adv.errors import UsageError
 
 HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -59,3 +64,17 @@ def embedded(data: Any) -> str:
 
 def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def write_document(target: Path, html: str) -> None:
+    """Write a page, whole or not at all. Raises UsageError where it cannot be written."""
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part.write_text(html, encoding="utf-8")
+        part.replace(target)
+    except OSError as error:
+        raise UsageError(f"{target} cannot be written ({error.strerror or error}); give another --out.") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)

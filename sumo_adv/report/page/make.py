@@ -25,10 +25,12 @@ STYLES = ("common.css", "replay.css")
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A run's page: its text, and where the encounter came to its point (the ego's centre [m], None if nowhere)."""
+    """A run's page: its text, where the encounter came to its point (the ego's centre [m], None if nowhere), and the
+    name of the network's copy in ``inputs/`` ('' if there is none)."""
 
     html: str
     place: tuple[float, float] | None
+    network: str
 
 
 def make_page(folder: Path) -> str:
@@ -55,16 +57,21 @@ def page_of(folder: Path, back: str | None = None) -> Page:
         raise UsageError(
             f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
         ) from error
-    return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place)
+    return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place, network_name(run.manifest))
 
 
 def _strips(run: RunRead, attempts: Sequence[Shown]) -> list[Strip]:
-    name = run.manifest.get("network")
-    file = run.folder / "inputs" / Path(str(name)).name
+    name = network_name(run.manifest)
+    file = run.folder / "inputs" / name
     if not name or not file.is_file():
         return []
     paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
     return strips_near(network(file), paths) if paths else []
+
+
+def network_name(manifest: Mapping[str, Any]) -> str:
+    """The name of the network's copy, a plain file name; '' where none is told."""
+    return Path(str(manifest.get("network") or "")).name
 
 
 def _about(manifest: Mapping[str, Any]) -> dict[str, Any]:

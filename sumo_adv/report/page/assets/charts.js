@@ -66,7 +66,7 @@ class Charts {
 
   drawRow(c, { row, top, bottom }, attempts) {
     const k = this.colours, [low, high] = this.range(row, attempts);
-    const y = (v) => bottom - ((Math.min(Math.max(v, low), high) - low) / (high - low)) * (bottom - top);
+    const y = (v) => bottom - ((v - low) / (high - low)) * (bottom - top);
     c.font = "11px system-ui, sans-serif";
     c.strokeStyle = k.line;
     c.fillStyle = k.soft;
@@ -74,20 +74,31 @@ class Charts {
     for (const tick of ticks(low, high)) {
       line(c, EDGE.left, y(tick), this.width - EDGE.right, y(tick));
       c.textAlign = "right";
-      c.fillText(String(Math.round(tick * 10) / 10).replace("-", "−"), EDGE.left - 5, y(tick) + 4);
+      c.fillText(signed(tick, tick % 1 ? 1 : 0), EDGE.left - 5, y(tick) + 4);
     }
     const mark = row.line === "threshold" ? this.threshold : row.line;
     if (mark !== undefined && mark !== null) {
       c.strokeStyle = k.soft;
       line(c, EDGE.left, y(mark), this.width - EDGE.right, y(mark));
     }
+    c.save();
+    c.beginPath();
+    c.rect(EDGE.left, top - 1, this.width - EDGE.left - EDGE.right, bottom - top + 2);
+    c.clip();
     for (const a of [...attempts].reverse()) {
       for (const name of row.names) this.curve(c, a, name, y, row.names.length > 1);
     }
+    c.restore();
     c.textAlign = "left";
     c.fillStyle = k.ink;
     c.font = "600 12px system-ui, sans-serif";
     c.fillText(row.title, EDGE.left + 4, top - 3);
+    let x = EDGE.left + 14 + c.measureText(row.title).width;
+    for (const who of row.names.length > 1 ? ["ego", "adversary"] : []) {
+      c.fillStyle = k[who];
+      c.fillText(who, x, top - 3);
+      x += c.measureText(who).width + 10;
+    }
   }
 
   curve(c, attempt, name, y, pair) {

@@ -26,6 +26,12 @@ const quoted = (text) => el("bdi", null, text);
 const number = (value, digits, unit) =>
   value === null || value === undefined ? "never" : `${value.toFixed(digits)}${unit ? `\u202f${unit}` : ""}`;
 
+/** Digits with a true minus, and no minus before nothing. */
+function signed(value, digits) {
+  const text = value.toFixed(digits);
+  return /^-[0.]+$/.test(text) ? text.slice(1) : text.replace("-", "\u2212");
+}
+
 const answer = (value) => (value === null || value === undefined ? "–" : value === true ? "yes" : value === false ? "no" : String(value).replaceAll("_", " "));
 
 /** Colours of the present scheme, by the names of the style's properties. */

@@ -34,8 +34,8 @@ class MapView {
     }));
   }
 
-  /** Show the paths of ego and adversary from `from` to `to`. */
-  fit(attempts, from, to) {
+  /** Show the paths of ego and adversary in `attempts` from `from` to `to`, as large as the panels of `shown` allow. */
+  fit(attempts, from, to, shown) {
     let low = [Infinity, Infinity], high = [-Infinity, -Infinity];
     for (const a of attempts) {
       for (const v of [a.egoVehicle, a.adversaryVehicle]) {
@@ -47,7 +47,7 @@ class MapView {
       }
     }
     if (!Number.isFinite(low[0])) return;
-    const box = this.panels(attempts)[0] || this;
+    const box = this.panels(shown)[0] || this;
     const scale = Math.min(box.width / (high[0] - low[0] + 24), box.height / (high[1] - low[1] + 24));
     this.view = { x: (low[0] + high[0]) / 2, y: (low[1] + high[1]) / 2, scale: Math.min(Math.max(scale, 0.4), 14) };
     this.offset = { x: 0, y: 0 };

@@ -36,7 +36,11 @@ class Player {
     this.stale = true;
   }
 
-  fit() { this.map.fit(this.scene.attempts.filter((a) => a.key !== "raw" || this.scene.attempts.length === 1), Math.max(this.from, Math.floor(this.trigger)), this.to); this.redraw(); }
+  fit() {
+    const all = this.scene.attempts, own = all.filter((a) => a.key !== "raw" || all.length === 1);
+    this.map.fit(own, Math.max(this.from, Math.floor(this.trigger)), this.to, this.attempts());
+    this.redraw();
+  }
 
   seek(frame) {
     const wanted = Math.round(frame * 1000) / 1000;
@@ -133,7 +137,7 @@ class Player {
     this.toldStep = step;
     for (const { cell, attempt, name, digits } of this.cells) {
       const own = step < (attempt.key === "best" ? 0 : attempt.from) ? this.scene.attempts[0] : attempt;
-      const value = valueAt(own, name, Math.min(step, attempt.to)), text = value === null ? "–" : value.toFixed(digits);
+      const value = valueAt(own, name, Math.min(step, attempt.to)), text = value === null ? "–" : signed(value, digits);
       if (cell.textContent !== text) cell.textContent = text;
     }
   }

@@ -28,7 +28,7 @@ function headline(outcome) {
   byId("title").replaceChildren(...(names.length
     ? [quoted(outcome.network), " — ", quoted(label), " by ", quoted(names[0])] : [quoted(outcome.network)]).map((n) => (typeof n === "string" ? document.createTextNode(n) : n)));
   document.title = `${plain(outcome.network)} — replay`;
-  byId("lead").replaceChildren(el("span", null, "Ego ", quoted(outcome.ego.id ?? "–"), " driven by ",
+  byId("lead").replaceChildren(el("span", null, "Ego: ", quoted(outcome.ego.id ?? "–"), ", driven by ",
     quoted(outcome.ego.controller), `, seed ${outcome.seed}. `, quoted(outcome.reason)));
   const v = outcome.outcome, badges = [];
   if (v) {

@@ -1,0 +1,132 @@
+"""``report``: a run, or a batch of them, as pages to look at."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.report.index.build import Packs, Report
+    from sumo_adv.report.index.rows import Table
+
+EXAMPLE = "Example: sumo-adv report runs/priority_crossing-3"
+OUTCOME, RESULTS = "outcome.json", "results.csv"
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a batch.")],
+    out: Annotated[
+        Path | None, typer.Option(help="File of a run's page, or folder of a batch's [default: in DIR].")
+    ] = None,
+    pages: Annotated[
+        int | None, typer.Option(min=0, help="Of a batch: make at most so many replay pages now [default: all].")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes [default: the cores].")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Make one HTML file that replays a run, or an index of a batch whose rows open theirs. Nothing needs a network."""
+    if (folder / OUTCOME).is_file():
+        said = _run(folder, out)
+    elif (folder / RESULTS).is_file() or _loose(folder):
+        said = _batch(folder, out, pages, workers or os.cpu_count() or 1, force=force, quiet=as_json)
+    else:
+        raise UsageError(f"{folder} is not the folder of a run or of a batch (no {OUTCOME}, no {RESULTS} in it).")
+    if as_json:
+        typer.echo(json.dumps(said))
+        return
+    for sentence in said.get("damaged", [])[:3]:
+        typer.echo(f"sumo-adv: {sentence}", err=True)
+    typer.echo(said["words"])
+
+
+def _run(folder: Path, out: Path | None) -> dict[str, Any]:
+    from sumo_adv.report.page import make_page
+    from sumo_adv.report.page.document import write_document
+
+    html = make_page(folder)
+    target = out or folder / "report.html"
+    if target.is_dir():
+        raise UsageError(f"{target} is a folder; give a file as --out.")
+    write_document(target, html)
+    size = target.stat().st_size
+    return {"page": str(target), "bytes": size, "words": f"Page: {target} ({size / 1000:.0f} kB)"}
+
+
+def _batch(
+    folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
+) -> dict[str, Any]:
+    from sumo_adv.report.index.build import write_report
+    from sumo_adv.report.index.rows import read_rows
+
+    target = out or folder / "report"
+    if target.is_file():
+        raise UsageError(f"{target} is a file; give a folder as --out.")
+    table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
+    runs = folder / "runs" if (folder / RESULTS).is_file() else folder
+    told = _Counter(quiet=quiet)
+    made = write_report(
+        runs, target, folder.resolve().name, table, _packs(folder), most=pages, workers=workers, again=force,
+        tell=told.tell,
+    )  # fmt: skip
+    told.close()
+    return {
+        "index": str(made.index), "episodes": made.episodes, "pages": made.pages, "made": made.made,
+        "damaged": list(made.damaged), "words": _words(made),
+    }  # fmt: skip
+
+
+def _words(made: Report) -> str:
+    lacking = made.episodes - made.pages
+    rest = f" {lacking} without a page: say the same again to make more." if lacking and not made.damaged else ""
+    return f"Index: {made.index} ({made.episodes} episodes, {made.pages} replay pages, {made.made} made now).{rest}"
+
+
+def _loose(folder: Path) -> list[Path]:
+    """Runs side by side in a folder, as ``serve`` leaves them."""
+    return sorted(f.parent for f in folder.glob(f"*/{OUTCOME}")) if folder.is_dir() else []
+
+
+def _table(runs: Sequence[Path]) -> Table:
+    from sumo_adv.batch.results import read_row
+    from sumo_adv.report.index.rows import Table
+
+    return Table([{**row, "intent": row["intent"] or ""} for run in runs if (row := read_row(run)) is not None])
+
+
+def _packs(folder: Path) -> Packs:
+    from sumo_adv.report.index.build import Packs
+
+    if not (folder / "packs").is_dir():
+        return Packs()
+    from sumo_adv.batch.pack import packed_texts, unpack
+    from sumo_adv.report.folder import staged
+
+    return Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
+
+
+class _Counter:
+    """How far it is, on a terminal alone."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._shown = not quiet and sys.stderr.isatty()
+        self._said = False
+
+    def tell(self, done: int, of: int) -> None:
+        """One more page."""
+        if self._shown:
+            self._said = True
+            typer.echo(f"\r{done} of {of} pages", nl=False, err=True)
+
+    def close(self) -> None:
+        """End the line."""
+        if self._said:
+            typer.echo(err=True)

@@ -1,0 +1,75 @@
+"""From rows, places and networks to the text of the index."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.report.index.rows import NUMBERS, TRUTHS, WORDS, Table
+from sumo_adv.report.page.document import asset, document
+from sumo_adv.report.page.encode import packed, whole
+from sumo_adv.report.page.road import network
+
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "rows.js", "bars.js", "places.js", "index.js")
+STYLES = ("common.css", "index.css")
+MOST_LANES = 4000  # on the map of a network
+DECIMETRE = 0.1
+THINNED = 0.5  # m a line on such a map may be off
+CODED = ("network", "ego", "intent", "ending")  # few values, many rows
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What is known of an episode beyond its row. ``stamp``: of its outcome; ``place``: where it came to its point [m];
+    ``network``: the name of the network's copy."""
+
+    stamp: int
+    place: tuple[float, float] | None
+    network: str
+
+
+def make_index(name: str, table: Table, made: Mapping[str, Made], roads: Mapping[str, Any]) -> str:
+    """The index as HTML. ``made``: the episodes that have a page, by id; ``roads``: see :func:`road_of`, by network."""
+    rows = table.rows
+    known = [made.get(str(row["id"])) for row in rows]
+    maps = [n for n, _ in Counter(m.network for m in known if m and m.place and m.network in roads).most_common()]
+    columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *NUMBERS, *TRUTHS, *table.varied)}
+    data = {
+        "schema": SCHEMA, "name": name, "varied": list(table.varied),
+        "columns": {n: _coded(v) if n in CODED else v for n, v in columns.items()},
+        "page": [int(m is not None) for m in known],
+        "map": [maps.index(m.network) if m and m.place and m.network in roads else -1 for m in known],
+        "x": [m.place[0] if m and m.place else None for m in known],
+        "y": [m.place[1] if m and m.place else None for m in known],
+        "maps": [{"name": n, **roads[n]} for n in maps],
+    }  # fmt: skip
+    return document("Episodes", asset("index.html"), STYLES, SCRIPTS, data)
+
+
+def _coded(values: Sequence[str]) -> dict[str, Any]:
+    """Different values once, and each row's place among them."""
+    kinds = sorted(set(values))
+    places = {v: k for k, v in enumerate(kinds)}
+    return {"kinds": kinds, "of": [places[v] for v in values]}
+
+
+def road_of(file: Path) -> dict[str, Any]:
+    """A network for a small map: lines' lengths, the origin [m], and coordinates in decimetres, packed.
+
+    Raises UsageError: the network cannot be read.
+    """
+    from shapely import linestrings, simplify
+
+    lanes = [lane for lane in network(file).lanes.values() if lane.passenger and len(lane.shape) > 1]
+    lanes = sorted(lanes, key=lambda lane: -lane.length)[:MOST_LANES]
+    lines: list[Floats] = [np.asarray(simplify(linestrings(lane.shape), THINNED).coords, float) for lane in lanes]
+    origin = np.rint(lines[0][0]) if lines else np.zeros(2)
+    columns = [(1, whole(line[:, axis] - origin[axis], DECIMETRE)) for axis in (0, 1) for line in lines]
+    return {"lines": [len(line) for line in lines], "origin": origin.tolist(), "blob": packed(columns)}
