@@ -195,6 +195,14 @@ def test_files(tmp_path: Path) -> None:
     assert manifest["content"] == "c0ffee" and manifest["cells"] == 5 and manifest["bank_hash"] == "ba4c"
 
 
+def test_rows_may_be_explained() -> None:
+    cells = [*four("expert"), *four("expert+replan=60")]
+    table = make_table(cells, title="Made", reference="expert", words={"expert+replan=60": "no replanning"}, later={})
+    text = to_markdown(table)
+    assert "| `expert+replan=60` | no replanning |" in text and "transformer` | a later" not in text
+    assert "### Differences to `expert`" in text
+
+
 def test_equal_cells_give_equal_bytes(tmp_path: Path) -> None:
     cells = four()
     slower = [c | {"timing": {"total": 9.0}} for c in cells[::-1]]

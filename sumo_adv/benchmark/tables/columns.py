@@ -194,9 +194,9 @@ COLUMNS: tuple[Column, ...] = (
     Column("jerk", "jerk beyond limits", "Realism", "share of attempts that count", of=_gate("jerk")),
     Column("lateral", "a_lat beyond limits", "Realism", "share of attempts that count", of=_gate("lateral")),
     Column("seconds", "s without the model", "Cost", "of an encounter, from start to verdict", MEAN,
-           lambda cell: _seconds(cell, model=False), asked_of_all=False),
+           lambda cell: _seconds(cell, model=False)),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
-           lambda cell: _seconds(cell, model=True), asked_of_all=False),
+           lambda cell: _seconds(cell, model=True)),
     Column("seconds_valid", "s to the first valid", "Cost", "from the row's first look on, where one was valid", MEAN,
            _to_first_valid, asked_of_all=False),
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
@@ -215,5 +215,6 @@ BY_PART = ("collision", "no_rear", "valid", "strict", "critical", "mean_min_ttc"
 
 COMPARED = (
     "collision", "no_rear", "valid", "strict", "critical", "unavoidable", "mean_min_ttc", "valid_1", "valid_25",
+    "seconds",
 )  # fmt: skip
 """Differences that the Markdown shows; CSV and JSON have all."""

@@ -31,7 +31,7 @@ class Entry:
 class Table:
     """A table of rows for every ego, never pooled.
 
-    ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row.
+    ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row; ``words``: what rows are.
     """
 
     title: str
@@ -43,6 +43,7 @@ class Table:
     reference: str | None
     notes: tuple[str, ...] = ()
     later: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, str] = field(default_factory=dict)
 
     def parts(self, ego: str) -> list[str]:
         """The parts of an ego's encounters: all, groups, kinds."""
@@ -63,6 +64,7 @@ def make_table(
     reference: str | None = None,
     columns: Sequence[Column] = COLUMNS,
     later: Mapping[str, str] = LATER,
+    words: Mapping[str, str] | None = None,
 ) -> Table:
     """The table of cells of any egos, rows and seeds.
 
@@ -86,7 +88,7 @@ def make_table(
     notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers), *_several_seeds(cells))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
-    return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left)
+    return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
 
 
 def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:

@@ -21,6 +21,8 @@ def to_markdown(table: Table) -> str:
     lines = [f"# {table.title}", ""]
     lines += [*(f"- {note}" for note in table.notes), ""] if table.notes else []
     lines += [" ".join(HOW.values()) + " Egos are never pooled.", ""]
+    named = [[f"`{row}`", table.words[row]] for row in table.rows if row in table.words]
+    lines += grid(["row", "what it is"], named, words=True) if named else []
     for ego in table.egos:
         lines += [f"## Ego: {ego}", ""]
         for section in SECTIONS:
