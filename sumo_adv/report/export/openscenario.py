@@ -5,12 +5,12 @@ World x, y, h are SUMO's coordinates of the network; where a vehicle stands is s
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from sumo_adv import __version__
 from sumo_adv.errors import UsageError
+from sumo_adv.report.export.choices import Variant
 from sumo_adv.report.export.entities import add_entities, entity_names, printable
 from sumo_adv.report.export.opendrive import write_opendrive
 from sumo_adv.report.export.piece import Piece
@@ -18,13 +18,6 @@ from sumo_adv.report.export.schema import check_openscenario, need_schema
 from sumo_adv.report.export.storyboard import add_free_ego, add_replay
 
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
-
-
-class Variant(StrEnum):
-    """Who is driven by the file."""
-
-    REPLAY = "replay"
-    FREE_EGO = "free-ego"
 
 
 def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:

@@ -1,0 +1,21 @@
+"""What may be chosen of an export. Light: the command line imports it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Format(StrEnum):
+    """What may be written."""
+
+    OPENSCENARIO = "openscenario"
+    FCD = "fcd"
+    SUMO = "sumo"
+    CSV = "csv"
+
+
+class Variant(StrEnum):
+    """Who is driven by an OpenSCENARIO file: everybody, or everybody but the ego."""
+
+    REPLAY = "replay"
+    FREE_EGO = "free-ego"
