@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from sumo_adv.benchmark.nouns import Opponent
+from sumo_adv.benchmark.rows.bezier import Bezier
+from sumo_adv.benchmark.rows.cma import Cma
 from sumo_adv.benchmark.rows.fixed_intent import LABELS, FixedIntent
 from sumo_adv.benchmark.rows.oracle import Oracle
 from sumo_adv.benchmark.rows.random_intent import RandomIntent
+from sumo_adv.benchmark.rows.random_search import RandomSearch
+from sumo_adv.benchmark.rows.resampling import Resampling
+from sumo_adv.benchmark.rows.user import UserRow
 from sumo_adv.errors import UsageError
 
-ROWS: Mapping[str, Callable[[], Opponent]] = {"random": RandomIntent, "oracle": Oracle}
+ROWS: Mapping[str, Callable[[], Opponent]] = {
+    "random": RandomIntent, "oracle": Oracle, "random_search": RandomSearch, "cma": Cma, "bezier": Bezier,
+    "resampling": Resampling,
+}  # fmt: skip
 FIXED = "fixed:"
 
 
@@ -23,6 +31,8 @@ def make_row(text: str) -> Opponent:
         return ROWS[text]()
     if text.startswith(FIXED):
         return FixedIntent(_label(text.removeprefix(FIXED)))
+    if ":" in text:
+        return UserRow(text)
     raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, fixed:LABEL or module:Class.")
 
 

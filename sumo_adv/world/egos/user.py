@@ -6,17 +6,15 @@ The class has ``reset(seed)`` and ``act(observation)``. It may say ``name``, ``f
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import astuple
-from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.world.egos.protocol import Action, LaneSpeed, Observation, Pose, Steer
 from sumo_adv.world.egos.sumo_driven import sumo_type
+from sumo_adv.world.user_class import find_class, said
 
 
 class UserEgo:
@@ -24,11 +22,11 @@ class UserEgo:
 
     def __init__(self, spec: str, parameters: Mapping[str, Any]) -> None:
         """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
-        driver = _find(spec)
+        driver = find_class("ego", spec)
         try:
             self._driver = driver(**parameters)
         except Exception as error:  # user code: anything may come out of it
-            raise UsageError(f"The ego {spec!r} could not be made: {_said(error)}.") from error
+            raise UsageError(f"The ego {spec!r} could not be made: {said(error)}.") from error
         for method in ("reset", "act"):
             if not callable(getattr(self._driver, method, None)):
                 raise UsageError(
@@ -46,7 +44,7 @@ class UserEgo:
         try:
             self._driver.reset(seed)
         except Exception as error:  # user code
-            raise SimulationError(f"The ego {self._spec!r} failed in reset: {_said(error)}.") from error
+            raise SimulationError(f"The ego {self._spec!r} failed in reset: {said(error)}.") from error
 
     def act(self, observation: Observation) -> Action:
         """Raises SimulationError if the user's code fails or answers with something that is no action."""
@@ -54,7 +52,7 @@ class UserEgo:
             action = self._driver.act(observation)
         except Exception as error:  # user code
             raise SimulationError(
-                f"The ego {self._spec!r} failed in act at {observation.time:.1f} s: {_said(error)}."
+                f"The ego {self._spec!r} failed in act at {observation.time:.1f} s: {said(error)}."
             ) from error
         return self._checked(action)
 
@@ -72,28 +70,3 @@ class UserEgo:
             if not isinstance(value, int | float) or not math.isfinite(value):
                 raise SimulationError(f"The ego {self._spec!r} returned {action!r}; its numbers must be finite.")
         return action
-
-
-def _find(spec: str) -> type:
-    module_name, _, class_name = spec.partition(":")
-    if not module_name or not class_name:
-        raise UsageError(f"The ego {spec!r} is not of the form 'module:Class'.")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # last, so that nothing of the user's shadows an installed package
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as error:  # user code runs on import
-        raise UsageError(
-            f"The module of the ego {spec!r} could not be imported from {here} or Python's path: {_said(error)}."
-        ) from error
-    found = getattr(module, class_name, None)
-    if not isinstance(found, type):
-        raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the ego {spec!r}.")
-    return found
-
-
-def _said(error: Exception) -> str:
-    """Exception type and message on one line, without a full stop at the end."""
-    message = " ".join(str(error).split()).rstrip(".")
-    return f"{type(error).__name__}: {message}" if message else type(error).__name__

@@ -1,0 +1,258 @@
+"""Resampling: kinematic motions weighed by how likely they are and how likely they meet the ego's predicted rollouts.
+
+What it is: for every vehicle of the shortlist ``DRAWN`` motions along its ways are drawn: two target speeds, one after
+the other, and a move to another offset (its lane, a lane beside it, or a little off) that begins and lasts as drawn;
+all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering to that
+very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
+accelerations and staying in lane are likelier; off the road or into others is not) times the chance that it collides,
+over the futures, discounted by ``DOUBT`` a second. The best is tried, then the next best of what was not tried yet.
+After each attempt, futures that had foretold otherwise lose weight: the closed loop of CAT, where the ego's real
+rollouts replace its predictions.
+Limits: the proposals come from a kinematic family and a hand-made prior, where CAT has a learnt predictor (DenseTNT on
+Waymo data); the motion is fixed at the takeover and never answers to the ego; only collisions that are not rear-end
+weigh, which CAT does not ask, but not who could avoid them.
+Citation: Zhang, Peng, Li and Zhou 2023, "CAT: Closed-loop Adversarial Training for Safe End-to-End Driving", CoRL, PMLR
+229:2357-2372: the probability factorised into prior, ego's rollout and collision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.benchmark.nouns import Encounter, course_proposal
+from sumo_adv.datatypes import Attempt, Bools, Boxes, Course, Floats, Limits, Proposal
+from sumo_adv.geometry import wrap_all
+from sumo_adv.metrics.boxes import on_grid, overlaps
+from sumo_adv.planning.ground import Ground
+from sumo_adv.planning.predict import PredictedEgos
+from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
+from sumo_adv.situation import Situation, Target
+
+Places = NDArray[np.intp]
+
+DRAWN = 256  # motions a vehicle and delay
+FUTURES = {"model": 0.4, "unattacked": 0.3, "constant": 0.1, "gentle": 0.1, "firm": 0.1}
+BRAKES = {"gentle": 2.0, "firm": 5.0}  # m/s2
+BRAKES_AFTER = 1.5  # s
+DOUBT = 0.96  # a second further away, a collision is so much less likely to come as predicted
+RIGHT, WRONG = 0.8, 0.3  # likelihood of what an attempt came to under a future that foretold it, or did not
+USUAL = 1.5  # m/s2: standard deviation of accelerations that drivers are used to
+MOVES, STRAYS = 0.3, 0.5  # prior odds of a move to another lane, and of one that ends off the middle of a lane
+SLACK = 0.2  # m
+UNLIKELY = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """Motions of all vehicles at one delay. ``poses``: x, y, heading, speed ``(4, n, steps)`` from the takeover on;
+    ``prior`` ``(n,)``; ``hits`` ``(futures, n)``: chance of a collision that counts, 0 or discounted."""
+
+    delay: float
+    names: Sequence[str]
+    poses: Floats
+    prior: Floats
+    hits: Floats
+
+
+class Resampling:
+    """Draws once an encounter, then tries the best of what was drawn."""
+
+    name = "resampling"
+
+    def __init__(self) -> None:
+        self._drawn: list[Drawn] = []
+        self._places: list[tuple[int, int]] = []  # of the attempts, in order
+
+    def begin(self, encounter: Encounter) -> None:
+        """Draw and weigh."""
+        rng = np.random.default_rng(encounter.seed)
+        self._drawn = [draw(encounter, delay, rng) for delay in sorted(encounter.situations)]
+        self._places = []
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        """The best that was not tried; None once all were."""
+        weights = self._weights(tried)
+        best: tuple[float, int, int] | None = None
+        for i, some in enumerate(self._drawn):
+            score = some.prior * (weights @ some.hits) + 1e-9 * some.prior
+            score[[k for j, k in self._places if j == i]] = -1.0
+            k = int(np.argmax(score))
+            if score[k] >= 0.0 and (best is None or score[k] > best[0]):
+                best = float(score[k]), i, k
+        if best is None:
+            return None
+        self._places.append(best[1:])
+        some, k = self._drawn[best[1]], best[2]
+        x, y, heading, speed = (np.ascontiguousarray(column[k, 1:]) for column in some.poses)
+        return course_proposal(self.name, some.names[k], some.delay, Course(x, y, heading, speed))
+
+    def _weights(self, tried: Sequence[Attempt]) -> Floats:
+        """Of the futures, by what the attempts came to."""
+        weights = np.array(list(FUTURES.values()))
+        for attempt, (i, k) in zip(tried, self._places, strict=False):
+            told = self._drawn[i].hits[:, k] > 0.0
+            weights = weights * np.where(told == _counts(attempt), RIGHT, WRONG)
+        return np.asarray(weights / weights.sum())
+
+
+def _counts(attempt: Attempt) -> bool:
+    return attempt.verdict.collided and not attempt.verdict.rear_end
+
+
+# -- drawing ------------------------------------------------------------------------------------------------------
+
+
+def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
+    """``DRAWN`` motions of each target at a delay, with their priors and what they hit."""
+    situation, settings = encounter.situations[delay], encounter.settings
+    targets = situation.target_list()
+    names = [t.state.id for t in targets for _ in range(DRAWN)]
+    plan = _plans(targets, rng)
+    ground = Ground(situation, names)
+    ground.rows.row = ground.rows.row + plan.way
+    steps, dt, limits = settings.steps(settings.duration), situation.dt, settings.limits.limits()
+    motion, egos = ground.begin(), PredictedEgos(situation, len(names))
+    poses, model = np.empty((4, len(names), steps)), np.empty((4, len(names), steps))
+    for k in range(steps):
+        poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
+        model[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
+        egos.step(k * dt, ground.relative(motion), motion.v, ground.length)
+        motion = _forward(ground, motion, plan, k * dt, limits, dt)
+    x, y, heading, speed = poses
+    width = np.array([t.state.width for t in ground.targets])
+    adversary = Boxes(x, y, heading, speed, ground.length[:, None], width[:, None])
+    last, hits = _hits(situation, adversary, _futures(situation, model))
+    odd = _off_road(encounter, adversary, last) | _third_party(situation, names, adversary, last)
+    return Drawn(delay, names, poses, plan.prior * np.where(odd, UNLIKELY, 1.0), hits)
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What was drawn, ``(n,)`` each: way; offset [m] that a move goes to, its begin and length [s]; two speeds [m/s]
+    and how long each is approached [s]; the prior."""
+
+    way: Places
+    offset: Floats
+    begins: Floats
+    lasts: Floats
+    speeds: Floats  # (2, n)
+    spans: Floats  # (2, n)
+    prior: Floats
+
+
+def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
+    way = np.concatenate([rng.integers(len(t.ways), size=DRAWN) for t in targets])
+    v = np.repeat([t.state.speed for t in targets], DRAWN)
+    n = len(v)
+    lanes = [np.array([0.0, *(o for o, _ in t.sides)]) for t in targets]
+    lane = np.concatenate([rng.choice(some, DRAWN) for some in lanes])
+    stray = rng.uniform(-1.3, 1.3, n) * (rng.random(n) < 0.5)
+    spans = rng.uniform(1.5, 6.0, (2, n))
+    first = v + rng.uniform(-6.0, 3.0, n) * spans[0] * 0.6
+    speeds = np.clip([first, first + rng.uniform(-6.0, 3.0, n) * spans[1] * 0.6], 0.0, None)
+    mean = np.array([(speeds[0] - v) / spans[0], (speeds[1] - speeds[0]) / spans[1]])
+    prior = np.exp(-0.5 * np.square(mean / USUAL).sum(axis=0))
+    prior = prior * np.where(lane != 0.0, MOVES, 1.0) * np.where(stray != 0.0, STRAYS, 1.0)
+    return _Plan(way, lane + stray, rng.uniform(0.0, 5.0, n), rng.uniform(2.5, 6.5, n), speeds, spans, prior)
+
+
+def _forward(ground: Ground, motion: Motion, plan: _Plan, now: float, limits: Limits, dt: float) -> Motion:
+    """One step of all motions along what was drawn for them."""
+    second = now >= plan.spans[0]
+    v = np.where(second, plan.speeds[1], plan.speeds[0])
+    left = np.where(second, plan.spans[0] + plan.spans[1], plan.spans[0]) - now
+    time = np.maximum(left, 1.0)
+    offset = np.where(now >= plan.begins, plan.offset, motion.target)
+    goal = Goal(motion.s + (motion.v + v) / 2 * time, offset, v, time)
+    sideways = goal._replace(time=plan.lasts)
+    motion = steer(Batch, motion, sideways, ground.rows.at(motion.s)[3])
+    return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt)
+
+
+# -- weighing -----------------------------------------------------------------------------------------------------
+
+
+def _futures(situation: Situation, model: Floats) -> list[Floats]:
+    """x, y, heading, speed of the ego, by future, ``(4, n, steps)`` or, alike for all, ``(4, 1, steps)``."""
+    time = np.arange(model.shape[2]) * situation.dt
+    s0, v0 = float(situation.profile_s[0]), float(situation.ego.speed)
+    last = len(situation.profile_s) - 1
+    k = np.minimum(np.arange(len(time)), last)
+    over = np.maximum(np.arange(len(time)) - last, 0) * situation.dt
+    unattacked = situation.profile_s[k] + over * situation.profile_v[-1]
+    lines = [(unattacked, situation.profile_v[k]), (s0 + v0 * time, v0 + 0.0 * time)]
+    for brake in BRAKES.values():
+        since = np.clip(time - BRAKES_AFTER, 0.0, v0 / brake)
+        lines.append((s0 + v0 * np.minimum(time, BRAKES_AFTER + since) - brake * since**2 / 2, v0 - brake * since))
+    return [model, *(np.stack([*situation.ego_path.at(s), v])[:, None, :] for s, v in lines)]
+
+
+def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> tuple[Places, Floats]:
+    """The step until which each motion matters (the first contact under any future, else the end), and its chance of
+    a collision that counts under each future."""
+    n, steps = adversary.x.shape
+    last, found = np.full(n, steps - 1), np.zeros((len(futures), n))
+    for f, future in enumerate(futures):
+        ego = _spread(future, (n, steps), situation.ego.length, situation.ego.width)
+        touching = _touching(ego, adversary)
+        hit, first = touching.any(axis=1), touching.argmax(axis=1)
+        counts = hit & (first > 2) & ~_from_behind(ego, adversary, first)
+        found[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
+        last = np.where(hit, np.minimum(last, first), last)
+    return last, found
+
+
+def _spread(columns: Sequence[Floats] | Floats, shape: tuple[int, int], length: float, width: float) -> Boxes:
+    x, y, heading, speed = (np.broadcast_to(column, shape) for column in columns)
+    return Boxes(x, y, heading, speed, length, width)
+
+
+def _touching(a: Boxes, b: Boxes) -> Bools:
+    reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
+    touching = np.asarray(np.hypot(a.x - b.x, a.y - b.y) < reach)
+    k = np.nonzero(touching)
+    if len(k[0]):
+        touching[k] = overlaps(_pick(a, k), _pick(b, k))
+    return touching
+
+
+def _pick(b: Boxes, k: tuple[Places, ...]) -> Boxes:
+    length, width = (np.broadcast_to(v, b.x.shape)[k] for v in (b.length, b.width))
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width)
+
+
+def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
+    """Whether a step before ``at`` the adversary went the ego's way and was a whole length behind it."""
+    k = (np.arange(len(at)), np.maximum(at - 1, 0))
+    a, b = _pick(ego, k), _pick(adversary, k)
+    ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
+    alike = np.abs(wrap_all(b.heading - a.heading)) < np.pi / 4
+    return np.asarray(alike & (ahead < SLACK - (np.asarray(a.length) + b.length) / 2))
+
+
+def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:
+    """Whether a corner leaves the road before ``last``, every fourth step."""
+    k = np.arange(0, adversary.x.shape[1], 4)
+    x, y, h = adversary.x[:, k], adversary.y[:, k], adversary.heading[:, k]
+    out = np.zeros(x.shape, bool)
+    for ahead, left in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
+        a, b = ahead * (np.asarray(adversary.length) - 0.3), left * (np.asarray(adversary.width) - 0.3)
+        out |= ~encounter.drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
+    return np.asarray((out & (k[None, :] <= last[:, None])).any(axis=1))
+
+
+def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, last: Places) -> Bools:
+    """Whether the motion touches a vehicle in its unattacked motion before ``last``."""
+    n, steps = adversary.x.shape
+    found, mine = np.zeros(n, bool), np.array(names)
+    before = np.arange(steps)[None, :] <= last[:, None]
+    time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
+    for track in situation.others:
+        one = on_grid([track], time)
+        other = _spread((one.x, one.y, one.heading, one.speed), (n, steps), track.length, track.width)
+        found |= (_touching(other, adversary) & before).any(axis=1) & (mine != track.id)
+    return found

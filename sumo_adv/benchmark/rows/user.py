@@ -1,0 +1,104 @@
+"""A user's own generator, ``--row module:Class``, behind our protocol.
+
+What it is: any class that is made without arguments and has ``begin(encounter)`` and ``propose(tried)``
+(``benchmark.nouns.Opponent``). It gets the budget, the stop rule and the gates of all rows; ``examples/own_generator``
+has one in twenty lines. What it answers is checked before it is driven.
+Limits: it runs in our process and may import anything: it is the user's own code, not a model's.
+Citation: none, it is yours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import Encounter
+from sumo_adv.datatypes import Attempt, Course, Planner, Proposal, acceleration_of
+from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, UsageError
+from sumo_adv.situation import Situation
+from sumo_adv.world.user_class import find_class, said
+
+ARRAYS = ("x", "y", "heading", "speed")
+
+
+class UserRow:
+    """A user's generator whose errors become one sentence that names it."""
+
+    def __init__(self, spec: str) -> None:
+        """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
+        generator = find_class("generator", spec)
+        try:
+            self._generator: Any = generator()
+        except Exception as error:  # user code: anything may come out of it
+            raise UsageError(f"The generator {spec!r} could not be made: {said(error)}.") from error
+        for method in ("begin", "propose"):
+            if not callable(getattr(self._generator, method, None)):
+                raise UsageError(
+                    f"The generator {spec!r} has no method {method!r}; it needs begin(encounter) and propose(tried)."
+                )
+        self.name = spec
+        self._situations: Mapping[float, Situation] = {}
+
+    def begin(self, encounter: Encounter) -> None:
+        """Raises PlannerRuntimeError if the user's code fails."""
+        self._situations = encounter.situations
+        try:
+            self._generator.begin(encounter)
+        except Exception as error:  # user code
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {said(error)}.") from error
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        """Raises PlannerRuntimeError if the user's code fails, PlannerResultError if its answer cannot be driven."""
+        try:
+            answer = self._generator.propose(tried)
+        except Exception as error:  # user code
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in propose: {said(error)}.") from error
+        if answer is None:
+            return None
+        try:
+            return _checked(answer, self._situations, self.name)
+        except ValueError as error:
+            raise PlannerResultError(f"The generator {self.name!r} returned {error}.") from error
+
+
+def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
+    """The proposal, marked as the generator's. Raises ValueError with what was returned and what is needed."""
+    if not isinstance(answer, Proposal):
+        raise ValueError(f"{type(answer).__name__}; propose must return a Proposal or None")
+    if answer.delay not in situations:
+        known = ", ".join(f"{d:g}" for d in sorted(situations))
+        raise ValueError(f"the delay {answer.delay!r}, which the encounter does not have; use one of {known}")
+    targets = situations[answer.delay].targets
+    if answer.bv not in targets:
+        raise ValueError(f"the vehicle {answer.bv!r}; use one of the encounter's targets, {', '.join(targets)}")
+    if answer.course is not None:
+        return replace(answer, by=name, course=_course(answer.course))
+    if not isinstance(answer.planner, Planner) or not answer.planner.source:
+        raise ValueError("a Proposal with neither a course nor a planner's source text; give one of them")
+    numbers = answer.parameters.values()
+    if not all(isinstance(n, int | float) and np.isfinite(n) for n in numbers):
+        raise ValueError("parameters that are not all finite numbers")
+    acceleration_of(answer.acceleration)
+    return replace(answer, by=name)
+
+
+def _course(course: object) -> Course:
+    """The course as arrays of floats. Raises ValueError."""
+    if not isinstance(course, Course):
+        raise ValueError(f"a course that is {type(course).__name__}; it must be a Course")
+    try:
+        arrays = [np.array(getattr(course, name), float) for name in ARRAYS]
+    except (TypeError, ValueError) as error:
+        raise ValueError("a course whose x, y, heading and speed are not all arrays of numbers") from error
+    shape = arrays[0].shape
+    if len(shape) != 1 or not shape[0] or any(a.shape != shape for a in arrays):
+        raise ValueError("a course whose x, y, heading and speed are not arrays (n,) of one length, 1 or more")
+    if not all(np.isfinite(a).all() for a in arrays):
+        raise ValueError("a course with numbers that are not finite")
+    if (arrays[3] < 0).any():
+        raise ValueError("a course with negative speeds; a vehicle drives forwards along its heading")
+    x, y, heading, speed = arrays
+    return Course(x, y, heading, speed)
