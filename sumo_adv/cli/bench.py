@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert --row random --out runs/bench"
 ROWS = ("raw", "llm-f", "expert", "random")
-OPPONENTS = ("random_search", "cma", "bezier", "resampling", "oracle")
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -82,6 +81,73 @@ def ablations(
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(asked, means, as_json=as_json)
     _write(asked, means, cells, "ablations", REFERENCE, as_json=as_json)
+
+
+@app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
+def analyzer(
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    llm: Annotated[
+        list[str] | None, typer.Option(help="A model as analyzer, with and without the evidence table; repeatable.")
+    ] = None,
+    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """Who names the most dangerous intent: against the oracle, chance, the best constant answer and the ceiling."""
+    from sumo_adv.benchmark.methods import REFERENCE
+    from sumo_adv.benchmark.tables.analysis import analyze
+    from sumo_adv.benchmark.tables.analysis_files import to_markdown, write_analysis
+    from sumo_adv.benchmark.tables.plots import draw_confusions
+
+    answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
+    asked, means = _order(
+        suite, ego, ["oracle", *answering], seed, attempts, until, setting, memory, workers, out, False
+    )
+    cells = _run(asked, means, as_json=as_json)
+    found = analyze(
+        cells, asked.suite.cases, title=f"Analyzers on {asked.suite.name}", analyzers=answering, reference=REFERENCE
+    )
+    files = write_analysis(found, cells, means.folder, _about(asked, means))
+    files += draw_confusions(found, means.folder / "figures")
+    _say(means, cells, files, to_markdown(found), as_json=as_json)
+
+
+@app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
+def growth(
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    llm: Annotated[str | None, typer.Option(help="A model in all parts as well.")] = None,
+    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """How the bank grows as encounters go by: hits, seconds, model calls; with recall by intent and by scene."""
+    from sumo_adv.benchmark.tables.growth import growth as growing
+    from sumo_adv.benchmark.tables.growth import write_growth
+    from sumo_adv.benchmark.tables.plots import draw_growth
+
+    rows = ["expert", "expert+recall=scene", *([f"llm-a:{llm}", f"llm-a:{llm}+recall=scene"] if llm else [])]
+    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(asked, means, as_json=as_json)
+    steps = growing(cells, asked.suite.cases)
+    files = write_growth(steps, cells, means.folder, _about(asked, means))
+    files.append(draw_growth(means.folder / "figures" / "growth.png", steps, f"Growth over {asked.suite.name}"))
+    _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
+
+
+@app.command("label", epilog="Example: sumo-adv bench label --suite suite81 --ego idm,krauss --out runs/bench")
+def label(
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
+    from sumo_adv.benchmark.rows.oracle import oracle_labels
+    from sumo_adv.benchmark.tables.write import as_json as text_of
+    from sumo_adv.benchmark.tables.write import write_texts
+
+    asked, means = _order(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(asked, means, as_json=as_json)
+    labels: dict[str, dict[str, Any]] = {}
+    for cell in cells:
+        if cell["attempts"]:
+            labels.setdefault(cell["case"], {})[cell["ego"]] = oracle_labels(cell)
+    files = write_texts(means.folder, {"labels.json": text_of(labels)})
+    _say(means, cells, files, f"{len(labels)} of {len(asked.suite.cases)} encounters labelled.", as_json=as_json)
 
 
 @app.command("make", epilog="Example: sumo-adv bench make --seed 1 --out suites/other")
@@ -162,6 +228,7 @@ def _write(
 ) -> None:
     """The table's files; the table itself on stdout."""
     from sumo_adv.benchmark.tables.compute import make_table
+    from sumo_adv.benchmark.tables.plots import draw_all
     from sumo_adv.benchmark.tables.write import write_table
 
     found: Suite = asked.suite
@@ -170,12 +237,18 @@ def _write(
         rows=asked.rows, reference=reference,
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(asked, means), name)
+    files += draw_all(cells, means.folder / "figures", asked.rows)
+    _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
+
+
+def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, *, as_json: bool) -> None:
+    """What came of it; exit status 1 if every cell failed."""
     broken = [c for c in cells if c["ending"] == "simulation_failed"]
     if as_json:
         count = {"cells": len(cells), "failed": len(broken)}
         typer.echo(json.dumps({"folder": str(means.folder), **count, "files": [str(f) for f in files]}))
     else:
-        typer.echo(next(f for f in files if f.suffix == ".md").read_text(encoding="utf-8"))
+        typer.echo(text)
         typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
     if broken:
         first = f"{broken[0]['case']} ({broken[0]['row']}): {broken[0]['reason']}"
