@@ -1,0 +1,120 @@
+"""Runs a drawn encounter unattacked in SUMO, with each driver under test, and says what is wrong with it.
+
+The drive is the one of ``run`` (``Worker.open``, ``Worker.seek``), so what is kept here is found there.  Each trial is
+a fork of a process that has imported everything and run nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.config import load_settings
+from sumo_adv.episode.encounter import FASTEST_START, LATEST
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import Found, NotFound, Task
+from sumo_adv.episode.worker import Worker
+from sumo_adv.errors import UsageError
+from sumo_adv.situation import Target
+from sumo_adv.world.engine import in_forks
+from sumo_adv.world.inputs import load_input
+
+EGOS = ("idm", "krauss", "eidm", "careful")
+"""The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
+
+TTC = 1.0  # s: at or below this an encounter is critical by itself
+STAYS = 15.0  # s after the trigger that the ego must still be there: an attack begun 3 s late lasts 12 s
+BV_STAYS = 8.0  # s
+RELATIONS = {
+    "leader": "leader", "neighbour_ahead": "neighbour", "neighbour_behind": "neighbour", "oncoming": "oncoming",
+    "follower": "follower",
+}  # fmt: skip
+MEETING = ("crossing", "merging", "oncoming")
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An encounter with one driver. ``bv``: who is meant to be the adversary, ``kind``: as what; ``first``: whether it
+    must be the most dangerous one."""
+
+    task: Task
+    bv: str
+    kind: str
+    first: bool
+
+
+def trial(scenario: Path, ego: str, bv: str, kind: str, seed: int = 0) -> Trial:
+    """The trial of a scenario file with the driver ``ego`` and SUMO's ``seed``."""
+    source = load_input(scenario)
+    settings = load_settings(None, ego=ego, seed=seed, ttc=TTC, horizon=source.horizon)
+    task = make_task(source, settings, Path(tempfile.gettempdir()))
+    return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
+
+
+def tried(one: Trial) -> str:
+    """What is wrong with an encounter, in words without figures; empty if it is good."""
+    worker = Worker([])
+    worker.open(one.task)
+    try:
+        found = worker.seek()
+    except UsageError:  # SUMO found no room for the ego in all the time given
+        return "the ego is not inserted"
+    return _not_found(found) if isinstance(found, NotFound) else _fault(one, found)
+
+
+def _not_found(found: NotFound) -> str:
+    words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", found.reason)
+    return re.sub(r":.*", "", words).rstrip(".")
+
+
+def _fault(one: Trial, found: Found) -> str:
+    present = {name: sum(name in snapshot.raw for snapshot in found.raw) for name in (found.ego, one.bv)}
+    dt = one.task.settings.step_length
+    if present[found.ego] * dt < STAYS:
+        return "the ego stays too short"
+    if present[one.bv] * dt < BV_STAYS:
+        return "the vehicle meant stays too short"
+    relations = {name: relation for name, relation, _ in found.ranking}
+    target = found.first.targets.get(one.bv)
+    if one.bv not in relations or target is None:
+        return "the vehicle meant is no candidate"
+    if one.first and found.ranking[0][0] != one.bv:
+        return "another vehicle is more dangerous than the one meant"
+    if one.kind not in RELATIONS:
+        ok = relations[one.bv] in MEETING and in_time(target, found.first.ego.speed)
+        return "" if ok else "the vehicle meant cannot be at the conflict in time"
+    ahead = found.first.frame.to_local(target.state.x, target.state.y, target.state.heading)[0] > 0
+    sided = {"neighbour_ahead": ahead, "neighbour_behind": not ahead}.get(one.kind, True)
+    return "" if relations[one.bv] == RELATIONS[one.kind] and sided else "the vehicle meant stands otherwise by then"
+
+
+def in_time(target: Target, ego_speed: float) -> bool:
+    """Whether a vehicle that accelerates at once is at a conflict no later than 0.2 s after the ego (ALGORITHM)."""
+    for way in target.ways:
+        if way.conflict is None or way.conflict.bv_s < 1.0 or way.conflict.ego_s < 1.0:
+            continue
+        v = max(target.state.speed, 0.1)
+        earliest = (-v + math.sqrt(v * v + 2 * FASTEST_START * way.conflict.bv_s)) / FASTEST_START
+        if earliest <= way.conflict.ego_s / max(ego_speed, 1.0) + LATEST:
+            return True
+    return False
+
+
+def _each(trials: Sequence[Trial]) -> list[str]:
+    """What is wrong with each, all at the same time."""
+    return in_forks([partial(tried, one) for one in trials])
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The command of the process that forks the trials."""
+    import libsumo  # noqa: F401 - what every trial needs is there before the first fork
+    import shapely.geometry  # noqa: F401
+
+    return {"trials": _each}

@@ -1,0 +1,259 @@
+"""Suites: frozen, versioned lists of encounters. Shipped ones, folders of one's own, scenario files, Waymo records.
+
+    schema = 1                            # suite.toml
+    name = "mine"
+    version = "1"
+    [[cases]]                             # one an encounter
+    name = "straight-01"
+    kind = "leader"                       # any word; tables have a row for each
+    group = "straight"                    # straight | intersection
+    file = "straight-01.toml"             # a scenario, counted from the list's folder
+    [files]                               # SHA-256 by path; may be left out, but then nothing is checked
+    "straight-01.toml" = "..."
+
+A list may name cases of another one instead (``suite = "suite81"``, ``cases = ["straight-01", ..]``).  What an oracle
+holds to be the most dangerous intents stands beside the list in ``labels.json``:
+``{case: {ego: {"collision": [labels], "valid": [labels]}}}``; it is not part of what is frozen.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
+from sumo_adv.errors import UsageError
+from sumo_adv.world.inputs import data_folder, input_name, load_input, resolve
+from sumo_adv.world.network import read_network
+
+SUITE_FILE = "suite.toml"
+LABEL_FILE = "labels.json"
+WOMD = "womd:"
+OWN_KIND = "own"
+Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
+
+Labels = Mapping[str, Mapping[str, Mapping[str, tuple[str, ...]]]]
+LABELS: TypeAdapter[Any] = TypeAdapter(dict[str, dict[str, dict[Literal["collision", "valid"], tuple[str, ...]]]])
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Entry(_Table):
+    name: Name
+    kind: Name
+    group: Literal["straight", "intersection"]
+    file: str
+
+
+class _List(_Table):
+    """A list of scenario files."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: Name
+    version: str
+    seed: int | None = None
+    making: dict[str, Any] = Field(default_factory=dict)
+    cases: Annotated[tuple[_Entry, ...], Field(min_length=1)]
+    files: dict[str, str] = Field(default_factory=dict)
+
+
+class _Choice(_Table):
+    """Some cases of another suite."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: Name
+    version: str
+    suite: str
+    cases: Annotated[tuple[Name, ...], Field(min_length=1)]
+
+
+def load_suite(*named: str) -> Suite:
+    """The suite that ``named`` means: a shipped name, a list or its folder, ``womd:FOLDER``, or scenario files.
+
+    Raises UsageError for what is missing, damaged, or was changed since it was frozen.
+    """
+    if not named:
+        raise UsageError(f"Name a suite: {', '.join(shipped_suites())}, a folder, scenario files or {WOMD}FOLDER.")
+    if len(named) == 1:
+        if named[0].startswith(WOMD):
+            return _womd(Path(named[0].removeprefix(WOMD)))
+        found = _list_file(named[0])
+        if found is not None:
+            return _listed(found)
+    return _scenarios([source for name in named for source in _sources(name)])
+
+
+def shipped_suites() -> tuple[str, ...]:
+    """The names of the suites that travel with the program."""
+    folder = data_folder("suites")
+    return tuple(sorted([p.stem for p in folder.glob("*.toml")] + [p.parent.name for p in folder.glob("*/suite.toml")]))
+
+
+def hash_of_file(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _list_file(name: str) -> Path | None:
+    """The list that a name means, None if it means none (a scenario, a folder of scenarios)."""
+    given = Path(name)
+    if given.is_dir():
+        return given / SUITE_FILE if (given / SUITE_FILE).is_file() else None
+    if given.is_file():
+        return given if given.suffix == ".toml" and "cases" in _table(given) else None
+    if len(given.parts) == 1:
+        stem = name.removesuffix(".toml")
+        for shipped in (data_folder("suites") / stem / SUITE_FILE, data_folder("suites") / f"{stem}.toml"):
+            if shipped.is_file():
+                return shipped
+    return None
+
+
+def _sources(name: str) -> list[Path]:
+    """The scenario files of a folder, or the one file or shipped scenario."""
+    given = Path(name)
+    if given.is_dir():
+        files = sorted(given.glob("*.toml"))
+        if not files:
+            raise UsageError(f"The folder {given} holds neither a {SUITE_FILE} nor a scenario.")
+        return files
+    try:
+        return [resolve(given)]
+    except UsageError as error:
+        known = ", ".join(shipped_suites())
+        raise UsageError(f"There is no suite, folder or scenario '{name}'; shipped suites are {known}.") from error
+
+
+def _table(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"The file {path} is not valid TOML: {error}.") from error
+
+
+def _listed(path: Path) -> Suite:
+    table = _table(path)
+    try:
+        if "suite" in table:
+            return _chosen(path, _Choice.model_validate(table))
+        return _whole(path, _List.model_validate(table))
+    except ValidationError as error:
+        first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+        key = ".".join(map(str, first["loc"]))
+        if first["type"] == "extra_forbidden":
+            raise UsageError(f"The suite {path} has an unknown key '{key}'.") from error
+        raise UsageError(
+            f"The suite {path} has a bad '{key}': {first['msg'][:1].lower()}{first['msg'][1:]}."
+        ) from error
+
+
+def _whole(path: Path, given: _List) -> Suite:
+    folder, labels = path.parent, _labels(path.parent / LABEL_FILE)
+    names = [entry.name for entry in given.cases]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise UsageError(f"The suite {path} has the case '{twice}' twice.")
+    unknown = next((name for name in labels if name not in names), None)
+    if unknown is not None:
+        raise UsageError(f"{folder / LABEL_FILE} labels '{unknown}', which is no case of {path}.")
+    for name, frozen in given.files.items():
+        if not (folder / name).is_file():
+            raise UsageError(f"The suite {path} lists {name}, which is missing.")
+        if hash_of_file(folder / name) != frozen:
+            raise UsageError(
+                f"{folder / name} was changed since the suite was frozen: restore it, or make a new suite."
+            )
+    cases, hashes = [], dict(given.files)
+    for entry in given.cases:
+        scenario = folder / entry.file
+        if not scenario.is_file():
+            raise UsageError(f"The suite {path} lists {entry.file}, which is missing.")
+        if not given.files:
+            hashes |= {f"{entry.name}/{k}": hash_of_file(f) for k, f in enumerate(load_input(scenario).files)}
+        cases.append(Case(entry.name, scenario, None, entry.kind, entry.group, labels.get(entry.name, {})))
+    return Suite(given.name, given.version, tuple(cases), _content(hashes))
+
+
+def _chosen(path: Path, given: _Choice) -> Suite:
+    beside = path.parent / given.suite
+    source = _list_file(str(beside) if beside.exists() else given.suite)
+    if source is None or "suite" in _table(source):
+        raise UsageError(f"The suite {path} chooses from '{given.suite}', which is no list of scenarios.")
+    whole = _listed(source)
+    known = {case.name: case for case in whole.cases}
+    missing = next((name for name in given.cases if name not in known), None)
+    if missing is not None:
+        raise UsageError(f"The suite {path} names '{missing}', which is no case of {whole.name}.")
+    content = _content({"suite": whole.content, "cases": " ".join(given.cases)})
+    return Suite(given.name, given.version, tuple(known[name] for name in given.cases), content)
+
+
+def _labels(path: Path) -> Labels:
+    if not path.is_file():
+        return {}
+    try:
+        labels: Labels = LABELS.validate_python(json.loads(path.read_text(encoding="utf-8")))
+        return labels
+    except (ValidationError, ValueError) as error:
+        raise UsageError(f"{path} does not hold labels by case, ego and criterion (collision, valid).") from error
+
+
+def _scenarios(sources: Sequence[Path]) -> Suite:
+    """A suite of scenario files that no list speaks of: their group is read off their network."""
+    cases: list[Case] = []
+    hashes: dict[str, str] = {}
+    for source in sources:
+        given = load_input(source)
+        name = given.name if all(given.name != case.name for case in cases) else f"{given.name}-{len(cases) + 1}"
+        hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(given.files)}
+        cases.append(Case(name, source, None, OWN_KIND, _group(given.network)))
+    content = _content(hashes)
+    return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
+
+
+def _group(network: Path) -> str:
+    """intersection where somebody must give way to somebody, else straight."""
+    states = {c.state for lane in read_network(network).lanes.values() for c in lane.connections}
+    return GROUPS[1] if states - {"M"} else GROUPS[0]
+
+
+def _womd(folder: Path) -> Suite:
+    """The records that a folder's manifest holds to be straight or intersection; kind: whose future is recorded."""
+    manifest = folder / "manifest.csv"
+    if not manifest.is_file():
+        raise UsageError(f"{folder} has no manifest.csv: give a folder of Waymo records that lists them.")
+    with manifest.open(encoding="utf-8", newline="") as lines:
+        rows = list(csv.DictReader(lines))
+    lacking = {"id", "suite"} - set(rows[0] if rows else ())
+    if lacking:
+        raise UsageError(f"{manifest} lacks the column '{min(lacking)}'.")
+    cases, hashes = [], {manifest.name: hash_of_file(manifest)}
+    for row in rows:
+        if row["suite"] not in GROUPS:
+            continue
+        record = folder / f"{row['id']}.tfrecord"
+        if not record.is_file():
+            raise UsageError(f"{manifest} lists {record.name}, which is missing.")
+        hashes[record.name] = hash_of_file(record)
+        kind = (row.get("future") or "log").replace(" ", "_")
+        cases.append(Case(row["id"], record, row["id"].split(".")[0], kind, row["suite"]))
+    if not cases:
+        raise UsageError(f"{manifest} lists no record that is straight or intersection.")
+    content = _content(hashes)
+    return Suite("womd", content[:8], tuple(cases), content)
+
+
+def _content(hashes: Mapping[str, str]) -> str:
+    text = "\n".join(f"{name} {value}" for name, value in sorted(hashes.items()))
+    return hashlib.sha256(text.encode()).hexdigest()
