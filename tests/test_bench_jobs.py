@@ -1,0 +1,109 @@
+"""What a bench runs at once, which rows share a simulation, and the banks that rows have."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import ROOT
+
+from sumo_adv.benchmark.banks import bank_of
+from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, make_jobs, slug
+from sumo_adv.benchmark.methods import ABLATIONS, FIXED_LIBRARY, REFERENCE, Method, method_of
+from sumo_adv.benchmark.nouns import Case
+from sumo_adv.errors import UsageError
+from sumo_adv.memory.bank import MemoryBank
+
+CASES = [Case(name, Path(f"{name}.toml"), None, "leader", "straight") for name in ("one", "two", "three")]
+SHIPPED = ROOT / "memory_bank.sqlite"
+
+
+@contextmanager
+def nobody(*_: Any) -> Iterator[None]:
+    yield None
+
+
+PARTS = Parts(lambda path, record: None, nobody, lambda episode: {}, lambda path, episode: None)  # type: ignore[arg-type, return-value]
+
+
+def test_rows_that_change_nothing_of_the_simulation_share_it_and_those_that_learn_are_chains() -> None:
+    rows = ("raw", "expert", "expert+learn=off", "random", "expert+replan=60+learn=off")
+    free, chains = make_jobs(CASES, ("idm", "krauss"), rows, 7)
+    assert {job.rows for job in free} == {("raw", "expert+learn=off", "random"), ("expert+replan=60+learn=off",)}
+    assert len(free) == 2 * 3 * 2  # groups of rows x encounters x egos
+    assert [[(job.case.name, job.place) for job in chain] for chain in chains] == [
+        [("one", 0), ("two", 1), ("three", 2)]
+    ] * 2
+    assert {job.seed for job in free} == {7}
+
+
+def test_a_row_in_words() -> None:
+    assert method_of("random") is None and method_of("my_module:Generator") is None
+    assert method_of("expert") == Method("expert", {}, learns=True)
+    assert method_of("llm-f") == Method("llm-f", {}, fixed=True)
+    named = method_of("llm-a:deepseek-chat+evidence=off")
+    assert named is not None and (named.settings, named.learns) == (
+        {"llm": "deepseek-chat", "evidence": "off"}, True
+    )  # fmt: skip
+    early = method_of("expert+shift=-1.5+learn=off")
+    assert early is not None and (early.shift, early.learns, dict(early.settings)) == (-1.5, False, {})
+
+
+@pytest.mark.parametrize("row", [*ABLATIONS, REFERENCE])
+def test_every_ablation_is_a_row_of_the_program(row: str) -> None:
+    assert method_of(row) is not None
+
+
+@pytest.mark.parametrize("row", ["expert+shift=soon", "expert+", "llm-f+until=ttc", "expert+attempts=3"])
+def test_what_cannot_be_changed_is_said(row: str) -> None:
+    with pytest.raises(UsageError, match=r"^The row '"):
+        method_of(row)
+
+
+def test_names_of_files_are_safe_and_stay_apart() -> None:
+    assert slug("expert+learn=off") == "expert+learn=off"
+    one, two = slug("../../etc:passwd"), slug("..-..-etc-passwd")
+    assert one != two and "/" not in one and not one.startswith(".")
+    assert cell_path(Path("b"), "idm", "one", "raw") == Path("b/cells/idm/one/raw.json")
+
+
+def _setup(folder: Path) -> Setup:
+    return Setup(folder, "own", SHIPPED, {}, PARTS)
+
+
+def test_llm_f_has_two_intents_and_the_library_keeps_its_seven(tmp_path: Path) -> None:
+    job = Job(CASES[0], "idm", 0, ("llm-f",))
+    with (
+        MemoryBank.open(SHIPPED, read_only=True) as library,
+        bank_of(Method("llm-f", fixed=True), job, _setup(tmp_path), library, tmp_path) as bank,
+    ):
+        assert {i.label for i in bank.intents() if i.status == "active"} == set(FIXED_LIBRARY)
+        assert sum(i.status == "active" for i in library.intents()) == 7
+
+
+def test_an_encounter_that_was_cut_off_begins_from_the_same_bank_again(tmp_path: Path) -> None:
+    """Encounter 1 is broken off after it changed its bank: its second try finds what encounter 0 had left."""
+    setup, method = _setup(tmp_path), Method("expert", learns=True)
+    jobs = [Job(CASES[k], "idm", 0, ("expert",), place=k) for k in range(3)]
+    folder = tmp_path / "banks" / "idm" / "expert"
+    with MemoryBank.open(SHIPPED, read_only=True) as library:
+        with bank_of(method, jobs[0], setup, library, tmp_path) as bank:
+            bank.retire("Emergency Braking")
+            left = bank.content_hash()
+        with pytest.raises(KeyboardInterrupt), bank_of(method, jobs[1], setup, library, tmp_path) as bank:
+            assert bank.content_hash() == left
+            bank.retire("Aggressive Cut-in")
+            raise KeyboardInterrupt
+        with bank_of(method, jobs[1], setup, library, tmp_path) as bank:
+            assert bank.content_hash() == left
+            bank.retire("Straight Lane Shift")
+            left = bank.content_hash()
+        shutil.copyfile(folder / "2.sqlite", tmp_path / "kept.sqlite")
+        with bank_of(method, jobs[2], setup, library, tmp_path) as bank:
+            assert bank.content_hash() == left
+    with MemoryBank.open(tmp_path / "kept.sqlite", read_only=True) as bank:
+        assert {i.label for i in bank.intents() if i.status != "active"} == {"Emergency Braking", "Straight Lane Shift"}
