@@ -19,6 +19,7 @@ from sumo_adv.benchmark.tables.markdown import to_markdown
 from sumo_adv.files import sentences, write_text
 
 SCHEMA = 1
+DIGESTED = ("case", "ego", "row", "seed", "ending", "raw", "attempts", "best", "outcome", "intents")
 COLUMNS = (
     "ego", "part", "row", "column", "figure", "value", "low", "high", "n", "difference", "difference_low",
     "difference_high", "p", "pairs",
@@ -71,8 +72,8 @@ def manifest(about: About, cells: Sequence[Cell], files: Sequence[str]) -> dict[
 
 
 def digest(cells: Iterable[Cell]) -> str:
-    """SHA-256 over what the cells say but for their seconds, in any order."""
-    kept = [{k: v for k, v in cell.items() if k not in ("timing", "llm")} for cell in cells]
+    """SHA-256 over what came of the cells, in any order: equal where only seconds differ."""
+    kept = [{k: cell.get(k) for k in DIGESTED} for cell in cells]
     lines = sorted(json.dumps(cell, sort_keys=True, ensure_ascii=False, default=str) for cell in kept)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
