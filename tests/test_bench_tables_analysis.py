@@ -10,6 +10,7 @@ import pytest
 from bench_cells import Cell, attempt, cell
 
 from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.suites import LABELS as LABEL_FILE
 from sumo_adv.benchmark.tables.analysis import ANSWERS, CEILING, CHANCE, Analysis, Part, Score, analyze
 from sumo_adv.benchmark.tables.analysis_files import to_markdown, write_analysis
 from sumo_adv.benchmark.tables.write import About
@@ -95,6 +96,11 @@ def test_annotations_of_people() -> None:
     assert [p.criterion for p in found.parts] == ["annotated"]
     assert score(found, "expert", "annotated").accuracy.value == 1 and part(found, "annotated").unlabelled == 2
     assert part(found, "annotated").calibration == {}
+
+
+def test_a_suite_may_hold_annotations() -> None:
+    given = LABEL_FILE.validate_python({"a": {"people": {"annotated": [CUT]}}})
+    assert given == {"a": {"people": {"annotated": (CUT,)}}}
 
 
 def test_models_are_compared_with_the_expert() -> None:

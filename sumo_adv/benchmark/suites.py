@@ -13,7 +13,8 @@
 
 A list may name cases of another one instead (``suite = "suite81"``, ``cases = ["straight-01", ..]``).  What an oracle
 holds to be the most dangerous intents stands beside the list in ``labels.json``:
-``{case: {ego: {"collision": [labels], "valid": [labels]}}}``; it is not part of what is frozen.
+``{case: {ego: {"collision": [labels], "valid": [labels]}}}``, what people annotated under the ego ``people`` as
+``{"annotated": [labels]}``; it is not part of what is frozen.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ OWN_KIND = "own"
 Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
 
 Labels = Mapping[str, Mapping[str, Mapping[str, tuple[str, ...]]]]
-LABELS: TypeAdapter[Any] = TypeAdapter(dict[str, dict[str, dict[Literal["collision", "valid"], tuple[str, ...]]]])
+Criterion = Literal["collision", "valid", "annotated"]
+LABELS: TypeAdapter[Any] = TypeAdapter(dict[str, dict[str, dict[Criterion, tuple[str, ...]]]])
 
 
 class _Table(BaseModel):
@@ -206,7 +208,9 @@ def _labels(path: Path) -> Labels:
         labels: Labels = LABELS.validate_python(json.loads(path.read_text(encoding="utf-8")))
         return labels
     except (ValidationError, ValueError) as error:
-        raise UsageError(f"{path} does not hold labels by case, ego and criterion (collision, valid).") from error
+        raise UsageError(
+            f"{path} does not hold labels by case, ego and criterion (collision, valid, annotated)."
+        ) from error
 
 
 def _scenarios(sources: Sequence[Path]) -> Suite:
