@@ -5,8 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shutil
 import signal
+import subprocess
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +18,11 @@ from ego_samples import BRAKES_AT, CalmEgo
 
 from sumo_adv.world.egos import LaneSpeed, Observation
 
-INPUTS = ("motorway_cut_in_left", "leader_two_lanes")
-QUICK = ("--set", "attempts=1", "--set", "proposals=8", "--set", "duration=6.0")
+INPUTS = ("motorway_cut_in_left", "t_junction_left_into_stem")
+SETTINGS: Mapping[str, Any] = {"attempts": 1, "proposals": 8, "duration": 6.0, "delays": [0.0], "shortlist": 2}
+"""An episode costs less than half a second of core with them, so the start of processes is most of a test."""
+SETTINGS_FILE = "".join(f"{name} = {value}\n" for name, value in SETTINGS.items())
+QUICK = tuple(word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}"))
 SMALL = ("batch", *INPUTS, "--seeds", "2", *QUICK, "--out", "out")
 RUN = {"outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "inputs"}
 CRASHED = Path("crashed")  # in the folder that the program runs in
@@ -85,3 +91,28 @@ def workers_of(parent: int) -> list[int]:
         return [pid for pid in children if pid == os.getpgid(pid)]
     except OSError:
         return []
+
+
+# -- batches of the soak tests -----------------------------------------------------------------------------------------
+
+LONGEST = 4 * 3600.0  # s
+
+
+def finished(program: Program) -> int:
+    """Runs that are whole."""
+    runs = program.folder / "out" / "runs"
+    return sum(not p.name.startswith(".") for p in runs.iterdir()) if runs.is_dir() else 0
+
+
+def patient(program: Program, process: subprocess.Popen[str]) -> Done:
+    """The program once it has ended."""
+    out, err = process.communicate(timeout=LONGEST)
+    return Done(process.returncode, out, err, program.folder / "out")
+
+
+def thin_out(program: Program) -> None:
+    """Lose every second run, if all are there."""
+    runs = sorted(p for p in (program.folder / "out" / "runs").iterdir() if not p.name.startswith("."))
+    if (program.folder / "out" / "results.csv").is_file() and len(table(program.folder / "out")) == len(runs):
+        for run in runs[::2]:
+            shutil.rmtree(run)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from batch_samples import CRASHED, INPUTS, QUICK, RUN, SMALL, clean, summary, table, workers_of
+from batch_samples import CRASHED, INPUTS, QUICK, RUN, SETTINGS_FILE, SMALL, clean, summary, table, workers_of
 from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, untimed
 from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
@@ -27,6 +27,20 @@ def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[tu
     """The small plan on two workers, undisturbed."""
     program = Program(tmp_path_factory.mktemp("whole"), caches)
     yield program, program(*SMALL, "--workers", "2")
+
+
+TAUGHT = (*SMALL, "--learn", "after", "--memory", "bank.sqlite")
+
+
+@pytest.fixture(scope="module")
+def taught(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> list[tuple[Program, dict[str, Any]]]:
+    """The small plan twice, each with a bank of its own, and what was said: on one worker, recycled, and on two."""
+    done = []
+    for k, workers in enumerate((("1", "--recycle", "2"), ("2",))):
+        program = Program(tmp_path_factory.mktemp(f"taught{k}"), caches)
+        shutil.copy(ROOT / "memory_bank.sqlite", program.folder / "bank.sqlite")
+        done.append((program, summary(program(*TAUGHT, "--workers", *workers, "--json"))))
+    return done
 
 
 def again(program: Program, whole: tuple[Program, Done]) -> Path:
@@ -58,8 +72,8 @@ def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tupl
 
 
 def test_an_episode_is_what_run_makes_of_it(program: Program, whole: tuple[Program, Done]) -> None:
-    (program.folder / "quick.toml").write_text("proposals = 8\nduration = 6.0\n")
-    options = ("--attempts", "1", "--seed", "1", "--learn", "off", "--settings", "quick.toml", "--out", "alone")
+    (program.folder / "quick.toml").write_text(SETTINGS_FILE)
+    options = ("--seed", "1", "--learn", "off", "--settings", "quick.toml", "--out", "alone")
     program("run", INPUTS[0], *options)
     folder = whole[1].folder / "runs" / table(whole[1].folder)[1]["id"]
     ours, alone = files_of(folder), files_of(program.folder / "alone")
@@ -68,13 +82,14 @@ def test_an_episode_is_what_run_makes_of_it(program: Program, whole: tuple[Progr
     assert {name: data for name, data in ours.items() if alone[name] != data} == {}
 
 
-def test_one_worker_recycled_after_every_episode_gives_the_same_rows(
-    program: Program, whole: tuple[Program, Done]
+def test_any_number_of_workers_gives_the_same_rows(
+    whole: tuple[Program, Done], taught: list[tuple[Program, dict[str, Any]]]
 ) -> None:
-    said = summary(program(*SMALL, "--workers", "1", "--recycle", "1", "--json"))
-    assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
-    assert table(program.folder / "out") == table(whole[1].folder)
-    clean(program)
+    """One worker, recycled after every second episode, and two: what they learnt the others did not see either."""
+    for program, said in taught:
+        assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
+        assert table(program.folder / "out") == table(whole[1].folder)
+        clean(program, "bank.sqlite")
 
 
 def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tuple[Program, Done]) -> None:
@@ -86,7 +101,7 @@ def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tu
 
 
 def test_a_plan_file_is_the_same_as_its_options(program: Program, whole: tuple[Program, Done]) -> None:
-    text = f"inputs = {json.dumps(INPUTS)}\nseeds = [0, 1]\n[settings]\nattempts = 1\nproposals = 8\nduration = 6.0\n"
+    text = f"inputs = {json.dumps(INPUTS)}\nseeds = [0, 1]\n[settings]\n{SETTINGS_FILE}"
     (program.folder / "plan.toml").write_text(text)
     said = summary(program("batch", "plan.toml", "--dry-run", "--json"))
     assert [e["id"] for e in said["episodes"]] == [r["id"] for r in table(whole[1].folder)]
@@ -138,37 +153,59 @@ def test_packed_runs_count_as_done_and_come_back_as_they_were(program: Program, 
 # -- faults
 
 
-def test_broken_members_fail_by_name_and_the_rest_completes(program: Program) -> None:
-    """A network that is not there, a corrupt record, a driver that hangs and one that crashes, beside a good one."""
+EGOS = ("ego_samples:CalmEgo", "batch_samples:CrashingEgo", "batch_samples:OnceCrashingEgo", "ego_samples:NoEgo")
+
+
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
+    """A network that is not there, a corrupt record, a driver that crashes, one that does so only once and one that is
+    not there, beside a good one."""
+    program = Program(tmp_path_factory.mktemp("broken"), caches)
     (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)
     inputs = (INPUTS[0], "gone.net.xml", "bad.tfrecord")
-    egos = "ego_samples:CalmEgo,batch_samples:HangingEgo,batch_samples:CrashingEgo,ego_samples:NoEgo"
-    options = ("--workers", "2", "--deadline", "15", "--out", "out")
-    done = program("batch", *inputs, "--egos", egos, *QUICK, *options)
+    return program, program("batch", *inputs, "--egos", ",".join(EGOS), *QUICK, "--workers", "2", "--out", "out")
+
+
+def test_broken_members_fail_by_name_and_the_rest_completes(broken: tuple[Program, Done]) -> None:
+    program, done = broken
     assert done.status == 0 and "Traceback" not in done.err
-    assert len(done.err.splitlines()) == 11  # a sentence for each that failed
     rows = table(done.folder)
-    calm, hanging, crashing, none = rows[:4]
-    assert len(rows) == 12 and all(r["failure"] and r["ending"] == "simulation_failed" for r in rows[1:])
-    assert calm["failure"] == "" and calm["ending"] in ("critical", "attempts_exhausted")
-    assert "not done after 15 s" in hanging["failure"]
+    calm, crashing, once, none = rows[:4]
+    failed = [crashing, none, *rows[4:]]
+    assert len(rows) == 12 and len(done.err.splitlines()) == len(failed)  # a sentence for each
+    assert all(r["failure"] and r["ending"] == "simulation_failed" for r in failed)
+    assert calm["failure"] == once["failure"] == "" and calm["ending"] in ("critical", "attempts_exhausted")
     assert "died without a word" in crashing["failure"]  # in the fork that runs on unattacked
     assert "NoEgo" in none["failure"]
     assert all("gone.net.xml" in r["failure"] for r in rows[4:8])
     assert all("bad.tfrecord" in r["failure"] for r in rows[8:])
-    for row in rows[1:]:
+    for row in failed:
         assert (done.folder / row["traceback"]).read_text(encoding="utf-8").strip()
     assert "Segmentation fault" in (done.folder / crashing["traceback"]).read_text(encoding="utf-8")
-    clean(program, "bad.tfrecord")
+    clean(program, "bad.tfrecord", CRASHED.name)
 
 
-def test_what_crashes_once_is_tried_again(program: Program) -> None:
-    options = ("--seeds", "1", *QUICK, "--out", "out", "--json")
-    said = summary(program("batch", INPUTS[0], "--egos", "batch_samples:OnceCrashingEgo", *options))
-    assert (said["finished"], said["failed"]) == (1, 0)
-    (row,) = table(program.folder / "out")
-    assert (row["failure"], row["traceback"]) == ("", "")
-    clean(program, CRASHED.name)
+def test_what_crashes_once_is_tried_again_and_is_as_if_it_had_not(broken: tuple[Program, Done]) -> None:
+    program, done = broken
+    calm, once = (r for r in table(done.folder) if r["ending"] != "simulation_failed")
+    assert (program.folder / CRASHED).exists() and once["traceback"] == ""
+    apart = ("id", "ego")
+    assert {k: v for k, v in once.items() if k not in apart} == {k: v for k, v in calm.items() if k not in apart}
+
+
+def test_drivers_that_hang_are_ended_twice_and_fail_by_name(program: Program) -> None:
+    options = ("--seeds", "2", "--workers", "2", "--deadline", "3", "--out", "out")
+    with program.start("batch", INPUTS[0], "--egos", "batch_samples:HangingEgo", *QUICK, *options) as process:
+        family = set[int]()
+        while process.poll() is None:
+            family |= children_of(process.pid)
+            time.sleep(0.1)
+        out, err = process.communicate()
+    assert process.returncode == 1 and "Traceback" not in err and out.startswith("2 of 2 episodes")
+    for row in table(program.folder / "out"):
+        assert row["failure"] == "It failed 2 times: it was not done after 3 s."
+    assert left_of(family) == set()
+    clean(program)
 
 
 def test_planners_that_hang_cost_their_attempts(program: Program) -> None:
@@ -276,32 +313,22 @@ def test_a_full_disk_is_a_sentence_and_nothing_is_half_written(program: Program)
 # -- learning
 
 
-def learnt(program: Program, *options: str) -> tuple[dict[str, Any], MemoryBank]:
-    """A batch with a bank of its own."""
-    bank = program.folder / "bank.sqlite"
-    if not bank.exists():
-        shutil.copy(ROOT / "memory_bank.sqlite", bank)
-    said = summary(program(*SMALL, "--memory", str(bank), "--json", *options))
-    return said, MemoryBank.open(bank, read_only=True)
-
-
 def test_off_learns_nothing_and_after_learns_in_the_plans_order(
-    whole: tuple[Program, Done], tmp_path_factory: pytest.TempPathFactory, caches: Path
+    whole: tuple[Program, Done], taught: list[tuple[Program, dict[str, Any]]]
 ) -> None:
-    banks: list[Sequence[Any]] = []
-    for k, workers in enumerate(("2", "1")):
-        mine = Program(tmp_path_factory.mktemp(f"learns{k}"), caches)
-        said, bank = learnt(mine, "--learn", "after", "--workers", workers)
-        with bank:
-            banks.append(bank.evidence())
-        assert said["learnt"] == len(banks[-1]) > 0
-        assert table(mine.folder / "out") == table(whole[1].folder)  # nobody saw what others learnt
-    assert banks[0] == banks[1]
-    said, bank = learnt(mine, "--learn", "after")
-    with bank:
-        assert said["ran"] == 0 and bank.evidence() == banks[0]
-    with MemoryBank.open(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite", read_only=True) as untouched:
-        assert untouched.evidence() == []
+    one, two = (evidence_of(program.folder / "bank.sqlite") for program, _ in taught)
+    assert one == two and [said["learnt"] for _, said in taught] == [len(one), len(two)]
+    assert one
+    program, _ = taught[0]
+    again = summary(program(*TAUGHT, "--json"))
+    assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == one
+    assert evidence_of(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite") == []
+
+
+def evidence_of(bank: Path) -> Sequence[Any]:
+    """What a bank has learnt."""
+    with MemoryBank.open(bank, read_only=True) as opened:
+        return opened.evidence()
 
 
 def test_during_is_said_aloud(program: Program) -> None:

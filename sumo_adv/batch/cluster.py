@@ -8,11 +8,13 @@ with the plan's. What a lost node or worker was at is Ray's to try again, ``LOSS
 from __future__ import annotations
 
 import io
+import logging
 import os
 import shutil
 import socket
 import sys
 import tempfile
+import time
 import zipfile
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -36,6 +38,7 @@ from sumo_adv.world.inputs import load_input
 
 LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
 JOIN_SECONDS = 60.0  # for a node to say its versions
+LOST_SECONDS = 10.0  # for Ray to say that a node is lost which did not answer
 KNOCK_SECONDS = 10.0
 DESK = "sumo_adv-ray-"  # folders of Ray workers, with their process ids
 TICK = 0.5  # s
@@ -137,7 +140,7 @@ def connect(address: str) -> Any:
         raise UsageError("--ray needs Ray, which is not installed: pip install 'sumo-adv[ray]'.") from error
     try:
         _knock(address)
-        ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level="ERROR")
+        ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
     except Exception as error:
         said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
         raise UsageError(f"There is no Ray cluster to be had at {address} ({said}); see ray start.") from error
@@ -165,10 +168,22 @@ def check_nodes(ray: Any, versions: Mapping[str, str]) -> None:
         try:
             theirs = ray.get(asked.options(scheduling_strategy=strategy).remote(list(versions)), timeout=JOIN_SECONDS)
         except ray.exceptions.RayError as error:
+            if _gone(ray, node["NodeID"]):
+                continue
             raise UsageError(f"The node {name} cannot run sumo_adv ({_first_line(error)}).") from error
         other = [f"{k} {theirs.get(k)} there, {v} here" for k, v in versions.items() if theirs.get(k) != v]
         if other:
             raise UsageError(f"The node {name} has other versions: {'; '.join(other)}; install the same on all.")
+
+
+def _gone(ray: Any, node_id: str) -> bool:
+    """Whether a node that did not answer was lost; of one that was killed Ray may say so only some seconds later."""
+    until = time.monotonic() + LOST_SECONDS
+    while any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes()):
+        if time.monotonic() > until:
+            return False
+        time.sleep(TICK)
+    return True
 
 
 def _first_line(error: BaseException) -> str:

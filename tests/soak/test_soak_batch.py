@@ -5,44 +5,55 @@ from __future__ import annotations
 import os
 import random
 import signal
-import subprocess
+import statistics
 import time
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
-from batch_samples import clean, summary, table, workers_of
-from cli_samples import Done, Program
+from batch_samples import QUICK, clean, finished, patient, summary, table, thin_out, workers_of
+from cli_samples import ROOT, Program
 from test_interrupt import alive, children_of
 
-INPUTS = ("motorway_cut_in_left", "leader_two_lanes", "neighbour_ahead_left", "oncoming_country_road")
-SHORT = ("--set", "attempts=1", "--set", "proposals=8", "--set", "duration=6.0", "--out", "out", "--json")
+INPUTS = ("motorway_cut_in_left", "neighbour_ahead_left", "follower_with_free_lane", "t_junction_left_into_stem")
+ROUNDS = 5  # times that a large batch goes through all of them
+SHORT = (*QUICK, "--out", "out", "--json")
 EPISODES = int(os.environ.get("SOAK_EPISODES", "1000"))
 KILLS = 20
-LONGEST = 4 * 3600.0  # s
-GROWTH = 120  # MB from the second tenth of the episodes to the last, of a worker that is never recycled
+ROLES = ("front", "workers", "engines and sandboxes")
+FLAT = 0.05  # share of its memory by which a role may differ between the fifths of a run, the first one left out
+LOOK = 0.5  # s between looks at the memory
+
+Sizes = Mapping[tuple[str, int], float]  # resident memory [MB] by role and process
 
 
-def memory_of(pids: set[int]) -> int:
-    """Resident memory of processes, MB."""
-    total = 0
-    for pid in pids:
-        try:
-            total += int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        except OSError:
-            continue
-    return total * os.sysconf("SC_PAGE_SIZE") // 2**20
+def resident(pid: int) -> float:
+    """Resident memory of a process [MB]; 0 once it has ended."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except OSError:
+        return 0.0
 
 
-def finished(program: Program) -> int:
-    """Runs that are whole."""
-    runs = program.folder / "out" / "runs"
-    return sum(not p.name.startswith(".") for p in runs.iterdir()) if runs.is_dir() else 0
+def sizes_of(parent: int) -> Sizes:
+    """The memory of a batch's front, of its workers and of all that these have started."""
+    workers = set(workers_of(parent))
+    roles = {pid: ROLES[0] if pid == parent else ROLES[1 if pid in workers else 2] for pid in children_of(parent)}
+    return {(role, pid): resident(pid) for pid, role in roles.items()}
 
 
-def patient(program: Program, process: subprocess.Popen[str]) -> Done:
-    out, err = process.communicate(timeout=LONGEST)
-    return Done(process.returncode, out, err, program.folder / "out")
+def lasting(seen: Sequence[Sizes], role: str) -> list[float]:
+    """Memory [MB] of a role's processes that last, at each look: forks, which end with their episode, left out."""
+    looks = Counter(process for sizes in seen for process in sizes)
+    last = {process for process, n in looks.items() if process[0] == role and n >= 0.9 * len(seen)}
+    return [sum(sizes.get(process, 0.0) for process in last) for sizes in seen]
+
+
+def fifths(values: Sequence[float]) -> list[float]:
+    """Medians of the fifths of a series."""
+    length = len(values) // 5
+    return [statistics.median(values[k * length : (k + 1) * length]) for k in range(5)]
 
 
 def folder_of(program: Program, name: str) -> Program:
@@ -50,27 +61,54 @@ def folder_of(program: Program, name: str) -> Program:
     return Program(program.folder / name, program._caches)
 
 
+def rounds_of(folder: Path) -> list[Path]:
+    """Copies of the scenarios, each with a content of its own, so that all are run in each fifth of a batch."""
+    made = []
+    for k in range(ROUNDS):
+        for name in INPUTS:
+            text = (ROOT / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+            text = text.replace('"../', f'"{ROOT}/').replace('"demand/', f'"{ROOT}/scenarios/demand/')
+            made.append(folder / f"{name}_{k}.toml")
+            made[-1].write_text(f"# {k}\n{text}", encoding="utf-8")
+    return made
+
+
+def watched(program: Program, *plan: str) -> tuple[list[Sizes], float]:
+    """A batch to its end: its memory as it went on, once it had begun; and the seconds it took."""
+    seen: list[Sizes] = []
+    began = time.monotonic()
+    with program.start(*plan) as process:
+        while process.poll() is None:
+            if finished(program):
+                seen.append(sizes_of(process.pid))
+            time.sleep(LOOK)
+        said = summary(patient(program, process))
+    assert (said["finished"], said["failed"]) == (EPISODES, 0)
+    return seen[:-2], time.monotonic() - began  # at the very end workers have left already
+
+
 @pytest.mark.soak
 def test_many_episodes_none_lost_and_the_same_on_one_worker(program: Program) -> None:
-    plan = ("batch", *INPUTS, "--seeds", str(EPISODES // len(INPUTS)), *SHORT, "--recycle", "100000")
-    two, one = folder_of(program, "two"), folder_of(program, "one")
-    seen: list[tuple[int, int]] = []
-    with two.start(*plan, "--workers", "2") as process:
-        while process.poll() is None:
-            seen.append((finished(two), max((memory_of({w}) for w in workers_of(process.pid)), default=0)))
-            time.sleep(2.0)
-        said = summary(patient(two, process))
-    assert (said["finished"], said["failed"]) == (EPISODES, 0)
-    rows = table(two.folder / "out")
-    assert len({r["id"] for r in rows}) == EPISODES
-    early = max(m for n, m in seen if 0.1 * EPISODES <= n <= 0.2 * EPISODES)
-    late = max(m for n, m in seen if n >= 0.9 * EPISODES)
-    assert late - early < GROWTH, f"a worker grew from {early} to {late} MB"
-    print(f"memory of a worker: {early} MB early, {late} MB late")
-    clean(two)
-    with one.start(*plan, "--workers", "1") as process:
-        summary(patient(one, process))
-    assert table(one.folder / "out") == rows, Counter(r["ending"] for r in rows)
+    inputs = rounds_of(program.home)
+    plan = ("batch", *map(str, inputs), "--seeds", str(EPISODES // len(inputs)), *SHORT, "--recycle", "100000")
+    tables = []
+    for workers in (2, 1):
+        mine = folder_of(program, str(workers))
+        seen, seconds = watched(mine, *plan, "--workers", str(workers))
+        tables.append(table(mine.folder / "out"))
+        print(f"\n{EPISODES} episodes, {workers} workers: {seconds:.0f} s, {len(seen)} looks")
+        for role in ROLES:
+            parts = fifths(lasting(seen, role))
+            print(f"{role}: {', '.join(f'{p:.1f}' for p in parts)} MB (medians of the fifths)")
+            assert max(parts[1:]) - min(parts[1:]) <= FLAT * parts[1], (role, parts)
+        counts = [len(sizes) for sizes in seen]
+        print(f"processes: {fifths(counts)}, most {max(counts)}; all: most {max(sum(s.values()) for s in seen):.0f} MB")
+        assert max(counts[len(counts) // 2 :]) <= max(counts[: len(counts) // 2]) + 1, "processes pile up"
+        clean(mine)
+    two, one = tables
+    assert len({r["id"] for r in two}) == EPISODES
+    assert one == two
+    print(Counter(r["ending"] for r in two))
 
 
 @pytest.mark.soak
@@ -100,9 +138,8 @@ def test_killed_twenty_times_at_random_times(program: Program, victim: str) -> N
         while alive(family) and time.monotonic() < deadline:
             time.sleep(0.05)
         assert alive(family) == set()
-        if victim == "worker" and kills < KILLS:  # it finished all the same: once more from the start
-            for run in list((broken.folder / "out" / "runs").iterdir())[::2]:
-                subprocess.run(["rm", "-r", str(run)], check=True)
+        if kills < KILLS:  # where it finished all the same: once more, with half of it missing
+            thin_out(broken)
     with broken.start(*plan, "--retry-failed") as process:
         said = summary(patient(broken, process))
     assert said["finished"] == 80
