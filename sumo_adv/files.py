@@ -48,7 +48,7 @@ def sentences(place: Path) -> Iterator[None]:
 
 def write_whole(target: Path, write: Callable[[Path], Any]) -> None:
     """``write`` fills a file beside ``target``, which then takes its place. Raises OSError; nothing half-written."""
-    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", dir=target.parent)
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
     os.close(handle)
     part = Path(name)
     try:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sumo_adv import __version__
-from sumo_adv.cli import batch, bench, convert, doctor, export, memory, report, run, serve
+from sumo_adv.cli import batch, bench, convert, doctor, export, figure, memory, report, run, serve
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
@@ -25,6 +25,7 @@ app.command("run", epilog=run.EXAMPLE)(run.run)
 app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("report", epilog=report.EXAMPLE)(report.report)
+app.command("figure", epilog=figure.EXAMPLE)(figure.figure)
 app.command("export", epilog=export.EXAMPLE)(export.export)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.add_typer(batch.app, name="batch")

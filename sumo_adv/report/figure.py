@@ -14,17 +14,27 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track, Verdict
+from sumo_adv.datatypes import Track, Verdict
+from sumo_adv.report.figures.parts import (
+    ADVERSARY,
+    EGO,
+    GROUND,
+    LEAST_EXTENT,
+    OTHER,
+    Lanes,
+    closest_time,
+    draw_box,
+    draw_lanes,
+    draw_marks,
+    draw_scale_bar,
+    pose_at,
+)
 
-EGO, ADVERSARY, OTHER = "#0072B2", "#D55E00", "#8C8C8C"
-ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
 WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
 HEAD, INSIDE = 1.5, 0.935  # inches above and below the map; its share of the width
 LONGEST = 130  # characters of a title that fit
-MARGIN, LEAST_EXTENT = 12.0, 40.0  # m, around the action; of the shown area
+MARGIN = 12.0  # m around the action
 BEFORE = 1.0  # s, shown before the trigger
-
-Lanes = Sequence[tuple[Floats, float, bool]]
 
 
 def draw_encounter(
@@ -56,18 +66,18 @@ def draw_encounter(
     figure = Figure(figsize=(WIDTH, height), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.055, 0.65 / height, INSIDE, 1.0 - HEAD / height), facecolor=GROUND)
-    _draw_lanes(axes, lanes)
+    draw_lanes(axes, lanes)
     for raw, colour in ((raw_ego, EGO), (raw_adversary, ADVERSARY)):
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
     for other in others:
-        _draw_box(axes, other, shown, OTHER, zorder=5)
+        draw_box(axes, other, shown, OTHER, zorder=5)
     for track, part, colour in ((ego, ego_part, EGO), (adversary, adversary_part, ADVERSARY)):
         axes.plot(part.x, part.y, color=colour, lw=2.2, zorder=6, solid_capstyle="round")
-        _draw_box(axes, track, trigger_time, colour, zorder=5, filled=False)
-        _draw_box(axes, track, shown, colour, zorder=8)
-    _draw_marks(axes, (ego_part, adversary_part), trigger_time)
+        draw_box(axes, track, trigger_time, colour, zorder=5, filled=False)
+        draw_box(axes, track, shown, colour, zorder=8)
+    draw_marks(axes, (ego_part, adversary_part), trigger_time)
     _frame(axes, view, height)
     corner = _free_corner((ego_part, adversary_part), view)
     unattacked = raw_ego is not None or raw_adversary is not None
@@ -83,29 +93,13 @@ def decisive_time(ego: Track, adversary: Track, trigger_time: float, verdict: Ve
     """When the boxes are drawn [s]: at contact, else where the centres are closest after the trigger."""
     if verdict.contact_time is not None:
         return verdict.contact_time
-    common = np.intersect1d(np.round(ego.time, 3), np.round(adversary.time, 3))
-    common = common[common >= trigger_time - 5e-4]
-    if common.size == 0:
-        return trigger_time
-    distance = np.hypot(
-        np.interp(common, ego.time, ego.x) - np.interp(common, adversary.time, adversary.x),
-        np.interp(common, ego.time, ego.y) - np.interp(common, adversary.time, adversary.y),
-    )
-    return float(common[np.argmin(distance)])
-
-
-def _pose(track: Track, time: float) -> tuple[float, float, float] | None:
-    """x, y, heading at ``time``; None if the track is not there then."""
-    if track.time.size == 0 or not track.time[0] - 0.051 <= time <= track.time[-1] + 0.051:
-        return None
-    heading = np.interp(time, track.time, np.unwrap(track.heading))
-    return float(np.interp(time, track.time, track.x)), float(np.interp(time, track.time, track.y)), float(heading)
+    return closest_time(ego, adversary, trigger_time)
 
 
 def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> tuple[float, float, float, float]:
     """Left, bottom, width, height [m] of the shown area: the paths until 1.5 s after the decisive moment."""
     points = [(part.x[keep], part.y[keep]) for part in parts if (keep := part.time <= shown + 1.5).any()]
-    boxes = [pose for track in tracks if (pose := _pose(track, shown)) is not None]
+    boxes = [pose for track in tracks if (pose := pose_at(track, shown)) is not None]
     x = np.concatenate([p[0] for p in points] + [np.array([b[0] for b in boxes])])
     y = np.concatenate([p[1] for p in points] + [np.array([b[1] for b in boxes])])
     if x.size == 0:
@@ -118,69 +112,6 @@ def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> tupl
     return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
 
 
-def _draw_lanes(axes: Any, lanes: Lanes) -> None:
-    from matplotlib.collections import PolyCollection
-
-    for inside in (True, False):
-        shapes = [lane_polygon(line, width) for line, width, internal in lanes if internal is inside and len(line) > 1]
-        colour, edge = (JUNCTION, JUNCTION) if inside else (ASPHALT, EDGE)
-        axes.add_collection(
-            PolyCollection(shapes, facecolors=colour, edgecolors=edge, linewidths=1.8, zorder=1 if inside else 2),
-            autolim=False,
-        )
-
-
-def lane_polygon(line: Floats, width: float) -> Floats:
-    """Outline (2 n, 2) [m] of a lane from its centreline (n, 2) [m]; corners are mitred, at most threefold."""
-    steps = np.diff(line, axis=0)
-    lengths = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), 1e-9)
-    normals = np.column_stack((-steps[:, 1], steps[:, 0])) / lengths[:, None]
-    before, after = np.vstack((normals[:1], normals)), np.vstack((normals, normals[-1:]))
-    middle = before + after
-    stretch = np.maximum((middle * middle).sum(axis=1), 4 / 9)
-    offset = middle * (width / stretch)[:, None]
-    return np.vstack((line + offset, (line - offset)[::-1]))
-
-
-def _draw_box(axes: Any, track: Track, time: float, colour: str, zorder: int, filled: bool = True) -> None:
-    from matplotlib.patches import Polygon
-
-    pose = _pose(track, time)
-    if pose is None:
-        return
-    x, y, heading = pose
-    turn = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
-    half = np.array([track.length, track.width]) / 2
-    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half @ turn + (x, y)
-    face, edge, width = (colour, "black", 1.2) if filled else ("none", colour, 1.4)
-    axes.add_patch(Polygon(corners, closed=True, facecolor=face, edgecolor=edge, linewidth=width, zorder=zorder))
-    if filled:
-        arrow = np.array([[0.92, 0.0], [0.35, 0.62], [0.35, -0.62]]) * half @ turn + (x, y)
-        axes.add_patch(Polygon(arrow, closed=True, facecolor="white", edgecolor="none", zorder=zorder + 1))
-
-
-def _draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float) -> None:
-    """A dot each second since the trigger; the number on the side away from the other vehicle."""
-    colours = (EGO, ADVERSARY)
-    for track, other, colour in zip(parts, reversed(parts), colours, strict=True):
-        for second in range(int(track.time[-1] - trigger_time + 0.02) + 1 if track.time.size else 0):
-            pose = _pose(track, trigger_time + second)
-            if pose is None:
-                continue
-            x, y, heading = pose
-            away = _pose(other, trigger_time + second)
-            side = 1.0
-            if away is not None:
-                left = (away[1] - y) * math.cos(heading) - (away[0] - x) * math.sin(heading)
-                side = -1.0 if left > 0 else 1.0
-            axes.plot([x], [y], "o", ms=6.5, mfc="white", mec=colour, mew=1.8, zorder=10)
-            axes.annotate(
-                f"{second}", (x, y), xytext=(-13 * side * math.sin(heading), 13 * side * math.cos(heading)),
-                textcoords="offset points", ha="center", va="center", color=colour, fontsize=11, fontweight="bold",
-                zorder=11, bbox={"boxstyle": "round,pad=0.12", "fc": "white", "ec": "none", "alpha": 0.8},
-            )  # fmt: skip
-
-
 def _frame(axes: Any, view: tuple[float, float, float, float], height: float) -> None:
     """Limits, labels and a scale bar in the lower left corner."""
     left, bottom, width, tall = view
@@ -191,14 +122,7 @@ def _frame(axes: Any, view: tuple[float, float, float, float], height: float) ->
     axes.set_ylabel("y [m]", fontsize=12)
     axes.tick_params(labelsize=11)
     axes.ticklabel_format(useOffset=False, style="plain")
-    bar = next(b for b in (500, 200, 100, 50, 20, 10, 5) if b <= width / 5 or b == 5)
-    x, y = left + 0.02 * width, bottom + 0.35 / (height - HEAD) * tall
-    halo = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85}
-    axes.plot([x, x + bar], [y, y], color="black", lw=3.5, solid_capstyle="butt", zorder=12)
-    axes.annotate(
-        f"{bar} m", (x + bar / 2, y), xytext=(0, 11), textcoords="offset points", ha="center", va="center",
-        fontsize=11, zorder=12, bbox=halo,
-    )  # fmt: skip
+    draw_scale_bar(axes, view, height - HEAD)
 
 
 def _legend(axes: Any, raw: bool, others: bool, verdict: Verdict, after: float, corner: str) -> None:
