@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,7 +80,7 @@ def ablations(
     rows = [*ABLATIONS, *(f"llm-a:{llm}+samples={k}" for k in (1, 3, 5) if llm)]
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(asked, means, as_json=as_json)
-    _write(asked, means, cells, "ablations", REFERENCE, as_json=as_json)
+    _write(asked, means, cells, "ablations", REFERENCE, words=ABLATIONS, as_json=as_json)
 
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
@@ -224,17 +224,19 @@ def _run(asked: Asked, means: Means, *, as_json: bool) -> list[Cell]:
 
 
 def _write(
-    asked: Asked, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *, as_json: bool
-) -> None:
+    asked: Asked, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *,
+    words: Mapping[str, str] | None = None, as_json: bool,
+) -> None:  # fmt: skip
     """The table's files; the table itself on stdout."""
-    from sumo_adv.benchmark.tables.compute import make_table
+    from sumo_adv.benchmark.tables.compute import LATER, make_table
     from sumo_adv.benchmark.tables.plots import draw_all
     from sumo_adv.benchmark.tables.write import write_table
 
     found: Suite = asked.suite
     made = make_table(
         cells, title=f"{found.name}, {len(found.cases)} encounters", cases=found.cases, egos=asked.egos,
-        rows=asked.rows, reference=reference,
+        rows=asked.rows, reference=reference, words=words or {},
+        later=LATER if words is None else {},
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(asked, means), name)
     files += draw_all(cells, means.folder / "figures", asked.rows)
