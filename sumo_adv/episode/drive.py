@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, apply_steer
+from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Road, Steer, apply_steer
 from sumo_adv.world.egos import Pose as EgoPose
 from sumo_adv.world.playback import Playback
 from sumo_adv.world.recording import Recording
@@ -17,6 +17,7 @@ from sumo_adv.world.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
 LineAhead = Callable[[VehicleState], Sequence[tuple[float, float]] | None]
+RoadHere = Callable[[VehicleState, bool], Road | None]
 OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
@@ -48,6 +49,8 @@ class Drive:
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
         self.line_ahead: LineAhead | None = None
+        self.road_here: RoadHere | None = None
+        self._heeding: str | None = None  # the ego, if it moved itself in the last step and needs to know the road
         self.on_load: Callable[[], None] | None = None  # what is done to a simulation that was just loaded
         self.playback = playback
         if playback is not None:
@@ -97,7 +100,7 @@ class Drive:
 
     def release(self) -> None:
         """The vehicle is no longer the ego; it keeps its driver's model, but nobody acts for it."""
-        self.ego = None
+        self.ego = self._heeding = None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
@@ -109,7 +112,7 @@ class Drive:
         if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
             self._let_ego_act(driven)
         if driven:
-            self.simulation.inject(driven)
+            self.simulation.inject(driven, self._heeding)
         self.simulation.step()
         snapshot = self.simulation.read()
         if self.playback is not None:
@@ -125,7 +128,7 @@ class Drive:
             self.playback.start(self.simulation)
         if self.on_load is not None:
             self.on_load()
-        self.ego, self._takeovers, self._playing = None, [], False
+        self.ego, self._takeovers, self._playing, self._heeding = None, [], False, None
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)
@@ -182,6 +185,7 @@ class Drive:
             return
         observation = self._observe(self.ego)
         action = self.controller.act(observation)
+        self._heeding = self.ego if observation.road is not None and isinstance(action, Steer) else None
         if isinstance(action, Steer):
             after = apply_steer(observation.ego, action, observation.dt)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
@@ -198,8 +202,12 @@ class Drive:
         me = self.state(ego)
         raw = self.snapshot.raw
         near = [n for n, r in raw.items() if n != ego and math.hypot(r[0] - me.x, r[1] - me.y) < OBSERVED]
+        others = tuple(self.state(n) for n in near)
+        road = None
+        if self.road_here is not None and getattr(self.controller, "needs_road", False):
+            road = self.road_here(me, self._heeding == ego)  # before the line: it may give the ego its route back
         line = self.line_ahead(me) if self.line_ahead is not None else None
-        return Observation(self.now, self.recording.step_length, me, tuple(self.state(n) for n in near), path=line)
+        return Observation(self.now, self.recording.step_length, me, others, path=line, road=road)
 
     def replay(self, track: Track) -> None:
         """From now on the ego plays a recorded motion back, if it is one that does; others go on as they are."""

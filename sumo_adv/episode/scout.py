@@ -10,6 +10,7 @@ import numpy as np
 from sumo_adv.datatypes import Ending, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter import LOOK_EVERY, ON, ON_RECORDED, Candidate, Encounter, ego_path
+from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.episode.task import NotFound, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import PATH_STEP
@@ -52,6 +53,7 @@ class Scout:
     def begin(self) -> None:
         """Make a simulation that was just loaded ready: nothing is known of the lane ahead, the ego is inserted."""
         self.drive.line_ahead = LaneLine(self.road, self.drive)
+        self.drive.road_here = RoadHere(self.road, self.drive.simulation)
         route = self.task.ego
         if isinstance(route, EgoRoute):
             depart = {

@@ -25,6 +25,7 @@ BASE_FLAGS = (
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
+HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
 HARD_BRAKING_MODE = 27  # SUMO's safe speed holds, its comfortable deceleration does not (mode 31 clips at 4.5 m/s2)
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
@@ -266,10 +267,25 @@ class Simulation:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
         return [(t[0], t[2], t[3]) for t in self._sumo.vehicle.getNextTLS(vehicle)]
 
+    def limit(self, vehicle: str) -> float:
+        """The fastest its driver goes where it is [m/s]."""
+        return float(self._sumo.vehicle.getAllowedSpeed(vehicle))
+
+    def advised(self, vehicle: str) -> float:
+        """The speed [m/s] that SUMO's driver would have had after the last step, at most the one it was asked for."""
+        return float(self._sumo.vehicle.getSpeedWithoutTraCI(vehicle))
+
+    def may_go(self, vehicle: str) -> bool:
+        """Whether lights and right of way would let a vehicle at the end of its lane go on now."""
+        links = self._sumo.vehicle.getNextLinks(vehicle)
+        return not links or bool(links[0][2])
+
     # -- driving ------------------------------------------------------------------------------------------------
 
-    def inject(self, poses: Mapping[str, Pose]) -> None:
+    def inject(self, poses: Mapping[str, Pose], heeding: str | None = None) -> None:
         """Put vehicles at poses; visible after the next step, and for that step alone.
+
+        heeding: the vehicle whose ``advised`` speed is to heed lights and right of way.
 
         Raises:
             SimulationError: SUMO does not know the vehicle, or could not place it.
@@ -281,7 +297,7 @@ class Simulation:
                     self._measure(name)
                 ahead = self.fleet.sizes[name][0] / 2
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
-                vehicle.setSpeedMode(name, FREE_SPEED_MODE)
+                vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
                 vehicle.setSpeed(name, pose.speed)
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self._errors as error:
@@ -295,6 +311,10 @@ class Simulation:
     def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
         """Ask SUMO's driver to change to the lane of that index."""
         self._sumo.vehicle.changeLane(vehicle, lane, duration)
+
+    def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
+        """Give a vehicle the edges that are left of its way, the present one first."""
+        self._sumo.vehicle.setRoute(vehicle, list(edges))
 
     def set_type(self, vehicle: str, type_id: str) -> None:
         """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""

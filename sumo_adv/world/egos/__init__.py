@@ -8,7 +8,8 @@ from sumo_adv.world.egos.bicycle import apply_steer
 from sumo_adv.world.egos.careful import CarefulEgo
 from sumo_adv.world.egos.external import ExternalEgo
 from sumo_adv.world.egos.factory import make_ego
-from sumo_adv.world.egos.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer
+from sumo_adv.world.egos.lattice import LatticeEgo
+from sumo_adv.world.egos.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Road, Steer
 from sumo_adv.world.egos.replay import ReplayEgo
 from sumo_adv.world.egos.sumo_driven import SumoEgo
 from sumo_adv.world.egos.user import UserEgo
@@ -19,9 +20,11 @@ __all__ = [
     "EgoController",
     "ExternalEgo",
     "LaneSpeed",
+    "LatticeEgo",
     "Observation",
     "Pose",
     "ReplayEgo",
+    "Road",
     "Steer",
     "SumoEgo",
     "UserEgo",

@@ -7,6 +7,7 @@ from typing import Any
 
 from sumo_adv.errors import UsageError
 from sumo_adv.world.egos.careful import CarefulEgo
+from sumo_adv.world.egos.lattice import LatticeEgo
 from sumo_adv.world.egos.protocol import EgoController
 from sumo_adv.world.egos.replay import ReplayEgo
 from sumo_adv.world.egos.sumo_driven import MODELS, SumoEgo
@@ -14,7 +15,7 @@ from sumo_adv.world.egos.user import UserEgo
 
 
 def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
-    """The controller called ``name``: krauss, idm, eidm, careful, replay or ``module:Class``.
+    """The controller called ``name``: krauss, idm, eidm, careful, lattice, replay or ``module:Class``.
 
     Raises UsageError for an unknown name, an unknown parameter, or a class that cannot be used.
     """
@@ -24,8 +25,10 @@ def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
         return SumoEgo(name, parameters)
     if name == "careful":
         return CarefulEgo(parameters)
+    if name == "lattice":
+        return LatticeEgo(parameters)
     if name == "replay":
         return ReplayEgo(parameters)
     if name == "external":
         raise UsageError("The ego 'external' is driven by a program of yours over TraCI: use sumo-adv serve.")
-    raise UsageError(f"There is no ego {name!r}; choose krauss, idm, eidm, careful, replay or module:Class.")
+    raise UsageError(f"There is no ego {name!r}; choose krauss, idm, eidm, careful, lattice, replay or module:Class.")

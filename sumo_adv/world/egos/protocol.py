@@ -14,12 +14,33 @@ from sumo_adv.datatypes import VehicleState
 
 
 @dataclass(frozen=True, slots=True)
+class Road:
+    """What the engine knows of the road at the ego, for controllers that say ``needs_road``.
+
+    limit: the fastest it may go there [m/s]. sides: centres of the lanes beside its own that lead the same way, as
+    offsets from its own [m, left positive], for the next ``until`` metres. width: of its lane [m]. advised: the speed
+    [m/s] that SUMO's driver would have had after the last step, for lights, right of way and whoever is ahead, at most
+    what the ego was asked for in it; None before the ego drove itself, and where it stands at a line. held: SUMO's
+    rules let it not go on from that line now. leaves: its route ends in these metres, and SUMO is to take it out.
+    """
+
+    limit: float
+    sides: tuple[float, ...] = ()
+    until: float = 0.0
+    width: float = 3.2
+    advised: float | None = None
+    held: bool = False
+    leaves: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Observation:
     """What the ego's driver sees at ``time`` [s]; the step to come lasts ``dt`` [s].
 
     ``others``: vehicles within 120 m, box centres in the world frame. ``lane_heading`` [rad] of the ego's own lane and
     ``lane_offset`` [m, left positive] from its centre, and ``path``, the centreline [m] of its lane and route from
-    where it is (or some metres before) to at least 60 m ahead, are None where the engine does not know them.
+    where it is (or some metres before) to at least 60 m ahead, are None where the engine does not know them; so is
+    ``road``, unless the controller needs it.
     """
 
     time: float
@@ -29,6 +50,7 @@ class Observation:
     lane_heading: float | None = None
     lane_offset: float | None = None
     path: Sequence[tuple[float, float]] | None = None
+    road: Road | None = None
 
 
 @dataclass(frozen=True, slots=True)

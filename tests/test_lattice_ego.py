@@ -1,0 +1,241 @@
+"""The ego ``lattice``: stories on a straight road with numbers worked out by hand, and drives inside SUMO."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import Program
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.road_here import RoadHere
+from sumo_adv.episode.scout import LaneLine
+from sumo_adv.errors import UsageError
+from sumo_adv.metrics.boxes import first_contact, on_grid
+from sumo_adv.world.egos import LatticeEgo, Observation, Steer, apply_steer, make_ego
+from sumo_adv.world.egos.hazard import box_ttc
+from sumo_adv.world.egos.lattice_frame import RoadFrame, Watch, predict
+from sumo_adv.world.egos.lattice_sample import aside
+from sumo_adv.world.egos.protocol import Road
+from sumo_adv.world.engine import in_forks
+from sumo_adv.world.network import read_network
+from sumo_adv.world.scenario import load_scenario
+from sumo_adv.world.simulation import SimulationSpec
+
+ROOT = Path(__file__).resolve().parent.parent
+STRAIGHT = [(float(x), 0.0) for x in range(400)]
+ALONE = Road(limit=15.0)  # one lane, 3.2 m wide
+TWO_LANES = Road(limit=20.0, sides=(3.2,), until=400.0)
+
+
+def car(id: str, x: float, y: float = 0.0, speed: float = 0.0, heading: float = 0.0) -> VehicleState:
+    return VehicleState(id, x, y, heading, speed, 0.0, 5.0, 2.0, "")
+
+
+def drive(
+    ego: LatticeEgo, me: VehicleState, others: Sequence[VehicleState], road: Road, steps: int, start: int = 0
+) -> list[VehicleState]:
+    """Its states, steps of 0.1 s; the others go straight on."""
+    states = [me]
+    for step in range(start, start + steps):
+        now = [replace(o, x=o.x + o.speed * math.cos(o.heading) * step / 10) for o in others]
+        action = ego.act(Observation(step / 10, 0.1, states[-1], now, path=STRAIGHT, road=road))
+        assert isinstance(action, Steer)
+        states.append(apply_steer(states[-1], action, 0.1))
+    return states
+
+
+# ---- alone and behind others
+
+
+def test_on_an_empty_road_it_holds_its_lane_and_its_speed() -> None:
+    states = drive(LatticeEgo(), car("ego", 5.0, speed=15.0), [], ALONE, 100)
+    assert max(abs(s.y) for s in states) < 0.05
+    assert all(s.speed == pytest.approx(15.0, abs=0.05) for s in states)
+    assert states[-1].x == pytest.approx(155.0, abs=0.5)
+
+
+def test_it_takes_up_speed_and_finds_the_lanes_centre() -> None:
+    states = drive(LatticeEgo(), car("ego", 5.0, 0.5, speed=8.0), [], ALONE, 120)
+    assert states[-1].speed == pytest.approx(15.0, abs=0.5)
+    assert max(s.acceleration for s in states) <= 2.6 + 1e-6  # IDM's
+    assert states[-1].y == pytest.approx(0.0, abs=0.05)
+    assert min(s.y for s in states) > -0.1
+
+
+def test_it_stops_behind_a_standing_car() -> None:
+    states = drive(LatticeEgo(), car("ego", 5.0, speed=14.0), [car("queue", 90.0)], TWO_LANES, 200)
+    gap = 90.0 - states[-1].x - 5.0
+    assert states[-1].speed < 0.1
+    assert 1.5 < gap < 4.0  # IDM's gap at standstill is 2.5 m
+    assert min(s.acceleration for s in states) > -5.0  # 14^2 / (2 * 77.5) = 1.3 m/s2 on average
+    assert max(abs(s.y) for s in states) < 0.3
+
+
+def test_it_follows_at_idms_gap() -> None:
+    states = drive(LatticeEgo(), car("ego", 5.0, speed=10.0), [car("leader", 40.0, speed=10.0)], ALONE, 250)
+    gap = 40.0 + 10.0 * 25.0 - states[-1].x - 5.0
+    wanted = (2.5 + 10.0) / math.sqrt(1 - (10 / 15) ** 4)  # 13.95 m
+    assert gap == pytest.approx(wanted, abs=1.0)
+
+
+# ---- in an emergency
+
+
+def touched(states: Sequence[VehicleState], other: VehicleState) -> bool:
+    return any(box_ttc(s, other) == 0.0 for s in states)
+
+
+def test_it_swerves_where_braking_cannot_do() -> None:
+    # the box ahead begins 20 m in front and reaches to y = 0; 20^2 / (2 * 9) = 22.2 m to stop with the best of brakes
+    box = car("box", 30.0, -1.0)
+    me = car("ego", 5.0, speed=20.0)
+    braked = [me]
+    for _ in range(25):
+        braked.append(apply_steer(braked[-1], Steer(-9.0, 0.0), 0.1))
+    assert touched(braked, box)
+    states = drive(LatticeEgo(), me, [box], TWO_LANES, 40)
+    assert not touched(states, box)
+    assert max(s.y for s in states) > 1.0  # half of both widths is 2 m, the box is 1 m aside
+    assert max(s.y for s in states) < 3.8  # the other lane's centre is at 3.2 m
+    assert states[-1].x > 35.0
+
+
+def test_it_does_not_leave_the_road() -> None:
+    # the same box, but no lane beside: 1.6 m - 1 m leave 0.6 m to either side, too little
+    box = car("box", 30.0, -1.0)
+    states = drive(LatticeEgo(), car("ego", 5.0, speed=20.0), [box], replace(TWO_LANES, sides=()), 11)
+    assert max(abs(s.y) for s in states) < 0.75
+    assert min(s.acceleration for s in states) == pytest.approx(-8.0)  # it brakes as hard as it can
+    before = [s for s in states if s.x < 25.0]
+    assert before[-1].speed < 20.0 - 4.0  # over the 20 m, which it runs in little over 1 s
+
+
+def test_an_occupied_lane_beside_is_no_way_out() -> None:
+    box, beside = car("box", 30.0, -1.0), car("beside", 4.0, 3.2, speed=20.0)
+    states = drive(LatticeEgo(), car("ego", 5.0, speed=20.0), [box, beside], TWO_LANES, 9)
+    paired = zip(states, range(10), strict=True)
+    assert all(box_ttc(s, replace(beside, x=4.0 + 2.0 * k)) > 0.0 for s, k in paired)
+
+
+# ---- lights and right of way, as the engine tells them
+
+
+def test_held_at_a_line_it_waits_and_then_goes() -> None:
+    ego = LatticeEgo()
+    waited = drive(ego, car("ego", 5.0), [], replace(ALONE, held=True), 20)
+    assert waited[-1].x == 5.0
+    gone = drive(ego, waited[-1], [], ALONE, 30, start=20)
+    assert gone[-1].speed > 5.0
+
+
+def test_it_takes_sumos_advice_to_be_slower() -> None:
+    ego, state = LatticeEgo(), car("ego", 5.0, speed=15.0)
+    drive(ego, state, [], ALONE, 1)
+    seen = Observation(0.1, 0.1, state, [], path=STRAIGHT, road=replace(ALONE, advised=14.7))
+    action = ego.act(seen)
+    assert isinstance(action, Steer)
+    assert action.acceleration == pytest.approx(-3.0)  # 0.3 m/s in 0.1 s
+
+
+def test_at_its_routes_end_sumo_takes_over() -> None:
+    seen = Observation(0.0, 0.1, car("ego", 5.0, speed=10.0), [], path=STRAIGHT, road=replace(ALONE, leaves=True))
+    assert LatticeEgo().act(seen) is None
+    assert LatticeEgo().act(replace(seen, path=None, road=ALONE)) is None  # nor does it know a path
+
+
+# ---- parts
+
+
+def test_a_quintic_by_hand() -> None:
+    # 2 m in 2 s: half way there at 1 s with 15/8 of the mean rate of 1 m/s; integral of jerk^2 = 720 * 4 / 32 = 90
+    moves = aside((0.0, 0.0, 0.0), np.array([2.0]), None, np.array([0.0, 1.0, 2.0, 3.0]))
+    k = int(np.flatnonzero(moves.duration == 2.0)[0])
+    assert moves.d[k] == pytest.approx([0.0, 1.0, 2.0, 2.0])
+    assert moves.rate[k] == pytest.approx([0.0, 1.875, 0.0, 0.0], abs=1e-9)
+    assert moves.jerk[k] == pytest.approx(90.0)
+
+
+def test_crossing_cars_that_can_still_stop_short_are_left_to_right_of_way() -> None:
+    frame, me, times = RoadFrame(STRAIGHT), car("ego", 5.0, speed=14.0), np.array([0.0, 1.0, 2.0])
+    # 12 m/s needs 144 / 6 = 24 m; from y = -28 its front has 28 - 2.5 - 1 = 24.5 m to the ego's side
+    able, late = (car("bv", 33.0, y, 12.0, math.pi / 2) for y in (-28.0, -27.0))
+    for other, count in ((able, 0), (late, 1)):
+        found = predict(frame, me, (5.0, 0.0), [other], Watch().look(0.0, [other]), times)
+        assert len(found.s) == count
+    assert found.d[0] == pytest.approx([-27.0, -15.0, -3.0])
+    assert found.half_s[0] == pytest.approx([1.0, 1.0, 1.0])  # across: its width lies along the path
+
+
+def test_followers_are_left_to_their_drivers() -> None:
+    frame, me = RoadFrame(STRAIGHT), car("ego", 50.0, speed=14.0)
+    behind, beside = car("behind", 40.0, speed=20.0), car("beside", 40.0, 3.2, speed=20.0)
+    moving = Watch().look(0.0, [behind, beside])
+    found = predict(frame, me, (50.0, 0.0), [behind, beside], moving, np.array([0.0, 1.0]))
+    assert found.d[:, 0] == pytest.approx([3.2])
+    assert found.s[0] == pytest.approx([40.0, 60.0])
+
+
+def test_wrong_settings_are_named() -> None:
+    with pytest.raises(UsageError, match=r"'lattice' needs 'braking' to be a number from 0\.5 to 20"):
+        make_ego("lattice", {"braking": "hard"})
+    with pytest.raises(UsageError, match="no parameter 'swerve'; it knows tau"):
+        make_ego("lattice", {"swerve": 1})
+    assert make_ego("lattice", {"horizon": 3.0, "tau": 1.5}).sumo_type["tau"] == "1.5"
+
+
+# ---- the same again
+
+
+def test_same_motion_again_and_after_a_fork() -> None:
+    me, box = car("ego", 5.0, speed=20.0), car("box", 60.0, -1.0)
+    first = drive(LatticeEgo(), me, [box], TWO_LANES, 40)
+    ego = LatticeEgo()
+    half = drive(ego, me, [box], TWO_LANES, 20)
+    assert half == first[:21]
+    rest = in_forks([lambda: drive(ego, half[-1], [box], TWO_LANES, 20, start=20)] * 2)
+    assert rest == [first[20:]] * 2
+    ego.reset(1)
+    assert drive(ego, me, [box], TWO_LANES, 40) == first
+
+
+def test_forked_and_loaded_attempts_are_the_same(program: Program) -> None:
+    scenario = str(ROOT / "scenarios" / "leader_two_lanes.toml")
+    for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
+        done = program("run", scenario, "--ego", "lattice", "--attempts", "2", "--out", name, "--json", *options)
+        assert done.status == 0, done.err
+    for file in ("states.csv.gz", "raw.csv.gz", "criticality.csv.gz"):
+        assert (program.folder / "forked" / file).read_bytes() == (program.folder / "loaded" / file).read_bytes()
+
+
+# ---- inside SUMO
+
+
+def test_through_a_roundabout_it_gives_way_stays_on_the_road_and_arrives(tmp_path: Path) -> None:
+    scenario = load_scenario(ROOT / "scenarios" / "roundabout_entry.toml")
+    ego, road = LatticeEgo(), read_network(scenario.network)
+    files = tuple(scenario.demand.files)
+    drive = Drive(SimulationSpec(scenario.network, files, (ego_type_file(ego, tmp_path),), 0.0, 0), ego, 0)
+    drive.line_ahead, drive.road_here = LaneLine(road, drive), RoadHere(road, drive.simulation)
+    try:
+        for _ in range(600):
+            snapshot = drive.tick()
+            if drive.ego is None and "ego" in snapshot.raw:
+                drive.take_over("ego")
+            elif drive.ego is not None and "ego" not in snapshot.raw:
+                break
+    finally:
+        drive.simulation.close()
+    tracks = {t.id: t for t in drive.tracks() if len(t.time) > 1}
+    me = tracks.pop("ego")
+    assert me.lane[-1] == "north_out_0"
+    assert me.speed.min() < 7.0  # it slowed down to enter
+    grid = me.time
+    assert not np.isfinite(first_contact(on_grid([me], grid), on_grid(list(tracks.values()), grid), grid)).any()
+    drivable = road.drivable(0.0, 0.0, 300.0)
+    assert drivable(me.x, me.y).all()
