@@ -1,7 +1,7 @@
 """Resampling: kinematic motions weighed by how likely they are and how likely they meet the ego's predicted rollouts.
 
 What it is: for every vehicle of the shortlist ``DRAWN`` motions along its ways are drawn: two target speeds, one after
-the other, and a move to another offset (its lane, a lane beside it, or a little off) that begins and lasts as drawn;
+the other, and two moves to another offset (its lane, a lane beside it, or a little off) that begin and last as drawn;
 all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering to that
 very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
 accelerations and staying in lane are likelier; off the road or into others is not) times the chance that it collides,
@@ -41,7 +41,9 @@ BRAKES_AFTER = 1.5  # s
 DOUBT = 0.96  # a second further away, a collision is so much less likely to come as predicted
 RIGHT, WRONG = 0.8, 0.3  # likelihood of what an attempt came to under a future that foretold it, or did not
 USUAL = 1.5  # m/s2: standard deviation of accelerations that drivers are used to
-MOVES, STRAYS = 0.3, 0.5  # prior odds of a move to another lane, and of one that ends off the middle of a lane
+ACCELERATIONS = (-4.0, 2.0)  # m/s2: mean ones are drawn from here
+STRAYS = 1.3  # m: half the moves end so far off the middle of a lane at most
+MOVE, STRAY = 0.3, 0.5  # prior odds of a move to another lane, and of one that ends off the middle
 SLACK = 0.2  # m
 UNLIKELY = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
 
@@ -132,15 +134,15 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """What was drawn, ``(n,)`` each: way; offset [m] that a move goes to, its begin and length [s]; two speeds [m/s]
-    and how long each is approached [s]; the prior."""
+    """What was drawn for ``n`` motions. way ``(n,)``; of two moves the offsets [m] they go to, when they begin and how
+    long they last [s]; of two target speeds [m/s] how long each is approached [s]: ``(2, n)``; the prior ``(n,)``."""
 
     way: Places
-    offset: Floats
+    offsets: Floats
     begins: Floats
     lasts: Floats
-    speeds: Floats  # (2, n)
-    spans: Floats  # (2, n)
+    speeds: Floats
+    spans: Floats
     prior: Floats
 
 
@@ -148,27 +150,29 @@ def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
     way = np.concatenate([rng.integers(len(t.ways), size=DRAWN) for t in targets])
     v = np.repeat([t.state.speed for t in targets], DRAWN)
     n = len(v)
-    lanes = [np.array([0.0, *(o for o, _ in t.sides)]) for t in targets]
-    lane = np.concatenate([rng.choice(some, DRAWN) for some in lanes])
-    stray = rng.uniform(-1.3, 1.3, n) * (rng.random(n) < 0.5)
+    lanes = [np.array([0.0, *(offset for offset, _ in t.sides)]) for t in targets]
+    lane = np.concatenate([rng.choice(some, (2, DRAWN)) for some in lanes], axis=1)
+    stray = rng.uniform(-STRAYS, STRAYS, (2, n)) * (rng.random((2, n)) < 0.5)
+    first = rng.uniform(0.0, 5.0, n)
+    begins = np.array([first, first + rng.uniform(2.0, 6.0, n)])
     spans = rng.uniform(1.5, 6.0, (2, n))
-    first = v + rng.uniform(-6.0, 3.0, n) * spans[0] * 0.6
-    speeds = np.clip([first, first + rng.uniform(-6.0, 3.0, n) * spans[1] * 0.6], 0.0, None)
-    mean = np.array([(speeds[0] - v) / spans[0], (speeds[1] - speeds[0]) / spans[1]])
-    prior = np.exp(-0.5 * np.square(mean / USUAL).sum(axis=0))
-    prior = prior * np.where(lane != 0.0, MOVES, 1.0) * np.where(stray != 0.0, STRAYS, 1.0)
-    return _Plan(way, lane + stray, rng.uniform(0.0, 5.0, n), rng.uniform(2.5, 6.5, n), speeds, spans, prior)
+    means = rng.uniform(*ACCELERATIONS, (2, n))
+    slower = np.maximum(v + means[0] * spans[0], 0.0)
+    speeds = np.array([slower, np.maximum(slower + means[1] * spans[1], 0.0)])
+    moved = np.diff(lane, axis=0, prepend=0.0) != 0.0
+    odds = np.where(moved, MOVE, 1.0) * np.where(stray != 0.0, STRAY, 1.0)
+    prior = np.exp(-0.5 * np.square(means / USUAL).sum(axis=0)) * odds.prod(axis=0)
+    return _Plan(way, lane + stray, begins, rng.uniform(2.5, 6.5, (2, n)), speeds, spans, prior)
 
 
 def _forward(ground: Ground, motion: Motion, plan: _Plan, now: float, limits: Limits, dt: float) -> Motion:
     """One step of all motions along what was drawn for them."""
-    second = now >= plan.spans[0]
-    v = np.where(second, plan.speeds[1], plan.speeds[0])
-    left = np.where(second, plan.spans[0] + plan.spans[1], plan.spans[0]) - now
-    time = np.maximum(left, 1.0)
-    offset = np.where(now >= plan.begins, plan.offset, motion.target)
+    later, moved, again = now >= plan.spans[0], now >= plan.begins[0], now >= plan.begins[1]
+    v = np.where(later, plan.speeds[1], plan.speeds[0])
+    time = np.maximum(np.where(later, plan.spans[0] + plan.spans[1], plan.spans[0]) - now, 1.0)
+    offset = np.where(again, plan.offsets[1], np.where(moved, plan.offsets[0], motion.target))
     goal = Goal(motion.s + (motion.v + v) / 2 * time, offset, v, time)
-    sideways = goal._replace(time=plan.lasts)
+    sideways = goal._replace(time=np.where(again, plan.lasts[1], plan.lasts[0]))
     motion = steer(Batch, motion, sideways, ground.rows.at(motion.s)[3])
     return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt)
 

@@ -62,6 +62,9 @@ class UserRow:
             return _checked(answer, self._situations, self.name)
         except ValueError as error:
             raise PlannerResultError(f"The generator {self.name!r} returned {error}.") from error
+        except (TypeError, AttributeError) as error:
+            what = f"a Proposal with a field of a wrong type ({said(error)})"
+            raise PlannerResultError(f"The generator {self.name!r} returned {what}.") from error
 
 
 def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
@@ -81,7 +84,10 @@ def _checked(answer: object, situations: Mapping[float, Situation], name: str) -
     numbers = answer.parameters.values()
     if not all(isinstance(n, int | float) and np.isfinite(n) for n in numbers):
         raise ValueError("parameters that are not all finite numbers")
-    acceleration_of(answer.acceleration)
+    try:
+        acceleration_of(answer.acceleration)
+    except ValueError as error:
+        raise ValueError(f"an acceleration that cannot be used ({str(error).rstrip('.')})") from error
     return replace(answer, by=name)
 
 
