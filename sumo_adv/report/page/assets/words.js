@@ -73,7 +73,7 @@ function attemptsPanel(outcome) {
     el("span", null, quoted(a.failed_gates.map(answer).join(", ") || (a.feasible ? "" : "not feasible")), a.message ? [" ", quoted(a.message)] : null),
   ] }));
   const made = panel(`Attempts (${rows.length})`, table(["", "intent", "planner", "by", "trigger", "min TTC", "distance", "came to", "remarks"], rows), parametersOf(outcome));
-  made.classList.add("wide");
+  made.classList.add("wide", "attempts");
   return made;
 }
 
