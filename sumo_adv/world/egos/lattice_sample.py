@@ -22,7 +22,7 @@ RAMP = 20.0  # m/s3, how fast pedals act
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """Longitudinal candidates, the reference first: station s [m], speed v [m/s], acceleration a [m/s2], ``(n, time)``."""
+    """Candidates along, the reference first: station s [m], speed v [m/s], acceleration a [m/s2]; ``(n, time)``."""
 
     s: Floats
     v: Floats
