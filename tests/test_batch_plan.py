@@ -19,6 +19,7 @@ from sumo_adv.batch.results import COLUMNS, row_of, table_of, write_csv, write_f
 from sumo_adv.batch.store import open_store
 from sumo_adv.batch.worker import share
 from sumo_adv.cli.batch_parts import batch_parts
+from sumo_adv.cli.records import choice_of, find_record
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
@@ -135,6 +136,21 @@ def test_waymo_records_are_inputs_by_their_ids(tmp_path: Path) -> None:
     assert [j.input.name for j in plan_of(inputs=[str(file)], records=[1]).jobs] == ["two"]
     chosen = plan_of(inputs=[str(file)], records=["one", "three"]).jobs
     assert [bool(j.input.error) for j in chosen] == [False, True]
+
+
+def test_a_record_is_found_past_one_that_cannot_be_read(tmp_path: Path) -> None:
+    womd_samples = pytest.importorskip("womd_samples")
+    file = womd_samples.write(tmp_path / "two.tfrecord", womd_samples.straight("one"), womd_samples.straight("two"))
+    file.write_bytes(womd_samples.frame(b"no scenario") + file.read_bytes())
+    plan = plan_of(inputs=[str(file)])
+    assert [(j.input.name, bool(j.input.error)) for j in plan.jobs] == [
+        ("two[0]", True),
+        ("one", False),
+        ("two", False),
+    ]
+    assert find_record(file, choice_of("two")).scenario_id == "two"
+    with pytest.raises(UsageError, match=r"no record 'three' among its 3 that can be read\. Record 0 of .* is no"):
+        find_record(file, choice_of("three"))
 
 
 # -- what differs

@@ -12,6 +12,7 @@ from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.womd.reader import Choice
+    from sumo_adv.womd.record import Record
     from sumo_adv.world.inputs import RunInput
 
 INDEX_DIGITS = 9  # a longer number is an id
@@ -29,13 +30,25 @@ def load(source: Path, record: str | None) -> RunInput:
             raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
         return load_input(source)
     from sumo_adv.womd.convert import conversion
-    from sumo_adv.womd.reader import read_records
 
-    chosen = next(read_records(source, choice_of(record)))
+    chosen = find_record(source, choice_of(record))
     stack = ExitStack()  # a conversion that could not be cached is gone at exit
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
     return replace(load_input(made.scenario), name=chosen.scenario_id)
+
+
+def find_record(source: Path, choice: Choice) -> Record:
+    """The chosen record; an id is looked for past records that cannot be read. Raises UsageError."""
+    from sumo_adv.womd.reader import read_records
+
+    wrong: list[UsageError] = []
+    try:
+        return next(read_records(source, choice, None if choice.id is None else wrong.append))
+    except UsageError as error:
+        if wrong:
+            raise UsageError(f"{str(error).rstrip('.')} that can be read. {wrong[0]}") from error
+        raise
 
 
 def choice_of(record: str | None) -> Choice:
