@@ -225,6 +225,8 @@ def test_what_is_no_suite_is_said_with_those_there_are(tmp_path: Path) -> None:
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(UsageError, match="not empty"):
         make_suite(1, tmp_path / "taken")
+    with pytest.raises(UsageError, match="'my suite' is no name for a suite"):
+        make_suite(1, tmp_path / "new", name="my suite")
 
 
 def test_a_manifest_of_records_is_a_suite(tmp_path: Path) -> None:

@@ -38,7 +38,8 @@ SUITE_FILE = "suite.toml"
 LABEL_FILE = "labels.json"
 WOMD = "womd:"
 OWN_KIND = "own"
-Name = Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z0-9_.-]+$")]
+NAME = r"[A-Za-z0-9_.-]+"
+Name = Annotated[str, Field(pattern=f"^{NAME}$")]
 
 Labels = Mapping[str, Mapping[str, Mapping[str, tuple[str, ...]]]]
 Criterion = Literal["collision", "valid", "annotated"]

@@ -6,6 +6,7 @@ networks, in the same lanes and as dense traffic, with other figures.
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 import time
@@ -20,7 +21,7 @@ from sumo_adv.benchmark.making.junctions import draw_junction
 from sumo_adv.benchmark.making.straight import KINDS as STRAIGHT
 from sumo_adv.benchmark.making.straight import draw_straight
 from sumo_adv.benchmark.making.trials import EGOS, body, trial
-from sumo_adv.benchmark.suites import SUITE_FILE, hash_of_file
+from sumo_adv.benchmark.suites import NAME, SUITE_FILE, hash_of_file
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.world.engine import Engine, can_fork
 from sumo_adv.world.inputs import data_folder
@@ -72,13 +73,16 @@ def make_suite(
     name: of the suite, else ``suite81`` and for other seeds than the shipped one's ``suite81-<seed>``.
 
     Raises:
-        UsageError: the folder is taken, or this system cannot fork.
+        UsageError: the folder is taken, the name is of no use, or this system cannot fork.
         SumoAdvError: an encounter could not be found in ``MOST_TRIES`` candidates.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} is there already and not empty: give a new folder for the suite.")
     if not can_fork():
         raise UsageError("Suites are made where processes can be forked (Linux): make it there and copy the folder.")
+    name = name or (SHIPPED if seed == SHIPPED_SEED else f"{SHIPPED}-{seed}")
+    if not re.fullmatch(NAME, name):
+        raise UsageError(f"'{name}' is no name for a suite: use letters, digits, dots, dashes and underscores.")
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
     count = _Count()
@@ -88,7 +92,7 @@ def make_suite(
         places = places_of(shares)
         for place in places:
             _fill(place, seed, work, engine, count, told)
-        _write_list(work, name or (SHIPPED if seed == SHIPPED_SEED else f"{SHIPPED}-{seed}"), seed, places, count)
+        _write_list(work, name, seed, places, count)
         if folder.exists():
             folder.rmdir()
         work.replace(folder)
