@@ -28,6 +28,7 @@ from sumo_adv.report.figures.parts import (
     draw_marks,
     draw_scale_bar,
     pose_at,
+    shortened,
 )
 
 WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
@@ -82,8 +83,7 @@ def draw_encounter(
     corner = _free_corner((ego_part, adversary_part), view)
     unattacked = raw_ego is not None or raw_adversary is not None
     _legend(axes, unattacked, bool(others), verdict, shown - trigger_time, corner)
-    line = " ".join("".join(c if c.isprintable() else " " for c in title).split())
-    line = line if len(line) <= LONGEST else line[: LONGEST - 1] + "…"
+    line = shortened(title, LONGEST)
     figure.text(0.055, 1.0 - 0.15 / height, line, ha="left", va="top", fontsize=15, parse_math=False)
     _draw_summary(figure, verdict, height)
     _save(figure, target)

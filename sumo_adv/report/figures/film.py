@@ -22,12 +22,14 @@ from sumo_adv.report.figures.parts import (
     draw_box,
     draw_lanes,
     draw_scale_bar,
+    shortened,
 )
 from sumo_adv.report.figures.story import Story
 
 WIDTH, DPI = 8.0, 100  # inches, dots an inch: 800 pixels
 HEAD = 0.35  # inches above the map
 RATE = 10  # frames a second, which is SUMO's step too
+MOST = 70  # characters of the title
 HOLD = 10  # frames for which the end stands
 LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
 
@@ -45,7 +47,7 @@ def write_film(story: Story, target: Path, kind: str) -> None:
 
 
 def _film(story: Story, target: Path, kind: str) -> None:
-    view = story.view(shape=3.0)
+    view = story.view(widest=3.0)
     height = _even(HEAD + WIDTH * view[3] / view[2])
     figure = Figure(figsize=(WIDTH, height), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
@@ -92,7 +94,7 @@ def _draw_moment(axes: Any, story: Story, time: float) -> None:
 
 def _words(story: Story, time: float) -> str:
     since = time - story.trigger
-    said = f"{story.name}: {story.intent}   {since:+.1f} s"
+    said = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
     if story.collided and time >= story.decisive - 1e-6:
         return f"{said}   contact"
     return said

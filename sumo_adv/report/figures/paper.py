@@ -22,14 +22,16 @@ from sumo_adv.report.figures.parts import (
     draw_lanes,
     draw_marks,
     draw_scale_bar,
+    shortened,
 )
 from sumo_adv.report.figures.story import Scene, Story
 
 WIDTH = 7.16  # inches: two columns of an IEEE page
-WIDE = 1.6  # width over height of a map from which on the two stand one over the other
+WIDE = 2.2  # width over height of a map from which on the two stand one over the other
 TITLE, KEY, GAP, SIDE = 0.24, 0.30, 0.10, 0.02  # inches
 DPI = 300
-SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0)
+CHARACTERS = 19  # of a title, an inch
+SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
 
 
 class Picture(Figure):
@@ -46,7 +48,7 @@ class Picture(Figure):
 def draw_paper(story: Story) -> Picture:
     """The figure: (a) unattacked, (b) attacked; only (b) where the unattacked run is not known."""
     scenes = [s for s in (story.raw, story.attacked) if s is not None]
-    view = story.view(shape=4.0)
+    view = story.view(widest=4.0)
     stacked = view[2] / view[3] > WIDE
     columns, rows = (1, len(scenes)) if stacked else (len(scenes), 1)
     width = (WIDTH - 2 * SIDE - (columns - 1) * GAP) / columns
@@ -60,7 +62,8 @@ def draw_paper(story: Story) -> Picture:
         axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), facecolor=GROUND)
         _draw_map(axes, story, scene, view, height)
         letter = "" if len(scenes) == 1 else f"({'ab'[k]}) "
-        axes.set_title(f"{letter}{_words(story, scene)}", fontsize=8, loc="left", pad=3, parse_math=False)
+        words = shortened(f"{letter}{_words(story, scene)}", int(width * CHARACTERS))
+        axes.set_title(words, fontsize=6.5, loc="left", pad=3, parse_math=False)
     _draw_key(figure, story, total)
     return figure
 
@@ -69,7 +72,7 @@ def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) 
     left, bottom, width, tall = view
     draw_lanes(axes, story.lanes, SMALL)
     for other in scene.others:
-        draw_box(axes, other, story.decisive, OTHER, 5, style=SMALL)
+        draw_box(axes, other, story.decisive, OTHER, 7, style=SMALL)
     parts = [track.between(story.trigger, story.end) for track in scene.pair()]
     for track, part, colour in zip(scene.pair(), parts, (EGO, ADVERSARY), strict=True):
         axes.plot(part.x, part.y, color=colour, lw=1.2, zorder=6, solid_capstyle="round")
@@ -90,10 +93,9 @@ def _words(story: Story, scene: Scene) -> str:
     """What a map shows, in a line."""
     if scene is story.raw:
         return "Unattacked"
-    contact = "collision" if story.collided else "no contact"
     least = story.outcome["min_ttc"]
-    ttc = "never" if least is None else f"{least:.2f} s"
-    return f"Attacked: {story.intent} by {story.attacked.adversary.id}, {contact}, min TTC {ttc}"
+    came_to = f"min TTC {least:.2f} s" if least is not None else "no conflict"
+    return f"{story.intent} by {scene.adversary.id}: {'collision' if story.collided else came_to}"
 
 
 def _draw_key(figure: Figure, story: Story, total: float) -> None:

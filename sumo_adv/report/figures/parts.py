@@ -29,7 +29,8 @@ View = tuple[float, float, float, float]
 class Style:
     """Sizes in points: text of marks and of the scale bar, lines of lanes, boxes and marks, and the marks themselves.
 
-    ``away``: from a mark to its number. ``bar``: the scale bar's line.
+    ``away``: from a mark to its number. ``bar``: the scale bar's line. ``apart``: m by which a mark is left out if it is
+    that near to the last one.
     """
 
     text: float = 11.0
@@ -40,9 +41,16 @@ class Style:
     mark_line: float = 1.8
     away: float = 13.0
     bar: float = 3.5
+    apart: float = 0.0
 
 
 LARGE = Style()
+
+
+def shortened(text: str, most: int) -> str:
+    """Text in one line of at most ``most`` characters, with nothing unprintable."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= most else line[: most - 1] + "…"
 
 
 def closest_time(ego: Track, adversary: Track, start: float) -> float:
@@ -123,11 +131,15 @@ def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: St
     """A dot each second since the trigger; the number on the side away from the other vehicle."""
     colours = (EGO, ADVERSARY)
     for track, other, colour in zip(parts, reversed(parts), colours, strict=True):
+        last = (math.inf, math.inf)
         for second in range(int(track.time[-1] - trigger_time + 0.02) + 1 if track.time.size else 0):
             pose = pose_at(track, trigger_time + second)
             if pose is None:
                 continue
             x, y, heading = pose
+            if math.dist(last, (x, y)) < style.apart:
+                continue
+            last = (x, y)
             away = pose_at(other, trigger_time + second)
             side = 1.0
             if away is not None:

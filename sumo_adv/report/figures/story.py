@@ -54,14 +54,14 @@ class Story:
         """Whether the attack ended in a contact."""
         return bool(self.outcome["collided"])
 
-    def view(self, shape: float) -> View:
-        """The area around both paths, ``shape`` times as wide as high if it has to grow."""
+    def view(self, widest: float) -> View:
+        """The area around both paths, at least as wide as high, at most ``widest`` times."""
         scenes = [self.attacked] if self.raw is None else [self.attacked, self.raw]
         tracks = [part for scene in scenes for t in scene.pair() if (part := t.between(self.start, self.end)).time.size]
         x, y = (np.concatenate([getattr(t, axis) for t in tracks]) for axis in ("x", "y"))
         width = max(float(np.ptp(x)) + 2 * MARGIN, LEAST_EXTENT)
         height = max(float(np.ptp(y)) + 2 * MARGIN, LEAST_EXTENT * 0.4)
-        width, height = max(width, height * shape * 0.5), max(height, width / shape)
+        width, height = max(width, height), max(height, width / widest)
         return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
 
     @property

@@ -63,24 +63,31 @@ def damaged(file: Path, error: Exception | str) -> UsageError:
     return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
 
 
-def _tracks(file: Path) -> list[Track]:
-    """Tracks in order of first appearance; none where there is no such file."""
+def columns_of(file: Path) -> dict[str, tuple[str, ...]]:
+    """The columns of a table of states as text; empty ones where there is no such file. Raises UsageError: damaged."""
+    names = HEADER.strip().split(",")
     if not file.is_file():
-        return []
+        return dict.fromkeys(names, ())
     try:
         text = gzip.decompress(file.read_bytes()).decode()
         header, *rows = csv.reader(io.StringIO(text, newline=""))
-        if header != HEADER.strip().split(","):
+        if header != names:
             raise ValueError("its columns are others")
-        return _of_rows(header, rows)
+        return dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
     except (OSError, EOFError, ValueError, csv.Error) as error:
         raise damaged(file, error) from error
 
 
-def _of_rows(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[Track]:
-    if not rows:
-        return []
-    columns = dict(zip(header, zip(*rows, strict=True), strict=True))
+def _tracks(file: Path) -> list[Track]:
+    """Tracks in order of first appearance; none where there is no such file."""
+    columns = columns_of(file)
+    try:
+        return _of_columns(columns)
+    except ValueError as error:
+        raise damaged(file, error) from error
+
+
+def _of_columns(columns: Mapping[str, Sequence[str]]) -> list[Track]:
     values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
     if not all(np.isfinite(v).all() for v in values.values()):
         raise ValueError("a number is not finite")

@@ -32,10 +32,10 @@ function drawBars(rows, choose) {
   const after = counted(rows, (i) => (columns.failure[i] ? null : binOf(columns.min_ttc[i])));
   const before = counted(rows, (i) => (columns.failure[i] ? null : binOf(columns.raw_min_ttc[i])));
   const bins = [...BINS.map((b) => b[2]), NEVER].map((name) => ({ name, many: after.get(name) || 0, before: before.get(name) || 0 }));
-  const kinds = counted(rows, (i) => classes[i]), intents = counted(rows, (i) => cell("intent", i)), egos = counted(rows, (i) => cell("ego", i));
+  const came = counted(rows, (i) => classes[i]), intents = counted(rows, (i) => columns.intent[i]), egos = counted(rows, (i) => columns.ego[i]);
   const sorted = (counts) => [...counts].sort((a, b) => b[1] - a[1]).slice(0, 12).map(([key, many]) => ({ key, name: key || "none", many }));
   byId("bars").replaceChildren(
-    histogram("Came to", CLASSES.map((c) => ({ key: c.key, name: `${c.sign} ${c.words}`, many: kinds.get(c.key) || 0 })), (key) => choose("outcome", key)),
+    histogram("Came to", CLASSES.map((c) => ({ key: c.key, name: `${c.sign} ${c.words}`, many: came.get(c.key) || 0 })), (key) => choose("outcome", key)),
     histogram("min TTC, attacked / unattacked", bins, null), histogram("Intent", sorted(intents), (key) => choose("intent", key)),
     histogram("Ego", sorted(egos), (key) => choose("ego", key)));
 }

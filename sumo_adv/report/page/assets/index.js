@@ -15,7 +15,7 @@ function textOf(head, i) {
     const kind = CLASSES.find((c) => c.key === classes[i]);
     return `${kind.sign} ${columns.failure[i] || kind.words}`;
   }
-  const value = cell(head.name, i);
+  const value = columns[head.name][i];
   return head.show ? head.show(value) : value === null || value === "" ? "–" : String(value);
 }
 
@@ -86,7 +86,7 @@ function fill(id, options) {
 function share(many, of) { return of ? `${many} (${((100 * many) / of).toFixed(1)} %)` : "0"; }
 
 function counts(rows) {
-  const kinds = counted(rows, (i) => classes[i]), of = (k) => kinds.get(k) || 0, n = rows.length;
+  const came = counted(rows, (i) => classes[i]), of = (k) => came.get(k) || 0, n = rows.length;
   const critical = rows.filter((i) => columns.critical[i]).length;
   return `${n} of ${total} episodes shown. Of these ${share(critical, n)} critical, ${share(of("valid") + of("collision"), n)} collided, ${share(of("valid"), n)} valid, ${share(of("failed"), n)} failed.`;
 }
@@ -109,7 +109,7 @@ function start() {
   byId("title").replaceChildren(quoted(data.name), `: ${total} episodes`);
   document.title = `${plain(data.name)} — episodes`;
   byId("lead").textContent = `${data.page.filter(Boolean).length} have a replay page. Failed episodes stay in every denominator.`;
-  for (const name of ["network", "intent", "ego"]) fill(name, columns[name].kinds.filter(Boolean).map((v) => [v, v]));
+  for (const name of ["network", "intent", "ego"]) fill(name, kinds[name].filter(Boolean).map((v) => [v, v]));
   fill("outcome", CLASSES.map((c) => [c.key, c.words]));
   for (const name of ["network", "intent", "ego", "outcome", "valid"]) byId(name).addEventListener("change", (e) => { filter[name] = e.target.value; refresh(); });
   byId("search").addEventListener("input", (e) => { filter.search = e.target.value.trim().toLowerCase(); refresh(); });

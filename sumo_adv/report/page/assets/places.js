@@ -7,7 +7,7 @@ class Places {
     this.chosen = 0;
     this.lines = new Map();
     canvas.addEventListener("click", (e) => { const i = this.nearest(e.offsetX, e.offsetY); if (i !== null) this.open(i); });
-    canvas.addEventListener("pointermove", (e) => { const i = this.nearest(e.offsetX, e.offsetY); canvas.title = i === null ? "" : plain(`${cell("network", i)}, ${cell("ego", i)}, seed ${columns.seed[i]}`); });
+    canvas.addEventListener("pointermove", (e) => { const i = this.nearest(e.offsetX, e.offsetY); canvas.title = i === null ? "" : plain(`${columns.network[i]}, ${columns.ego[i]}, seed ${columns.seed[i]}`); });
   }
 
   async choose(k) {
@@ -26,7 +26,9 @@ class Places {
     Object.assign(this, sharpen(this.canvas));
     const here = rows.filter((i) => data.map[i] === this.chosen);
     this.here = here;
-    this.frame(map);
+    this.bounds = this.bounds || new Map();
+    if (!this.bounds.has(this.chosen)) this.bounds.set(this.chosen, boundsOf(this.chosen));
+    this.frame(this.bounds.get(this.chosen));
     const c = this.canvas.getContext("2d"), k = palette();
     c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     c.clearRect(0, 0, this.width, this.height);
@@ -49,12 +51,7 @@ class Places {
     c.fillText(`${bar} m`, 10, this.height - 17);
   }
 
-  /** Fit the episodes' places, or the whole network where there are none. */
-  frame(map) {
-    const all = Array.from({ length: total }, (_, i) => i).filter((i) => data.map[i] === this.chosen);
-    const points = all.length ? all.map((i) => [data.x[i], data.y[i]]) : map.lines.flat();
-    const xs = points.map((p) => p[0]), ys = points.map((p) => p[1]);
-    const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  frame([left, right, low, high]) {
     this.middle = [(left + right) / 2, (low + high) / 2];
     this.scale = Math.min(this.width / (right - left + 120), this.height / (high - low + 120));
   }
@@ -67,6 +64,19 @@ class Places {
     }
     return best;
   }
+}
+
+/** Left, right, low, high [m] of the episodes' places on a network. */
+function boundsOf(chosen) {
+  let [left, right, low, high] = [Infinity, -Infinity, Infinity, -Infinity];
+  for (let i = 0; i < total; i++) {
+    if (data.map[i] !== chosen) continue;
+    left = Math.min(left, data.x[i]);
+    right = Math.max(right, data.x[i]);
+    low = Math.min(low, data.y[i]);
+    high = Math.max(high, data.y[i]);
+  }
+  return [left, right, low, high];
 }
 
 function sign(c, kind, x, y) {

@@ -1,0 +1,217 @@
+"""The index of a batch: its rows, its pages made once, runs in packs; and 5,000 rows in a headless Chromium."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import Program
+from page_samples import ROOT, Visit, chromium, make_run, meeting, outcome
+from test_report_page import HOSTILE, data_of
+
+from sumo_adv.batch.pack import pack
+from sumo_adv.batch.results import read_row, write_csv
+from sumo_adv.errors import UsageError
+from sumo_adv.report.index.build import Packs, write_report
+from sumo_adv.report.index.make import Made, make_index, road_of
+from sumo_adv.report.index.rows import Table, read_rows
+
+MANY = 5000
+NETWORK = "straight_3lane.net.xml"
+
+
+def row(k: int, **other: Any) -> dict[str, Any]:
+    """A made-up row: every 10th a collision, every second of these valid; every 100th failed."""
+    met = k % 10 == 0
+    return {
+        "id": f"{k:016x}", "network": f"net{k % 4}", "ego": ("idm", "careful")[k % 2], "seed": k,
+        "intent": ("Cut-in", "Brake", "")[k % 3], "ending": "critical",
+        "failure": "It failed." if k % 100 == 99 else "",
+        "raw_min_ttc": None, "min_ttc": 0.0 if met else None if k % 10 == 1 else (k % 97) / 20, "collided": met,
+        "valid": k % 20 == 0 if met else None, "critical": met, "attempts": k % 25, "seconds": 1.5, **other,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def batch(tmp_path: Path) -> Path:
+    """A batch's folder of three runs, one of which failed before anything was recorded."""
+    folder = tmp_path / "campaign"
+    make_run(folder / "runs" / "aaaa", vehicles=2, frames=100, pose=meeting)
+    make_run(folder / "runs" / "bbbb", vehicles=3, frames=60)
+    (folder / "runs" / "cccc").mkdir()
+    told = outcome(
+        ending="simulation_failed", outcome=None, intent=None, intents=[], attempts=[], best=None, adversaries=[],
+        raw=None, encounter=None, trigger_time=None, agents=None, ego={"id": None, "controller": "idm"},
+        failure="It broke.",
+    )  # fmt: skip
+    (folder / "runs" / "cccc" / "outcome.json").write_text(json.dumps(told))
+    rows = [read_row(folder / "runs" / name) for name in ("aaaa", "bbbb", "cccc")]
+    write_csv(folder / "results.csv", [r for r in rows if r is not None], ())
+    return folder
+
+
+def changes(folder: Path) -> dict[str, int]:
+    return {p.name: p.stat().st_mtime_ns for p in sorted(folder.iterdir())}
+
+
+def test_rows_come_back_with_their_types(batch: Path) -> None:
+    first, _, failed = read_rows(batch / "results.csv").rows
+    assert (first["id"], first["seed"], first["min_ttc"], first["raw_min_ttc"]) == ("aaaa", 7.0, 0.7213, 9.8765)
+    assert (first["collided"], first["valid"], first["critical"]) == (False, None, True)
+    assert failed["failure"] == "It broke." and failed["min_ttc"] is None and failed["intent"] == ""
+    (batch / "results.csv").write_text("id,network\n1,2\n")
+    with pytest.raises(UsageError, match="has no column"):
+        read_rows(batch / "results.csv")
+
+
+def test_a_page_an_episode_and_the_second_time_none(batch: Path, program: Program) -> None:
+    done = program("report", batch, "--json")
+    assert done.status == 0, done.err
+    said = json.loads(done.out)
+    assert (said["episodes"], said["pages"], said["made"], said["damaged"]) == (3, 3, 3, [])
+    data = data_of((batch / "report" / "index.html").read_text())
+    assert data["columns"]["id"] == ["aaaa", "bbbb", "cccc"] and data["page"] == [1, 1, 1]
+    # the two that meet are closest at 4.8 s, when the ego, 1 m a step from x = 1 at 0.1 s, is at x = 48
+    assert (data["x"][0], data["y"][0], data["map"]) == (48.0, -1.6, [0, 0, -1])
+    before = changes(batch / "report" / "pages")
+    told = batch / "runs" / "bbbb" / "outcome.json"
+    told.write_text(told.read_text().replace('"seed": 7', '"seed": 8'))
+    again = json.loads(program("report", batch, "--json").out)
+    assert (again["pages"], again["made"]) == (3, 1)
+    after = changes(batch / "report" / "pages")
+    assert [n for n in after if after[n] != before[n]] == ["bbbb.html"]
+
+
+def test_some_pages_now_the_most_critical_first(batch: Path, tmp_path: Path) -> None:
+    table = read_rows(batch / "results.csv")
+    made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs(), most=1)
+    assert (made.pages, made.made) == (1, 1) and not (tmp_path / "out" / "pages" / "cccc.html").exists()
+    made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs())
+    assert (made.pages, made.made) == (3, 2)
+
+
+def test_a_damaged_run_is_told_and_the_others_are_shown(batch: Path, tmp_path: Path) -> None:
+    (batch / "runs" / "bbbb" / "states.csv.gz").write_bytes(b"no")
+    made = write_report(batch / "runs", tmp_path / "out", "b", read_rows(batch / "results.csv"), Packs())
+    assert made.pages == 2 and len(made.damaged) == 1 and "states.csv.gz is damaged" in made.damaged[0]
+    assert data_of(made.index.read_text())["page"] == [1, 0, 1]
+
+
+def test_names_that_are_paths_open_nothing(batch: Path, tmp_path: Path) -> None:
+    make_run(batch / "secret", vehicles=2, frames=30)
+    table = Table([row(0, id="../secret"), row(1, id=".."), row(2, id="aaaa")])
+    made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs())
+    assert made.pages == 1 and list(changes(tmp_path / "out" / "pages")) == ["aaaa.html"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "out"]
+
+
+def test_packed_runs_have_pages(batch: Path, program: Program) -> None:
+    pack(batch)
+    assert not (batch / "runs" / "aaaa").exists()
+    said = json.loads(program("report", batch, "--json").out)
+    assert (said["pages"], said["made"]) == (3, 3) and not (batch / "runs" / "aaaa").exists()
+    assert data_of((batch / "report" / "index.html").read_text())["map"] == [0, 0, -1]
+
+
+def test_runs_side_by_side_without_a_table(batch: Path, program: Program) -> None:
+    said = json.loads(program("report", batch / "runs", "--json").out)
+    assert (said["episodes"], said["pages"]) == (3, 3)
+
+
+# -- in a browser ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An index of 5,000 rows."""
+    table = Table([row(k) for k in range(MANY)])
+    made = {f"{k:016x}": Made(0, (k % 400 - 200.0, -1.6), NETWORK) for k in range(MANY)}
+    file = tmp_path_factory.mktemp("large") / "index.html"
+    file.write_text(make_index("many", table, made, {NETWORK: road_of(ROOT / "networks" / NETWORK)}), encoding="utf-8")
+    return file
+
+
+def ids(page: Any) -> list[str]:
+    """The ids of the rows that stand in the document."""
+    return [str(t) for t in page.locator("#rows tr td:last-child").all_text_contents()]
+
+
+def test_five_thousand_rows_sort_filter_and_scroll(browser: Any, large: Path) -> None:
+    rows = [row(k) for k in range(MANY)]
+    with Visit(browser, large) as visit:
+        page = visit.page
+        assert page.locator("#rows tr").count() < 80
+        assert page.get_attribute("#table", "aria-rowcount") == str(MANY + 1)
+        page.click("#heads button:has-text('min TTC')")
+        least = sorted(rows, key=lambda r: (r["min_ttc"] is None, r["min_ttc"] or 0.0, r["seed"]))
+        assert ids(page)[:20] == [r["id"] for r in least[:20]]
+        assert page.locator("#heads th").nth(5).get_attribute("aria-sort") == "ascending"
+        page.evaluate("document.getElementById('list').scrollTop = 1e9")
+        visit.until("document.querySelector('#rows tr:last-child').getAttribute('aria-rowindex') === '5001'")
+        assert ids(page)[-1] == least[-1]["id"] and page.locator("#rows tr").count() < 80
+        page.select_option("#intent", "Brake")
+        page.select_option("#ego", "careful")
+        page.fill("#most", "1")
+        wanted = [r for r in rows if r["intent"] == "Brake" and r["ego"] == "careful"]
+        wanted = [r for r in wanted if r["min_ttc"] is not None and r["min_ttc"] <= 1]
+        assert page.inner_text("#count").startswith(f"{len(wanted)} of {MANY} episodes shown.")
+        assert set(ids(page)) <= {r["id"] for r in wanted}
+        page.click("#reset")
+        page.select_option("#valid", "yes")
+        assert page.inner_text("#count").startswith(f"{MANY // 20} of {MANY}")
+        page.click("#reset")
+        page.fill("#search", "It failed")
+        assert "50 (100.0 %) failed" in page.inner_text("#count")
+        visit.clean()
+
+
+def test_histograms_filter_and_the_map_shows_where(browser: Any, large: Path) -> None:
+    with Visit(browser, large) as visit:
+        page = visit.page
+        page.click(".chart button:has-text('valid collision')")
+        assert page.input_value("#outcome") == "valid"
+        assert page.inner_text("#count").startswith(f"{MANY // 20} of {MANY}")
+        box = page.locator("#spots").evaluate(
+            """(c) => { const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+                return new Set(new Uint32Array(d.buffer)).size; }"""
+        )
+        assert box > 5 and page.locator("#maps option").all_text_contents() == [f"straight_3lane ({MANY})"]
+        visit.clean()
+
+
+@pytest.mark.parametrize("how", ["click", "keyboard"])
+def test_a_row_opens_its_replay_and_leads_back(browser: Any, batch: Path, tmp_path: Path, how: str) -> None:
+    made = write_report(batch / "runs", tmp_path / "out", "b", read_rows(batch / "results.csv"), Packs())
+    with Visit(browser, made.index) as visit:
+        if how == "click":
+            visit.page.click("#rows tr:nth-child(2) td:nth-child(5)")
+        else:
+            visit.page.focus("#rows tr:nth-child(2) a")
+            visit.page.keyboard.press("Enter")
+        visit.page.wait_for_url("**/pages/bbbb.html")
+        assert visit.page.inner_text("#title").startswith("sample")
+        visit.page.click("#back a")
+        visit.page.wait_for_url("**/index.html")
+        assert visit.wrong == [] and all(r.startswith("file:") for r in visit.requests)
+
+
+def test_hostile_rows_do_nothing_on_a_phone(browser: Any, tmp_path: Path) -> None:
+    table = Table([row(k, network=HOSTILE, ego=HOSTILE, intent=HOSTILE, failure=HOSTILE) for k in range(3)])
+    html = make_index(HOSTILE, table, {}, {})
+    assert "<img" not in html and html.count("</script>") == 2
+    file = tmp_path / "index.html"
+    file.write_text(html, encoding="utf-8")
+    with Visit(browser, file, viewport={"width": 375, "height": 720}, is_mobile=True, has_touch=True) as visit:
+        assert "onerror=alert(1)" in visit.page.inner_text("#rows")
+        assert visit.page.locator("img").count() == 0
+        assert visit.page.evaluate("document.documentElement.scrollWidth") <= 375
+        visit.clean()
