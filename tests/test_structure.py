@@ -17,7 +17,7 @@ LEVELS = (
     ("world", "metrics", "planning", "memory", "agents"),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report"),
-    ("cli", "__main__"),
+    ("cli", "api", "__main__"),
 )
 """From the bottom up (DESIGN.md): a part may import what stands below it, not its neighbours and not what is above."""
 TOP = "sumo_adv"

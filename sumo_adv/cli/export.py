@@ -45,11 +45,16 @@ def export(
 
     piece = read_piece(folder, unattacked=unattacked, before=before, whole=whole)
     target = out or folder.resolve().parent / f"{folder.resolve().name}{ENDINGS[format]}"
+    write(target, piece, format, variant, force=force)
+    _say(target, piece, format, as_json=as_json)
+
+
+def write(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
+    """Write the piece whole or not at all. Raises UsageError: ``target`` is taken; and what the format may raise."""
     if format in (Format.OPENSCENARIO, Format.SUMO):
         _folder(target, piece, format, variant, force=force)
     else:
         _file(target, piece, format, force=force)
-    _say(target, piece, format, as_json=as_json)
 
 
 def _folder(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:

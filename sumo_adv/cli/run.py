@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.memory_common import Metric, open_for_run
+from sumo_adv.cli.memory_common import Metric
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import UsageError
@@ -110,32 +109,14 @@ def run(
 
 def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.models import cast_of
+    from sumo_adv.cli.once import play
     from sumo_adv.cli.progress import make_reporter
-    from sumo_adv.episode.loop import make_task, run_episode
-    from sumo_adv.episode.worker import body
-    from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.folder import staged
-    from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.world.engine import Engine
 
     reporter = make_reporter(quiet=as_json)
-    with (
-        Interrupts() as interrupts,
-        staged(target, force=force) as folder,
-        tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
-    ):
-        task = make_task(given, settings, Path(scratch))
-        with (
-            open_for_run(settings) as bank,
-            Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
-            cast_of(settings, sandbox, folder.stage / MODEL_FILE) as cast,
-            Engine(body) as engine,
-            reporter,
-        ):
-            tell = interrupts.checked(reporter.tell)
-            episode = run_episode(given, settings, task, engine, cast, bank, tell)
-            interrupts.hold()
+    with Interrupts() as interrupts, staged(target, force=force) as folder:
+        with reporter:
+            episode = play(given, settings, folder.stage, interrupts.checked(reporter.tell), interrupts.hold)
         _finish(folder, episode, force=force, as_json=as_json)
 
 
@@ -155,17 +136,16 @@ def _finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) 
 
 
 def _replay(source: Path, out: Path | None, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.cli.once import new_engine
     from sumo_adv.episode.loop import replay_episode
-    from sumo_adv.episode.worker import body
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.world.engine import Engine
 
     recorded = read_manifest(source)
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
-        with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, Engine(body) as engine:
+        with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, new_engine() as engine:
             episode = replay_episode(
                 recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
             )

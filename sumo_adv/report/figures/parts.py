@@ -29,7 +29,7 @@ View = tuple[float, float, float, float]
 class Style:
     """Sizes in points: text of marks and of the scale bar, lines of lanes, boxes and marks, and the marks themselves.
 
-    ``away``: from a mark to its number. ``bar``: the scale bar's line. ``apart``: m by which a mark is left out if it is
+    ``away``: from a mark to its number. ``bar``: the scale bar's line. ``apart`` [m]: a mark is left out if it is
     that near to the last one.
     """
 

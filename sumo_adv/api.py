@@ -1,0 +1,168 @@
+"""The program from Python: ``import sumo_adv; result = sumo_adv.run("priority_crossing", until="valid")``.
+
+What ``sumo-adv run`` does, with settings of the same names and in the same processes, from a script or a notebook.
+"""
+
+from __future__ import annotations
+
+import html
+import tempfile
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from sumo_adv.report.export.choices import Format, Variant
+
+HEIGHT = 720  # pixels of a page inside a notebook
+NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
+Table = dict[str, NDArray[Any]]
+"""Columns by name, all of one length: what ``pandas.DataFrame`` takes."""
+
+
+class Result:
+    """A run that has ended, as its folder tells it."""
+
+    def __init__(self, folder: Path, keep: tempfile.TemporaryDirectory[str] | None = None) -> None:
+        self.folder = folder
+        self._keep = keep  # a temporary folder lives as long as this object
+
+    @cached_property
+    def outcome(self) -> Mapping[str, Any]:
+        """``outcome.json``: times in s, distances in m, never = None. Raises UsageError: it is missing or damaged."""
+        return self._read().outcome
+
+    @cached_property
+    def states(self) -> Table:
+        """The attempt that counts (the unattacked run if there was none), from the start of the simulation.
+
+        time [s]; id; role; x, y of the box's centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; length, width
+        [m]; lane. A row a vehicle and step, by time; no rows where no encounter was met.
+        """
+        return _table(self.folder / "states.csv.gz")
+
+    @cached_property
+    def raw(self) -> Table:
+        """The same without the attack."""
+        return _table(self.folder / "raw.csv.gz")
+
+    def plot(self) -> Figure:
+        """A figure of the encounter without and with the attack. Raises UsageError: no attempt was made."""
+        from sumo_adv.report.figures.paper import draw_paper
+        from sumo_adv.report.figures.story import read_story
+
+        return draw_paper(read_story(self.folder))
+
+    def show(self, height: int = HEIGHT) -> Shown:
+        """The replay page, inline where a notebook shows the last value of a cell. Raises UsageError."""
+        from sumo_adv.report.page import make_page
+
+        return Shown(make_page(self.folder), height)
+
+    def export(self, out: str | Path, format: Format | str = "openscenario", variant: Variant | str = "replay") -> Path:
+        """Write the run for other tools: openscenario or sumo (a folder), fcd or csv (a file); as ``sumo-adv export``.
+
+        Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
+        """
+        from sumo_adv.cli.export import write
+        from sumo_adv.report.export.choices import Format, Variant
+        from sumo_adv.report.export.piece import read_piece
+
+        try:
+            chosen, driven = Format(format), Variant(variant)
+        except ValueError as error:
+            raise UsageError(f"{str(error)[:1].upper()}{str(error)[1:]} of an export.") from error
+        write(Path(out), read_piece(self.folder), chosen, driven, force=False)
+        return Path(out)
+
+    def __repr__(self) -> str:
+        return f"<sumo_adv.Result {self.outcome['ending']}: {self.folder}>"
+
+    def _read(self) -> Any:
+        from sumo_adv.report.page.read import read_run
+
+        return read_run(self.folder)
+
+
+class Shown:
+    """A page that notebooks display, in a frame that may do nothing but run its own script."""
+
+    def __init__(self, page: str, height: int) -> None:
+        self.page, self.height = page, height
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe srcdoc="{html.escape(self.page)}" width="100%" height="{self.height}" sandbox="allow-scripts" '
+            'style="border:0" title="Replay"></iframe>'
+        )
+
+
+def run(
+    source: str | Path,
+    *,
+    out: str | Path | None = None,
+    force: bool = False,
+    record: str | None = None,
+    settings_file: str | Path | None = None,
+    tell: Callable[[str, Any], None] | None = None,
+    **settings: Any,
+) -> Result:
+    """Find the dangerous case in ``source`` and return what came of it, whether critical or not.
+
+    source: what ``sumo-adv run`` takes: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
+    out: the folder to write; else a temporary one that is removed with the result.
+    settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``ego``,
+    ``until``, ``attempts``, ``seed``, ``llm``, ``memory`` ... None is not given.
+    tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
+    The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
+
+    Raises:
+        UsageError: bad input or settings, or ``out`` is taken and ``force`` is not given.
+        BankError: the bank cannot be opened.
+    """
+    from sumo_adv.cli.once import play
+    from sumo_adv.cli.records import load
+    from sumo_adv.config import load_settings
+    from sumo_adv.report.folder import staged, write_run
+
+    given = load(Path(source), record)
+    defaults = {"ego": given.ego_controller, "horizon": given.horizon}
+    wanted = {name: value for name, value in settings.items() if value is not None}
+    chosen = load_settings(None if settings_file is None else Path(settings_file), **{**defaults, **wanted})
+    keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
+    target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
+    try:
+        with staged(target, force=force) as folder:
+            episode = play(given, chosen, folder.stage, tell or (lambda *_: None))
+            write_run(folder, episode)
+            folder.keep(force=force)
+    except BaseException:
+        if keep is not None:
+            keep.cleanup()
+        raise
+    return Result(target, keep)
+
+
+def load(folder: str | Path) -> Result:
+    """The result in a run's folder. Raises UsageError: it is none."""
+    result = Result(Path(folder))
+    _ = result.outcome
+    return result
+
+
+def _table(file: Path) -> Table:
+    """The columns of a table of states, in its order."""
+    from sumo_adv.report.page.read import columns_of
+
+    columns = columns_of(file)
+    return {
+        name: np.array(values, dtype=np.float64 if name in NUMBERS else object) for name, values in columns.items()
+    }  # fmt: skip
