@@ -136,7 +136,9 @@ def test_a_motion_ends_where_it_leaves_the_road() -> None:
     one = replace(encounter([bv]), drivable=road)
     left = [4.0] * 6 + [0.0] * 6
     course = drive(starts(one)[0], left, one)
-    assert 4.0 < course.y.max() < 5.0
+    # The box is 2 m wide, of which 0.15 m may stick out: a corner is over the line from y = 4.15 on, sooner as it turns.
+    assert 3.2 < course.y[-3] < course.y[-2] < 4.3
+    assert course.y[-1] == course.y[-2]
     assert (course.speed[-1], course.x[-1]) == (0.0, course.x[-2])
     assert len(course.x) < 120
 
@@ -175,7 +177,7 @@ def test_cma_learns_from_its_attempts() -> None:
     """Told that only slow motions come near, it makes them slower."""
     row = _begun(Cma(), encounter([neighbour()], seed=1))
     tried: list[Any] = []
-    for _ in range(10 * POPULATION):
+    for _ in range(8 * POPULATION):
         plan = row.propose(tried)
         mean = float(course_of(plan).speed.mean())
         tried.append(attempt(plan, len(tried), min_distance=mean))

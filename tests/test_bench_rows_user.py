@@ -197,6 +197,27 @@ def test_other_rows_run_there_too(arena: tuple[Arena, MemoryBank]) -> None:
         assert {a.ending for a in attempts} <= {"contact", "passed", "time_limit"}
 
 
+class AsksForNobody:
+    """What the engine refuses in its fork: an attempt that is lost, as if SUMO had crashed there."""
+
+    name = "nobody"
+
+    def begin(self, encounter: Any) -> None:
+        self.bezier = make_row("bezier")
+        self.bezier.begin(encounter)
+
+    def propose(self, tried: Any) -> Proposal | None:
+        plan = self.bezier.propose(tried)
+        return replace(plan, bv="nobody") if plan is not None and not tried else plan
+
+
+def test_an_attempt_that_is_lost_is_one_that_failed(arena: tuple[Arena, MemoryBank]) -> None:
+    lost, driven = arena[0].by_opponent(AsksForNobody(), arena[1]).refinement.attempts
+    assert (lost.ending, lost.verdict.feasible, lost.verdict.collided) == ("planner_failed", False, False)
+    assert "nobody" in lost.message
+    assert driven.verdict.collided
+
+
 def test_a_generator_that_fails_ends_its_row_with_a_sentence(arena: tuple[Arena, MemoryBank]) -> None:
     Says.answer = staticmethod(lambda: "cut in!")
     episode = arena[0].by_opponent(make_row(f"{HERE}:Says"), arena[1])

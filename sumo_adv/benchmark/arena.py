@@ -11,15 +11,16 @@ from typing import Any
 
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending
+from sumo_adv.datatypes import Attempt, Ending, Proposal
+from sumo_adv.episode.attack import Driven
 from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.knowledge import read_library, signature
 from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
 from sumo_adv.episode.refine import attempt_of, succeeded
-from sumo_adv.episode.task import Found, Task
-from sumo_adv.errors import ModelError, SumoAdvError
+from sumo_adv.episode.task import AttemptResult, Found, Task
+from sumo_adv.errors import ModelError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.engine import Engine
@@ -115,13 +116,24 @@ class Arena:
         if proposal is None:
             episode.reason = "Nothing was left to try."
             return False
-        brain = Brain(self.engine, self.sandbox, found, episode.settings.seed)
-        result = brain.attempt([proposal])[0]
+        result = self._result(proposal, found)
         attempt = attempt_of(len(done.attempts), "opponent", proposal, result, found, episode.settings)
         done.attempts.append(attempt)
         done.results.append(result)
         clock.tell("attempt", attempt)
         return True
+
+    def _result(self, proposal: Proposal, found: Found) -> AttemptResult:
+        """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
+        failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
+        brain = Brain(self.engine, self.sandbox, found, self.episode.settings.seed)
+        try:
+            return brain.attempt([proposal])[0]
+        except SimulationError as error:
+            if not self.episode.forked:
+                raise
+            failed = Driven("planner_failed", str(error), None)
+            return AttemptResult(failed, None, found.situations[proposal.delay].time)
 
     def encounter(self, found: Found, bank: MemoryBank) -> Encounter:
         """What an opponent sees."""

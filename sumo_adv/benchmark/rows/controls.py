@@ -18,8 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
-from sumo_adv.datatypes import Course, Floats, Verdict
+from sumo_adv.datatypes import Boxes, Course, Floats, Verdict
 from sumo_adv.geometry import PATH_STEP, wrap
+from sumo_adv.metrics.boxes import corners
+from sumo_adv.metrics.feasibility import ROAD_TOLERANCE
 from sumo_adv.planning.trajectory import Scalar, faster
 from sumo_adv.situation import Target, WayLine
 from sumo_adv.world.egos.bicycle import MAX_STEERING, apply_steer
@@ -78,16 +80,18 @@ def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) 
         state = apply_steer(state, Steer(a, steering), dt, WHEELBASE)
         travelled += (v + state.speed) / 2 * dt
         poses[k] = state.x, state.y, state.heading, state.speed
-    return _on_road(poses, encounter.drivable)
+    return _on_road(poses, start.target, encounter.drivable)
 
 
-def _on_road(poses: Floats, drivable: Drivable) -> Course:
-    """The motion up to where its centre leaves the road, and there it stands."""
+def _on_road(poses: Floats, target: Target, drivable: Drivable) -> Course:
+    """The motion up to the step in which a corner leaves the road, as the gate sees it, and there it stands."""
     x, y, heading, speed = (np.ascontiguousarray(column) for column in poses.T)
-    off = np.flatnonzero(~drivable(x, y))
+    length, width = (size - 2 * ROAD_TOLERANCE for size in (target.state.length, target.state.width))
+    points = corners(Boxes(x, y, heading, speed, length, width))
+    off = np.flatnonzero(~drivable(points[..., 0], points[..., 1]).all(axis=1))
     if not len(off):
         return Course(x, y, heading, speed)
-    n = max(int(off[0]), 1)
+    n = int(off[0]) + 1
     x, y, heading = (np.append(column[:n], column[n - 1]) for column in (x, y, heading))
     return Course(x, y, heading, np.append(speed[:n], 0.0))
 
