@@ -136,7 +136,7 @@ def test_a_motion_ends_where_it_leaves_the_road() -> None:
     one = replace(encounter([bv]), drivable=road)
     left = [4.0] * 6 + [0.0] * 6
     course = drive(starts(one)[0], left, one)
-    # The box is 2 m wide, of which 0.15 m may stick out: a corner is over the line from y = 4.15 on, sooner as it turns.
+    # The box is 2 m wide and may stick out by 0.15 m: a corner is over the line from y = 4.15 on, sooner as it turns.
     assert 3.2 < course.y[-3] < course.y[-2] < 4.3
     assert course.y[-1] == course.y[-2]
     assert (course.speed[-1], course.x[-1]) == (0.0, course.x[-2])
