@@ -57,6 +57,22 @@ def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     assert 1e-3 * float(batch[2]) < float(call[2])  # us a call in a batch, ms a call by itself
 
 
+def test_batch_scaling_compares_ways_of_the_same_episodes(program: Program) -> None:
+    """How the ways compare is not asked: four short episodes are mostly the start of processes."""
+    options = ("--episodes", "4", "--pairs", "1", "--proposals", "8", "--ways", "warm,one,two,apart")
+    said = printed(program, "batch_scaling.py", "t_junction_left_into_stem", *options, statuses=(0, 1))
+    header, *rows = said.splitlines()
+    assert header.startswith("4 episodes, 1 pairs; ms an episode")
+    for name, row in zip(("warm", "one", "two", "apart"), rows[:4], strict=True):
+        found = re.fullmatch(rf"{name}{NUMBER * 3} \|{NUMBER} \| +([\d.]+)", row)
+        assert found is not None, row
+        low, middle, high, steady, cores = map(float, found.groups())
+        assert 50.0 < low == middle == high < 60_000.0 and 10.0 < steady < 4 * high and 0.1 < cores < 1000.0
+    assert re.fullmatch(r"two over one: [\d.]+ times as fast \(bound 1\.8\)", rows[4])
+    assert re.fullmatch(r"apart over one: [\d.]+ times as fast \(what this machine gives\)", rows[5])
+    assert re.fullmatch(r"one over the warm loop: [-+][\d.]+ % an episode \(bound 10 %\)", rows[6])
+
+
 def test_womd_prints_totals_and_targets(program: Program) -> None:
     """Two records of this project's own; whether they meet a target of time is not asked."""
     records = program.home / "records"
