@@ -93,6 +93,19 @@ def test_some_pages_now_the_most_critical_first(batch: Path, tmp_path: Path) -> 
     assert (made.pages, made.made) == (3, 2)
 
 
+def test_what_was_done_before_an_interrupt_is_kept(batch: Path, tmp_path: Path) -> None:
+    def stop(done: int, of: int) -> None:
+        assert of == 3
+        if done == 2:
+            raise KeyboardInterrupt
+
+    table = read_rows(batch / "results.csv")
+    with pytest.raises(KeyboardInterrupt):
+        write_report(batch / "runs", tmp_path / "out", "b", table, Packs(), tell=stop)
+    assert sum(data_of((tmp_path / "out" / "index.html").read_text())["page"]) == 2
+    assert write_report(batch / "runs", tmp_path / "out", "b", table, Packs()).made == 1
+
+
 def test_a_damaged_run_is_told_and_the_others_are_shown(batch: Path, tmp_path: Path) -> None:
     (batch / "runs" / "bbbb" / "states.csv.gz").write_bytes(b"no")
     made = write_report(batch / "runs", tmp_path / "out", "b", read_rows(batch / "results.csv"), Packs())

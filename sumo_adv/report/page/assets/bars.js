@@ -12,7 +12,7 @@ const binOf = (value) => (value === null ? NEVER : BINS.find(([low, high]) => (h
 /** One histogram: rows of name, bar (and a second one), number; `act` is called with a name's key. */
 function histogram(title, entries, act) {
   const most = Math.max(1, ...entries.map((e) => Math.max(e.many, e.before || 0)));
-  return el("div", { class: "chart" }, el("h3", null, title), entries.map((e) => {
+  return el("div", { class: entries.some((e) => e.before !== undefined) ? "chart pair" : "chart" }, el("h3", null, title), entries.map((e) => {
     const bar = el("i"), track = el("span", { class: "track", "aria-hidden": "true" }, bar);
     bar.style.width = `${(100 * e.many) / most}%`;
     if (e.before !== undefined) {

@@ -50,17 +50,20 @@ class Charts {
     this.drawAxis(c);
   }
 
+  /** Names over the dotted lines, to the right or to the left; where there is room for few, the important ones. */
   nameMoments(c) {
-    let free = 0;
+    const taken = [], order = ["contact", "closest", "trigger", "hazard", "min_ttc"];
     c.font = "11px system-ui, sans-serif";
     c.fillStyle = this.colours.soft;
     c.textAlign = "left";
-    for (const m of this.moments) {
+    for (const m of [...this.moments].sort((a, b) => order.indexOf(a.key) - order.indexOf(b.key))) {
       const f = (m.time - this.scene.start) / this.scene.step, wide = c.measureText(m.name).width;
-      const x = Math.min(this.x(f) + 2, this.width - wide - 2);
-      if (f < this.from || f > this.to || x < free) continue;
+      if (f < this.from || f > this.to) continue;
+      const free = (x) => x >= 0 && x + wide <= this.width && taken.every(([left, right]) => x + wide < left || x > right);
+      const x = [this.x(f) + 2, this.x(f) - wide - 2].find(free);
+      if (x === undefined) continue;
       c.fillText(m.name, x, 10);
-      free = x + wide + 8;
+      taken.push([x - 6, x + wide + 6]);
     }
   }
 

@@ -202,7 +202,7 @@ class MapView {
 
   /** Ego and adversary: filled with an arrow and a name, or as outlines of another attempt. */
   drawPair(c, { s, ox, oy }, a, frame, ghost) {
-    const k = this.colours, p = this.spot;
+    const k = this.colours, p = this.spot, names = [];
     for (const [v, colour, word] of [[a.adversaryVehicle, k.adversary, "adversary"], [a.egoVehicle, k.ego, "ego"]]) {
       if (!v || !pose(v, frame, p)) continue;
       const x = ox + p.x * s, y = oy - p.y * s, fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s;
@@ -238,11 +238,18 @@ class MapView {
       }
       c.fillStyle = k.paper;
       c.fill();
-      c.font = FONT;
-      c.textAlign = "center";
-      const reach = Math.abs(fy) * l + Math.abs(fx) * w;
-      this.label(c, word, x, word === "ego" ? y + reach + 15 : y - reach - 7, colour);
+      names.push({ word, colour, x, y, reach: Math.abs(fy) * l + Math.abs(fx) * w });
     }
+    this.namePair(c, names);
+  }
+
+  /** The names of ego and adversary over the upper and under the lower of the two. */
+  namePair(c, names) {
+    c.font = FONT;
+    c.textAlign = "center";
+    names.sort((a, b) => a.y - b.y).forEach(({ word, colour, x, y, reach }, n) => {
+      this.label(c, word, x, n === names.length - 1 ? y + reach + 15 : y - reach - 7, colour);
+    });
   }
 
   label(c, text, x, y, colour) {

@@ -268,8 +268,13 @@ function connectKeys(player) {
 async function start() {
   writeWords();
   if (!data.scene) { document.querySelector("main").classList.add("words"); return null; }
+  if (typeof DecompressionStream === "undefined") {
+    byId("lead").append(el("strong", null, " This browser is too old to unpack the replay; use one of 2023 or later."));
+    return null;
+  }
+  const scene = await unpack(data.scene);
   byId("stage").hidden = false;
-  const player = new Player(await unpack(data.scene));
+  const player = new Player(scene);
   connect(player);
   connectPointers(player);
   connectKeys(player);
