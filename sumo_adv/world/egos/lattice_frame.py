@@ -132,10 +132,12 @@ def predict(
     drift = np.where(np.abs(drift) < wander, 0.0, drift)
     along = (np.abs(np.sin(turn)) < math.sin(ALONG)) & (np.abs(d) < 12.0)
     way = _travelled(v, a, times)
-    on_s, on_d = s[:, None] + np.cos(turn)[:, None] * way, _drifting(d, drift, turn, times)
-    arc_s, arc_d, arc_turn = frame.project(*_arcs(x, y, h, rate, way, v))
-    all_s, all_d = np.where(along[:, None], on_s, arc_s), np.where(along[:, None], on_d, arc_d)
-    angle = np.where(along[:, None], turn[:, None], arc_turn)
+    all_s, all_d = s[:, None] + np.cos(turn)[:, None] * way, _drifting(d, drift, turn, times)
+    angle = np.tile(turn[:, None], (1, len(times)))
+    if not along.all():
+        free = ~along
+        arcs = _arcs(x[free], y[free], h[free], rate[free], way[free], v[free])
+        all_s[free], all_d[free], angle[free] = frame.project(*arcs)
     cos, sin = np.abs(np.cos(angle)), np.abs(np.sin(angle))
     half_s = (cos * length[:, None] + sin * width[:, None]) / 2
     half_d = (sin * length[:, None] + cos * width[:, None]) / 2
