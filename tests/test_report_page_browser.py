@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -159,6 +160,21 @@ def test_zoom_pan_and_follow_by_mouse(browser: Any, file: Path) -> None:
         visit.clean()
 
 
+def pinch(visit: Visit, box: Any) -> None:
+    """Two fingers on the middle of a box, 40 px apart, then 80."""
+    session = visit.context.new_cdp_session(visit.page)
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def touch(kind: str, *apart: float) -> None:
+        points = [{"x": x + sign * a / 2, "y": y, "id": k} for a in apart for k, sign in ((0, -1), (1, 1))]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", 40)
+    touch("touchMove", 60)
+    touch("touchMove", 80)
+    touch("touchEnd")
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_and_both_schemes(browser: Any, file: Path, scheme: str) -> None:
     with Visit(browser, file, **PHONE, color_scheme=scheme) as visit:
@@ -168,6 +184,9 @@ def test_a_phone_and_both_schemes(browser: Any, file: Path, scheme: str) -> None
         ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
         assert ground == {"light": "rgb(247, 247, 244)", "dark": "rgb(20, 22, 26)"}[scheme]
         page.tap("#later")
+        before = page.evaluate("window.replay.then((p) => p.map.view.scale)")
+        pinch(visit, page.locator("#map").bounding_box())
+        visit.until("(s) => window.replay.then((p) => p.map.view.scale > 1.9 * s)", before)
         page.select_option("#layout", "beside")
         assert (
             page.evaluate("window.replay.then((p) => p.map.panels(p.attempts()).map((q) => q.width))")
@@ -206,6 +225,18 @@ def test_hostile_strings_are_shown_and_do_nothing(browser: Any, tmp_path: Path) 
         assert visit.page.locator("img, iframe, object, embed").count() == 0
         visit.page.click("#play")
         visit.until("window.replay.then((p) => p.frame > 25)")
+        visit.clean()
+
+
+def test_it_works_inside_another_page_as_notebooks_show_it(browser: Any, file: Path, tmp_path: Path) -> None:
+    host = tmp_path / "notebook.html"
+    text = html.escape(file.read_text(encoding="utf-8"), quote=True)
+    host.write_text(f'<!DOCTYPE html><iframe srcdoc="{text}" width="1000" height="900"></iframe>', encoding="utf-8")
+    with Visit(browser, host) as visit:
+        inside = visit.page.frame_locator("iframe")
+        inside.locator("#moments a[href='#closest']").click()
+        inside.locator("#clock", has_text="4.80 s (trigger + 2.80 s)").wait_for(timeout=10_000)
+        assert len(visit.page.frames) == 2 and visit.page.url == visit.address
         visit.clean()
 
 

@@ -62,7 +62,7 @@ function verdictPanel(outcome) {
     ["class", v.collision_class ? answer(v.collision_class) : null],
     ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego, delta-v ${number(impact.delta_v, 2, "m/s")}` : null],
     ...times.map(([name, time]) => [name, data.scene ? at(time) : null]),
-  ]));
+  ]), (outcome.notes || []).map((note) => el("p", { class: "soft" }, quoted(note))));
 }
 
 function attemptsPanel(outcome) {
@@ -97,6 +97,8 @@ function analyzerPanel(outcome) {
   const [shown, rest] = [intents.slice(0, 3), intents.slice(3)];
   return panel("What the analyzer said", el("p", null, "Analyzer: ", quoted(agents.analyzer ?? "–"), ". ", quoted(agents.note ?? "")),
     ranking.length ? el("p", null, "Encounter: ", ranking.map((r, k) => [k ? ", " : "", quoted(r.id), ` (${answer(r.relation)}, risk ${r.risk})`])) : null,
+    Object.keys(agents.analysis || {}).length ? el("details", null, el("summary", null, "What its samples came to"),
+      el("pre", { tabindex: "0" }, plain(JSON.stringify(agents.analysis, null, 1)))) : null,
     shown, rest.length ? el("details", null, el("summary", null, `${rest.length} more`), rest) : null);
 }
 
