@@ -1,0 +1,131 @@
+"""The program from Python: a light import, what a run gives back, and no guard needed in scripts."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import ROOT
+from run_samples import run_folder
+
+import sumo_adv
+from sumo_adv.errors import UsageError
+
+UNGUARDED = """
+import sumo_adv
+print("once")
+told = []
+result = sumo_adv.run("motorway_cut_in_left", attempts=1, proposals=24, seed=0, learn="off", memory="bank.sqlite",
+                      tell=lambda what, value: told.append(what))
+folder = result.folder
+assert (folder / "outcome.json").is_file()
+print(result.outcome["ending"], told)
+del result
+print(folder.exists())
+"""
+
+
+def python(code: str | Path, folder: Path, *options: str) -> str:
+    """What a new interpreter prints in ``folder``."""
+    arguments = [str(code)] if isinstance(code, Path) else ["-c", code]
+    done = subprocess.run(
+        [sys.executable, *options, *arguments], capture_output=True, text=True, check=False, cwd=folder, timeout=180
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_importing_is_light(tmp_path: Path) -> None:
+    heavy = "numpy", "pydantic", "matplotlib", "typer", "libsumo", "httpx", "shapely", "IPython"
+    said = python(f"import sumo_adv, sys; print([m for m in {heavy!r} if m in sys.modules])", tmp_path)
+    assert said == "[]\n"
+
+
+def test_the_names_are_few() -> None:
+    assert set(sumo_adv.__all__) == {"Result", "__version__", "load", "run"} == set(dir(sumo_adv))
+    assert all(getattr(sumo_adv, name) for name in sumo_adv.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'walk'"):
+        _ = sumo_adv.walk
+
+
+def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(UNGUARDED)
+    once, said, there = python(script, tmp_path).splitlines()
+    assert once == "once"  # the engine's process did not run the script again
+    assert said.endswith("['encounter', 'intents', 'attempt']")
+    assert there == "False"
+    assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith("bank.sqlite")) == ["script.py"]
+
+
+def test_the_outcome_is_the_file() -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    assert result.outcome == json.loads((result.folder / "outcome.json").read_text())
+    assert repr(result) == f"<sumo_adv.Result {result.outcome['ending']}: {result.folder}>"
+
+
+@pytest.mark.parametrize("which", ["states", "raw"])
+def test_tables_are_columns_of_the_files(which: str) -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    table = getattr(result, which)
+    with gzip.open(result.folder / f"{which}.csv.gz", "rt") as file:
+        rows = list(csv.DictReader(file))
+    assert list(table) == list(rows[0])
+    assert {len(column) for column in table.values()} == {len(rows)}
+    assert table["x"].dtype == np.float64 and table["id"][0] == rows[0]["id"]
+    assert table["y"][-1] == float(rows[-1]["y"])
+
+
+def test_pandas_takes_them() -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    result = sumo_adv.load(run_folder("crossing"))
+    frame = pandas.DataFrame(result.states)
+    assert set(frame[frame.role == "ego"].id) == {"ego"}
+
+
+def test_plot_and_show_can_be_seen_inline() -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    assert result.plot()._repr_png_()[:4] == b"\x89PNG"  # type: ignore[attr-defined]
+    frame = result.show(height=500)._repr_html_()
+    assert frame.startswith('<iframe srcdoc="&lt;!DOCTYPE html&gt;') and frame.endswith("</iframe>")
+    assert frame.count("<") == 2 and frame.count('"') == 12  # the page itself is quoted
+    assert 'height="500" sandbox="allow-scripts"' in frame
+
+
+def test_exports_are_those_of_the_command_line(tmp_path: Path) -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    assert result.export(tmp_path / "a.csv", "csv") == tmp_path / "a.csv"
+    assert (tmp_path / "a.csv").read_text().startswith("time_s,vehicle,")
+    with pytest.raises(UsageError, match="is there already"):
+        result.export(tmp_path / "a.csv", "csv")
+    with pytest.raises(UsageError, match="'video' is not a valid Format of an export"):
+        result.export(tmp_path / "b", "video")
+
+
+def test_wrong_use_leaves_nothing(tmp_path: Path) -> None:
+    for arguments, says in (
+        ({"nonsense": 1}, "nonsense"),
+        ({"ego": "nobody"}, "nobody"),
+        ({"until": "never"}, "until"),
+    ):
+        with pytest.raises(UsageError, match=says):
+            sumo_adv.run(
+                "motorway_cut_in_left", out=tmp_path / "out", memory=tmp_path / "bank.sqlite", learn="off", **arguments
+            )
+        assert not (tmp_path / "out").exists()
+    with pytest.raises(UsageError, match="There is no file"):
+        sumo_adv.run("nowhere")
+    with pytest.raises(UsageError, match=r"holds no outcome\.json"):
+        sumo_adv.load(tmp_path)
+    with pytest.raises(UsageError, match="is there already"):
+        sumo_adv.run("motorway_cut_in_left", out=run_folder("crossing"))
+
+
+def test_the_package_says_that_it_is_typed() -> None:
+    assert (ROOT / "sumo_adv" / "py.typed").is_file()
