@@ -140,8 +140,8 @@ def run(
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
-        with staged(target, force=force) as folder:
-            episode = play(given, chosen, folder.stage, tell or (lambda *_: None))
+        with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            episode = play(given, chosen, folder.stage, Path(scratch), tell or (lambda *_: None))
             write_run(folder, episode)
             folder.keep(force=force)
     except BaseException:

@@ -64,6 +64,17 @@ def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith("bank.sqlite")) == ["script.py"]
 
 
+def test_a_bare_network_gets_traffic(tmp_path: Path) -> None:
+    result = sumo_adv.run("straight_3lane", density=1, end=20, out=tmp_path / "out", memory=tmp_path / "bank.sqlite")
+    assert result.outcome["ending"] == "no_encounter"
+    assert {len(column) for column in result.states.values()} == {0}
+    assert len(list((result.folder / "inputs").glob("*.rou.xml"))) == 1  # a copy of what was generated
+    with pytest.raises(UsageError, match="made no attempt"):
+        result.plot()
+    with pytest.raises(UsageError, match="nothing to export"):
+        result.export(tmp_path / "a.csv", "csv")
+
+
 def test_the_outcome_is_the_file() -> None:
     result = sumo_adv.load(run_folder("crossing"))
     assert result.outcome == json.loads((result.folder / "outcome.json").read_text())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,10 +20,12 @@ def play(
     given: RunInput,
     settings: Settings,
     stage: Path,
+    scratch: Path,
     tell: Callable[[str, Any], None],
     played: Callable[[], None] = lambda: None,
 ) -> Episode:
-    """The episode; what models say is recorded in the folder ``stage``. ``played``: called before all is taken down.
+    """The episode; what models say is recorded in the folder ``stage``, demand is generated into ``scratch``, which the
+    episode needs until it is written. ``played``: called before all is taken down.
 
     Raises UsageError or BankError for wrong use; what else goes wrong is the episode's ending.
     """
@@ -34,16 +35,15 @@ def play(
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.outcome import MODEL_FILE
 
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-        task = make_task(given, settings, Path(scratch))
-        with (
-            open_for_run(settings) as bank,
-            Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
-            cast_of(settings, sandbox, stage / MODEL_FILE) as cast,
-            new_engine() as engine,
-        ):
-            episode = run_episode(given, settings, task, engine, cast, bank, tell)
-            played()
+    task = make_task(given, settings, scratch)
+    with (
+        open_for_run(settings) as bank,
+        Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
+        cast_of(settings, sandbox, stage / MODEL_FILE) as cast,
+        new_engine() as engine,
+    ):
+        episode = run_episode(given, settings, task, engine, cast, bank, tell)
+        played()
     return episode
 
 

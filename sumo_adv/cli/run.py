@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -114,9 +115,14 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
     from sumo_adv.report.folder import staged
 
     reporter = make_reporter(quiet=as_json)
-    with Interrupts() as interrupts, staged(target, force=force) as folder:
+    with (
+        Interrupts() as interrupts,
+        staged(target, force=force) as folder,
+        tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+    ):
+        tell = interrupts.checked(reporter.tell)
         with reporter:
-            episode = play(given, settings, folder.stage, interrupts.checked(reporter.tell), interrupts.hold)
+            episode = play(given, settings, folder.stage, Path(scratch), tell, interrupts.hold)
         _finish(folder, episode, force=force, as_json=as_json)
 
 
