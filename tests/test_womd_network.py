@@ -86,6 +86,27 @@ def test_signals_hold_as_recorded_then_all_go_in_turn(tmp_path: Path) -> None:
     assert all(any(state[k] in "gG" for state in states) for k in range(12))
 
 
+def test_whoever_drives_over_the_line_had_green(tmp_path: Path) -> None:
+    """The ego comes from the south at 10 m/s, its front 33.7 m before the line: over it at 3.4 s. Where the record
+    never knows its signal, it is green until 1 s after that, then yellow for 3 s; turns stay red."""
+    message = samples.four_way()
+    for step in message.dynamic_map_states:
+        for state in step.lane_states:
+            state.state = 0 if state.lane // 10 == 33 else state.state
+    made, _ = convert(tmp_path, message)
+    assert made.report["signals_witnessed"] == 1
+    net = ET.parse(made.path).getroot()
+    phases = [(float(p.get("duration", "0")), p.get("state", "")) for p in net.iter("phase")]
+    edge = made.pieces[104][0].sumo_lane.rpartition("_")[0]
+    letters = {}
+    for link in net.findall("connection"):
+        if link.get("from") == edge:
+            k = int(link.get("linkIndex", "-1"))
+            letters[link.get("dir")] = "".join(state[k] * round(10 * duration) for duration, state in phases)[:91]
+    assert letters["s"].lower() == 44 * "g" + 30 * "y" + 17 * "r"
+    assert letters["l"] == letters["r"] == 91 * "r"
+
+
 def test_lanes_of_one_point_or_none_are_dropped_by_name(tmp_path: Path) -> None:
     made, road = convert(tmp_path, samples.one_point())
     assert made.report["dropped_lanes"] == [[2, "one point"], [4, "no points"]]

@@ -49,6 +49,7 @@ def make_report(
         "signals_mapped": len(signals.mapped),
         "signals_without_a_link": sorted(signals.recorded - set(signals.mapped)),
         "signals_unknown": len(signals.unknown),
+        "signals_witnessed": signals.witnessed,
         "signals_completed": signals.completed,
         "signals_assumed": signals.assumed,
         "signal_junctions": len(signals.programs),

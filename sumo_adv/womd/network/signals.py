@@ -1,9 +1,10 @@
 """Signals: phases as recorded, then a default for streams whose green was never seen, over and over.
 
 A link is ruled by the first signal lane that begins on it. Where a lane's state is unknown for a while, the last known
-state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else it is red until the
-default. So it is with approaches that go straight on across ruled ones and of which the record tells no signal. In the
-default no two streams that cross or merge are green together.
+state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else as logged vehicles
+that drive off there tell (``witnesses.py``), else it is red until the default. So it is with approaches that go
+straight on across ruled ones and of which the record tells no signal. In the default no two streams that cross or merge
+are green together.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link
+from sumo_adv.womd.network.witnesses import logged_traffic, witnessed_letters
 from sumo_adv.womd.record import Record
 
 LETTERS = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
@@ -44,12 +46,14 @@ class Program:
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
     """Programs by junction, and what the report tells: lanes with a signal, those that rule a link, those whose state
-    is never known, streams that the default completes, approaches signalled without a recorded signal."""
+    is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
+    without a recorded signal."""
 
     programs: dict[str, Program]
     recorded: frozenset[int]
     mapped: tuple[int, ...]
     unknown: tuple[int, ...]
+    witnessed: int
     completed: int
     assumed: int
 
@@ -77,12 +81,13 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
     letters = _letters(record)
     place: dict[int | None, int] = {lane: n for n, lane in enumerate(letters)}
     programs: dict[str, Program] = {}
-    completed = 0
+    completed = witnessed = 0
     step = float(record.time[1] - record.time[0]) if len(record.time) > 1 else 0.1
     for junction in sorted({links[n].junction for n in rulers}):
         members = [n for n in rulers if links[n].junction == junction]
         members.sort(key=lambda n: (place.get(rulers[n], len(place)), n))
-        known = _known(links, members, rulers, letters)
+        known, told = _known(record, links, members, rulers, letters)
+        witnessed += told
         rows = ["".join(known[n][k] for n in members) for k in range(len(record.signals))]
         phases = _run_lengths(rows, step)
         needy = _needy(links, members, phases)
@@ -94,7 +99,7 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
     unknown = tuple(lane for lane, states in letters.items() if not any(states))
     mapped = tuple(lane for lane in letters if lane in set(rulers.values()))
     assumed = len({links[n].source for n, lane in rulers.items() if lane is None})
-    return SignalPlan(programs, frozenset(letters), mapped, unknown, completed, assumed)
+    return SignalPlan(programs, frozenset(letters), mapped, unknown, witnessed, completed, assumed)
 
 
 def _letters(record: Record) -> dict[int, list[str]]:
@@ -113,16 +118,26 @@ def _letters(record: Record) -> dict[int, list[str]]:
 
 
 def _known(
-    links: Sequence[Link], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
-) -> dict[int, list[str]]:
-    """Each link's letters; those of a like link where its own are never known; else red."""
+    record: Record, links: Sequence[Link], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
+) -> tuple[dict[int, list[str]], int]:
+    """Each link's letters; where its own are never known those of a like link, else what logged vehicles tell, else
+    red; and of how many streams vehicles told."""
     own = {n: letters.get(lane, []) if (lane := rulers[n]) is not None else [] for n in members}
     told: dict[Stream, list[str]] = {}
     for n in members:
         if any(own[n]):
             told.setdefault(_stream(links[n]), own[n])
-    red = ["r"] * len(next(iter(letters.values())))
-    return {n: own[n] if any(own[n]) else told.get(_stream(links[n]), red) for n in members}
+    unseen: dict[Stream, list[Link]] = {}
+    for n in members:
+        if _stream(links[n]) not in told:
+            unseen.setdefault(_stream(links[n]), []).append(links[n])
+    traffic = logged_traffic(record) if unseen else None
+    found = {s: witnessed_letters(traffic, like) for s, like in unseen.items()} if traffic is not None else {}
+    witnessed = {stream: told_by for stream, told_by in found.items() if told_by}
+    told |= witnessed
+    red = ["r"] * len(record.signals)
+    known = {n: own[n] if any(own[n]) else told.get(_stream(links[n]), red) for n in members}
+    return known, len(witnessed)
 
 
 def _stream(link: Link) -> Stream:
@@ -152,20 +167,27 @@ def _needy(links: Sequence[Link], members: list[int], phases: list[tuple[float, 
 def _default(
     links: Sequence[Link], members: list[int], needy: list[Stream], order: RightOfWay
 ) -> list[tuple[float, str]]:
-    """Green phases that serve every needy stream, each with all others that are in nobody's way."""
+    """Few green phases that serve every needy stream, each with all others that are in nobody's way."""
     of_stream: dict[Stream, list[int]] = {}
     for n in members:
         of_stream.setdefault(_stream(links[n]), []).append(n)
-    waiting, phases = list(needy), []
+    orders = [needy[k:] + needy[:k] for k in range(len(needy))]
+    greens = min((_serve(waiting, of_stream, order) for waiting in orders), key=len, default=[])
+    return [(GREEN, "".join("g" if n in green else "r" for n in members)) for green in greens]
+
+
+def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: RightOfWay) -> list[set[int]]:
+    """The links that are green together, a set a phase: the first stream that waits with all that fit."""
+    phases = []
     while waiting:
-        green: set[int] = set(of_stream[waiting[0]])
-        served = [waiting[0]]
-        for stream in [*waiting[1:], *(s for s in of_stream if s not in waiting)]:
+        green: set[int] = set()
+        served = []
+        for stream in [*waiting, *(s for s in of_stream if s not in waiting)]:
             if not any(order.foes[n] & green for n in of_stream[stream]):
                 green |= set(of_stream[stream])
                 served.append(stream)
         waiting = [stream for stream in waiting if stream not in served]
-        phases.append((GREEN, "".join("g" if n in green else "r" for n in members)))
+        phases.append(green)
     return phases
 
 
