@@ -98,7 +98,7 @@ class Charts {
     c.fillText(row.title, EDGE.left + 4, top - 3);
     let x = EDGE.left + 14 + c.measureText(row.title).width;
     for (const who of row.names.length > 1 ? ["ego", "adversary"] : []) {
-      c.fillStyle = k[who];
+      c.fillStyle = k[`${who}-text`];
       c.fillText(who, x, top - 3);
       x += c.measureText(who).width + 10;
     }

@@ -149,7 +149,7 @@ class MapView {
     this.drawScale(c, panel, s);
     c.font = FONT;
     c.textAlign = "left";
-    if (this.beside || ghosts.length === 0) this.label(c, `${a.name}${frame > a.to + 0.5 ? " (ended)" : ""}`, panel.left + 10, panel.top + 18, k[a.key] || k.ink);
+    if (this.beside || ghosts.length === 0) this.label(c, a.name + (a.key === "first" ? ": ego and adversary" : "") + (frame > a.to + 0.5 ? " (ended)" : ""), panel.left + 10, panel.top + 18, k[a.key] || k.ink);
     if (panel.left > 0 || panel.top > 0) {
       c.strokeStyle = k.soft;
       c.lineWidth = 1;
@@ -238,7 +238,7 @@ class MapView {
       }
       c.fillStyle = k.paper;
       c.fill();
-      names.push({ word, colour, x, y, reach: Math.abs(fy) * l + Math.abs(fx) * w });
+      names.push({ word, colour: k[`${word}-text`], x, y, reach: Math.abs(fy) * l + Math.abs(fx) * w });
     }
     this.namePair(c, names);
   }
