@@ -1,10 +1,11 @@
 """How faithful converted Waymo records are: a row a record, all together, and the targets.
 
     python benchmarks/womd.py DIR                      every *.tfrecord below DIR, random traffic included
+    python benchmarks/womd.py DIR --seeds 0 1 2 3      the same, traffic of four seeds
     python benchmarks/womd.py DIR --no-traffic --json rows.json
 
-Needs records (they are not part of the project); without DIR it says so and ends. Status 1 if a record cannot be
-converted or a target is missed.
+After the table it says what each record falls short of. Needs records (they are not part of the project); without DIR
+it says so and ends. Status 1 if a record cannot be converted or a target is missed.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from sumo_adv.cli.convert import show
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.womd.convert import convert_record
 from sumo_adv.womd.reader import read_records
-from sumo_adv.womd.table import totals
+from sumo_adv.womd.scene import NETWORK
+from sumo_adv.womd.table import shortfalls, totals
+from sumo_adv.womd.traffic import random_traffic
 
 TARGETS = {  # name in the totals: least or most
     "within_0.5": (">=", 0.999), "within_0.1": (">=", 0.99), "connectivity": (">=", 0.995), "in_junctions": ("<", 0.30),
@@ -34,6 +37,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?", help="where the .tfrecord files are")
     parser.add_argument("--no-traffic", action="store_true", help="do not try random traffic")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="of random traffic; the table has the first")
     parser.add_argument("--workers", type=int, default=1, help="records at once; times are fair with 1 only")
     parser.add_argument("--json", type=Path, help="also write all reports to this file")
     args = parser.parse_args()
@@ -42,7 +46,7 @@ def main() -> int:
         return 0
     files = sorted(args.folder.rglob("*.tfrecord*"))
     with ProcessPoolExecutor(args.workers) as pool:
-        found = list(pool.map(_convert, files, [not args.no_traffic] * len(files)))
+        found = list(pool.map(_convert, files, [[] if args.no_traffic else args.seeds] * len(files)))
     reports = [r for of_file, _ in found for r in of_file]
     failed = [sentence for _, of_file in found for sentence in of_file]
     for sentence in failed:
@@ -52,18 +56,30 @@ def main() -> int:
     if not reports:
         return 1
     show(reports)
+    for report in reports:
+        for phrase in shortfalls(report):
+            print(f"{report['scenario_id']:17} {phrase}")
     missed = _targets(totals(reports))
+    for seed in [] if args.no_traffic else args.seeds[1:]:
+        print(f"\nrandom traffic of seed {seed}:")
+        for report in reports:
+            for event in report["trials"][seed]["events"]:
+                print(f"{report['scenario_id']:17} {event}")
+        total = totals([{**report, "traffic": report["trials"][seed]} for report in reports])
+        missed += _met("disturbed", total["disturbed"], *TARGETS["disturbed"])
     return 1 if failed or missed else 0
 
 
-def _convert(file: Path, traffic: bool) -> tuple[list[dict[str, Any]], list[str]]:
-    """The reports of a file's records, and what went wrong with the others."""
+def _convert(file: Path, seeds: list[int]) -> tuple[list[dict[str, Any]], list[str]]:
+    """The reports of a file's records with ``trials`` (traffic by seed), and what went wrong with the others."""
     reports: list[dict[str, Any]] = []
     failed: list[str] = []
     for record in read_records(file, told=lambda error: failed.append(str(error))):
         try:
             with tempfile.TemporaryDirectory() as folder:
-                reports.append(convert_record(record, Path(folder), traffic=traffic))
+                report = convert_record(record, Path(folder), traffic=False)
+                trials = {seed: random_traffic(Path(folder) / NETWORK, seed=seed) for seed in seeds}
+            reports.append({**report, "traffic": trials[seeds[0]] if seeds else None, "trials": trials})
         except SumoAdvError as error:
             failed.append(f"{record.scenario_id}: {error}")
     return reports, failed
@@ -78,12 +94,14 @@ def _targets(total: dict[str, float]) -> list[str]:
         del checks["disturbed"]
     checks["inside"] = (total["inside"], ">=", total["near_centre"] - 0.01)
     checks["broken"] = (total["broken"], "<=", 2 * total["own_broken"])
-    missed = []
-    for name, (value, sign, bound) in checks.items():
-        met = value >= bound if sign == ">=" else value <= bound if sign == "<=" else value < bound
-        missed += [] if met else [name]
-        print(f"{'met   ' if met else 'MISSED'} {name}: {value:.5g} {sign} {bound:.5g}")
-    return missed
+    return [name for name, check in checks.items() if _met(name, *check)]
+
+
+def _met(name: str, value: float, sign: str, bound: float) -> list[str]:
+    """Print a target; its name if it was missed."""
+    met = value >= bound if sign == ">=" else value <= bound if sign == "<=" else value < bound
+    print(f"{'met   ' if met else 'MISSED'} {name}: {value:.5g} {sign} {bound:.5g}")
+    return [] if met else [name]
 
 
 if __name__ == "__main__":

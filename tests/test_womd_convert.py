@@ -17,8 +17,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.womd.convert import cache_folder, conversion
 from sumo_adv.womd.reader import Choice, read_records
 from sumo_adv.womd.record import Record
-from sumo_adv.womd.table import COLUMNS, row, totals
-from sumo_adv.womd.traffic import random_traffic
+from sumo_adv.womd.table import COLUMNS, row, shortfalls, totals
+from sumo_adv.womd.traffic import _teleports, random_traffic
 from sumo_adv.world.inputs import load_input
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
@@ -69,6 +69,14 @@ def test_the_report_of_the_four_way_junction(tmp_path: Path) -> None:
     total = totals([report, report])
     assert (total["records"], total["signals_mapped"], total["connectivity"]) == (2, 24, 1.0)
     assert total["disturbed"] == float(report["traffic"]["teleports"] > 0)
+    assert len(report["traffic"]["events"]) == report["traffic"]["teleports"]
+    assert shortfalls({**report, "traffic": None}) == []
+    lost = {**report["connectivity"], "kept": 23}
+    broken = {**report["routes"], "broken": [1, 2], "own_broken": [2]}
+    traffic = {**report["traffic"], "events": ["collision (junction) on :n0_0_0 at 3.0 s"]}
+    assert shortfalls({**report, "connectivity": lost, "routes": broken, "traffic": traffic}) == [
+        "1 connections", "tracks [1] break, in the record they do not", "collision (junction) on :n0_0_0 at 3.0 s",
+    ]  # fmt: skip
 
 
 def test_crosswalks_are_polygons_that_sumo_loads(tmp_path: Path) -> None:
@@ -148,13 +156,23 @@ def test_random_traffic_counts(tmp_path: Path) -> None:
     from sumo_adv.world.inputs import data_folder
 
     found = random_traffic(data_folder("networks") / "straight_3lane.net.xml", duration=30.0)
-    assert found["collisions"] == found["teleports"] == 0 and int(found["vehicles"]) > 5
+    assert found["collisions"] == found["teleports"] == 0 and found["events"] == [] and found["vehicles"] > 5
     bikes = straight("bikes")
     for feature in bikes.map_features:
         if feature.HasField("lane"):
             feature.lane.type = 3
     with conversion(read(write(tmp_path / "a", bikes)), traffic=True, cache=tmp_path / "cache") as made:
         assert made.report["traffic"]["vehicles"] == 0 and "No route" in made.report["traffic"]["note"]
+
+
+def test_teleports_are_read_from_the_warnings() -> None:
+    """As SUMO 1.28 words them, between others."""
+    said = (
+        "Warning: Vehicle 'bv9' performs emergency braking on lane 'w1_0' with decel=9.00, wished=4.50, time=40.00.\n"
+        "Warning: Teleporting vehicle 'bv23'; waited too long (yield), lane='w207_0', time=115.90.\n"
+        "Warning: Teleporting vehicle 'bv2'; collision with vehicle 'bv3', lane=':n1_0_0', time=7.00.\n"
+    )
+    assert _teleports(said)[0] == "teleport (waited too long (yield)) from w207_0 at 115.9 s"
 
 
 @pytest.mark.parametrize(

@@ -70,6 +70,24 @@ def totals(reports: Sequence[Report]) -> dict[str, float]:
     }  # fmt: skip
 
 
+def shortfalls(report: Report) -> list[str]:
+    """What a record's network does not show as the record has it, a phrase each; empty if there is nothing."""
+    d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
+    lost, beyond = c["wanted"] - c["kept"], round((1.0 - d["within_0.5"]) * d["samples"])
+    more = [track for track in r["broken"] if track not in r["own_broken"]]
+    found = {
+        f"{100 * (1.0 - report['represented']):.2f} % of lane length": report["represented"] < 0.9999,
+        f"{beyond} samples beyond 0.5 m (at most {d['max']:.1f} m)": beyond > 0,
+        f"{lost} connections": lost > 0,
+        f"{s['lanes'] - s['mapped']} signal lanes without a link": s["mapped"] < s["lanes"],
+        f"{100 * (v['near_centre'] - v['inside']):.1f} points fewer vehicles inside lanes than near a centre line":
+            v["inside"] < v["near_centre"] - 0.01,
+        f"tracks {more} break, in the record they do not": bool(more),
+    }  # fmt: skip
+    events = report["traffic"]["events"] if report["traffic"] is not None else []
+    return [phrase for phrase, holds in found.items() if holds] + list(events)
+
+
 def _mean(values: Sequence[float], weights: Any) -> float:
     weights = np.asarray(weights, float)
     return float(np.average(values, weights=weights)) if weights.sum() > 0 else 1.0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from sumo_adv.errors import SimulationError, UsageError
@@ -14,10 +16,12 @@ from sumo_adv.world.demand import generate
 DURATION = 120.0  # s
 PATIENCE = 60.0  # s without a move after which SUMO teleports a vehicle
 TIME_LIMIT = 120.0  # s of wall time
+_TELEPORT = re.compile(r"Teleporting vehicle '[^']*'; ([^,]*), lane='([^']*)', time=([0-9.]+)\.")
 
 
-def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) -> dict[str, int | str]:
-    """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports.
+def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) -> dict[str, Any]:
+    """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports, and the place
+    and time of each of those (``events``).
 
     A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails,
     UsageError if it is not installed.
@@ -27,20 +31,29 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) 
         try:
             demand = generate(network, folder / "demand.rou.xml", seed=seed, end=duration)
         except UsageError as error:
-            return {"vehicles": 0, "collisions": 0, "teleports": 0, "note": str(error)}
-        _sumo(network, demand, folder, seed, duration)
+            return {"vehicles": 0, "collisions": 0, "teleports": 0, "events": [], "note": str(error)}
+        warnings = _sumo(network, demand, folder, seed, duration)
         root = ElementTree.parse(folder / "statistics.xml").getroot()
         events = ElementTree.parse(folder / "collisions.xml").getroot()
         teleports, vehicles = root.find("teleports"), root.find("vehicles")
         assert teleports is not None and vehicles is not None
-        pairs = {frozenset((c.attrib["collider"], c.attrib["victim"])) for c in events.iter("collision")}
+        pairs: dict[frozenset[str], str] = {}
+        for c in events.iter("collision"):
+            told = f"collision ({c.attrib['type']}) on {c.attrib['lane']} at {float(c.attrib['time']):.1f} s"
+            pairs.setdefault(frozenset((c.attrib["collider"], c.attrib["victim"])), told)
         return {
             "vehicles": int(vehicles.attrib["inserted"]), "collisions": len(pairs),
-            "teleports": int(teleports.attrib["total"]),
+            "teleports": int(teleports.attrib["total"]), "events": [*pairs.values(), *_teleports(warnings)],
         }  # fmt: skip
 
 
-def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float) -> None:
+def _teleports(warnings: str) -> list[str]:
+    """SUMO's warnings of teleports, shortened: it has no other output for them."""
+    return [f"teleport ({why}) from {lane} at {float(time):.1f} s" for why, lane, time in _TELEPORT.findall(warnings)]
+
+
+def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float) -> str:
+    """Run SUMO; its warnings."""
     netconvert = find_netconvert()
     sumo = netconvert.with_name(netconvert.name.replace("netconvert", "sumo"))  # they are installed together
     command = [
@@ -48,7 +61,7 @@ def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float)
         "--step-length", "0.1", "--collision.action", "warn", "--collision.mingap-factor", "0",
         "--collision.check-junctions", "true", "--lanechange.duration", "3", "--time-to-teleport", str(PATIENCE),
         "--statistic-output", str(folder / "statistics.xml"), "--collision-output", str(folder / "collisions.xml"),
-        "--xml-validation", "never", "--no-step-log", "true", "--no-warnings", "true",
+        "--xml-validation", "never", "--no-step-log", "true",
     ]  # fmt: skip
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
@@ -57,3 +70,4 @@ def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float)
     if done.returncode:
         said = (done.stderr.strip().splitlines() or ["no reason given"])[0]
         raise SimulationError(f"Random traffic could not be tried on {network}: SUMO says '{said}'.")
+    return done.stderr
