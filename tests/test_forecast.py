@@ -14,7 +14,17 @@ from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 from sumo_adv.datatypes import Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
 from sumo_adv.planning.forecast import arrivals, profile_at, stations
-from sumo_adv.planning.predict import Answer, Ask, Rollouts, Told, local_endpoint, predict, world_endpoint
+from sumo_adv.planning.predict import (
+    Answer,
+    Ask,
+    PredictedEgos,
+    Rollouts,
+    Told,
+    local_endpoint,
+    predict,
+    seen_edges,
+    world_endpoint,
+)
 from sumo_adv.situation import NO_ARRIVAL, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
@@ -132,6 +142,34 @@ def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind:
     assert rollouts.disturbed.tolist() == [False, True]
     assert rollouts.ego[3][1, -1] < rollouts.ego[3][0, -1] - 2.0
     assert rollouts.ego[0][0] == pytest.approx(np.arange(70) * 1.0)
+
+
+@pytest.mark.parametrize(
+    ("lane", "width", "left", "right"),
+    [
+        (3.2, 1.8, 1.6, 1.6),  # 0.7 - 0.1 .. 2.5 + 0.1 m from the right edge: the strips 0 .. 0.8 up to 2.4 .. 3.2
+        (4.0, 1.8, 1.2, 1.2),  # 1.0 .. 3.0 m: the strips 0.8 .. 1.6 up to 2.4 .. 3.2
+        (3.0, 2.5, 1.5, 1.5),  # wider than the lane nearly: all of it, no more
+    ],
+)
+def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
+    lane: float, width: float, left: float, right: float
+) -> None:
+    assert seen_edges(lane, width) == pytest.approx((left, right))
+
+
+def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front() -> None:
+    """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
+    lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
+    sit = situation([leader(gap=15.0)], model=KRAUSS)
+    one = np.ones(2)
+    egos = PredictedEgos(sit, 5.0 * one, 1.8 * one)
+    before = np.array([0.0, 2.3])
+    for k, d in ((0, before), (1, 2.3 * one)):
+        egos.step(0.1 * k, (20.0 * one, d, 0.0 * one), 10.0 * one)
+        assert not egos.disturbed.any()  # 15 m at equal speed are enough
+    egos.step(0.2, (8.0 * one, 2.3 * one, 0.0 * one), 2.0 * one)
+    assert egos.disturbed.tolist() == [True, False]
 
 
 def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:

@@ -17,6 +17,7 @@ from sumo_adv.situation import Situation, Target
 
 NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
+AVOIDABLE = 0.7  # a score below is one that somebody could have avoided
 BRAKING_LABEL = "Emergency Braking"
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
@@ -140,8 +141,8 @@ def _share(members: Sequence[Proposal]) -> float:
 def _intent(members: Sequence[Proposal], description: str) -> Intent:
     best = min(members, key=lambda p: p.score)
     share = _share(members)
-    risk = "high" if best.score < 0.7 else ("medium" if best.score < REACHES else "low")
-    valid = sum(p.score < 0.7 for p in members)
+    risk = "high" if best.score < AVOIDABLE else ("medium" if best.score < REACHES else "low")
+    valid = sum(p.score < AVOIDABLE for p in members)
     reason = (
         f"predicted: {share:.0%} of {len(members)} candidates collide, {valid} of them avoidably; "
         f"least TTC {min(float(p.predicted.get('min_ttc', 10.0)) for p in members):.2f} s"

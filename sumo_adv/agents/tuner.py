@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sumo_adv.agents.expert import REACHES, Expert, Family
+from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert, Family
 from sumo_adv.datatypes import Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
@@ -58,7 +58,7 @@ class Tuner:
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
         open_ = self._open()
-        if not any(p.score < REACHES for p in open_) and self._drawn < MOST_DRAWN:
+        if not any(p.score < AVOIDABLE for p in open_) and self._drawn < MOST_DRAWN:
             ways = [w for w in self._ways if self._by_planner[w.planner.hash] < self._share]
             fresh = self._expert.draw(ways, REDRAW, defaults=False)
             self._drawn += max(len(fresh), 1)

@@ -7,6 +7,7 @@ model drives (Krauss's safe speed, IDM, the careful driver's brake), never a ste
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -36,7 +37,8 @@ class Answer:
 
 Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
 
-LEADER_HALF_WIDTH = 1.6  # m: a front centre further aside is not seen by SUMO's drivers (ALGORITHM)
+SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
+WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
 CAREFUL_DELAY, CAREFUL_BRAKE, CAREFUL_RAMP = 1.15, 7.59, 0.6  # s, m/s2, s: UN R157
@@ -54,29 +56,32 @@ class Rollouts:
 
 
 class PredictedEgos:
-    """``n`` copies of the ego along its path."""
+    """Copies of the ego along its path, one against each adversary of a length and width [m], ``(n,)``."""
 
-    def __init__(self, situation: Situation, n: int) -> None:
-        self.situation = situation
+    def __init__(self, situation: Situation, length: Floats, width: Floats) -> None:
+        self.situation, self._length, self._width = situation, length, width
+        n = len(length)
         self.model: Mapping[str, Any] = situation.ego_model
         self.s = np.full(n, situation.profile_s[0])
         self.v = np.full(n, situation.profile_v[0])
         self.a = np.full(n, situation.profile_a[0])
         self.disturbed = np.zeros(n, bool)
+        self._was_inside = np.zeros(n, bool)
+        self._edges = seen_edges(situation.lane_width, situation.ego.width)
         self._furthest = np.zeros(n)
         self._seen_at = np.full(n, np.inf)
 
-    def step(self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats, length: Floats) -> None:
+    def step(self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats) -> None:
         """One step against adversaries at station, offset, heading (ego path's frame, box centres)."""
         sit, dt = self.situation, self.situation.dt
         next_s, next_v = (float(q[0]) for q in profile_at(sit, np.array([now + dt])))
         if self.model["kind"] == "replay":
             self.s, self.a, self.v = self.s * 0 + next_s, self.s * 0 + (next_v - self.v) / dt, self.s * 0 + next_v
             return
-        s, d, h = adversary
+        (s, d, h), length = adversary, self._length
         front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
-        leads = (np.abs(front_d) < LEADER_HALF_WIDTH) & (front_s > self.s + sit.ego.length / 2) & ~across
+        leads = self._in_lane(front_d) & (front_s > self.s + sit.ego.length / 2) & ~across
         gap = s - self.s - (length + sit.ego.length) / 2
         pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
         free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
@@ -88,6 +93,15 @@ class PredictedEgos:
         self.a = (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
+
+    def _in_lane(self, front_d: Floats) -> Bools:
+        """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines; or, once
+        it has been there (SUMO then keeps it in both lanes), its side is within the strips that the ego takes up."""
+        inside = np.abs(front_d) < self.situation.lane_width / 2
+        (left, right), half = self._edges, self._width / 2
+        partly = (front_d - half < left) & (front_d + half > -right)
+        self._was_inside |= inside
+        return inside | (self._was_inside & partly)
 
     def _following(self, gap: Floats, leader: Floats) -> Floats:
         """The speed [m/s] the driver wants behind a leader at a bumper gap [m]."""
@@ -114,6 +128,15 @@ class PredictedEgos:
         return np.where(since > 0, np.maximum(self.v - brake * self.situation.dt, 0.0), np.inf)
 
 
+def seen_edges(lane: float, width: float) -> tuple[float, float]:
+    """How far to the left and to the right [m] of the middle of its lane a driver of this width looks for leaders:
+    SUMO's strips of ``SUBLANE``, counted from the lane's right edge, that the ego is in as it wanders a little."""
+    wide = width + 2 * WANDERS
+    right = max(0, math.floor((lane - wide) / 2 / SUBLANE)) * SUBLANE
+    left = min(lane, (math.floor((lane + wide) / 2 / SUBLANE) + 1) * SUBLANE)
+    return left - lane / 2, lane / 2 - right
+
+
 def predict(
     situation: Situation, proposals: Sequence[Proposal], ask: Ask, *, limits: Limits, steps: int, replan: int
 ) -> Rollouts:
@@ -123,7 +146,8 @@ def predict(
     """
     n, dt = len(proposals), situation.dt
     ground = Ground(situation, [p.bv for p in proposals])
-    motion, egos = ground.begin(), PredictedEgos(situation, n)
+    width = np.array([situation.targets[p.bv].state.width for p in proposals])
+    motion, egos = ground.begin(), PredictedEgos(situation, ground.length, width)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
@@ -134,7 +158,7 @@ def predict(
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         ego[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
-        egos.step(now, ground.relative(motion), motion.v, ground.length)
+        egos.step(now, ground.relative(motion), motion.v)
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     x, y, h, v = ego

@@ -117,15 +117,15 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     ground = Ground(situation, names)
     ground.rows.row = ground.rows.row + plan.way
     steps, dt, limits = settings.steps(settings.duration), situation.dt, settings.limits.limits()
-    motion, egos = ground.begin(), PredictedEgos(situation, len(names))
+    width = np.array([t.state.width for t in ground.targets])
+    motion, egos = ground.begin(), PredictedEgos(situation, ground.length, width)
     poses, model = np.empty((4, len(names), steps)), np.empty((4, len(names), steps))
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         model[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
-        egos.step(k * dt, ground.relative(motion), motion.v, ground.length)
+        egos.step(k * dt, ground.relative(motion), motion.v)
         motion = _forward(ground, motion, plan, k * dt, limits, dt)
     x, y, heading, speed = poses
-    width = np.array([t.state.width for t in ground.targets])
     adversary = Boxes(x, y, heading, speed, ground.length[:, None], width[:, None])
     last, hits = _hits(situation, adversary, _futures(situation, model))
     odd = _off_road(encounter, adversary, last) | _third_party(situation, names, adversary, last)
