@@ -204,7 +204,10 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
     import faulthandler
 
     _alone(log.parent.parent)
-    words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    try:
+        words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    except FileNotFoundError:  # the parent has died meanwhile, and another worker has removed the scratch folder
+        return
     os.dup2(words, 1)
     os.dup2(words, 2)
     faulthandler.enable()
