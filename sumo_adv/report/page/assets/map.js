@@ -1,3 +1,4 @@
+const SMALL = 13;  // px: a shorter vehicle gets a ring
 const FONT = "600 12px system-ui, sans-serif";
 
 /** The map: the road on one canvas, drawn again only when the view changes, and what moves on another. */
@@ -213,7 +214,7 @@ class MapView {
       corner(c, x, y, fx, fy, -l, -w);
       corner(c, x, y, fx, fy, -l, w);
       c.closePath();
-      c.lineWidth = ghost ? 1.6 : 1.4;
+      c.lineWidth = ghost ? 1.6 : Math.min(1.4, 0.2 * s);
       c.setLineDash(ghost ? (a.key === "raw" ? [2, 3] : [6, 3]) : []);
       c.strokeStyle = ghost ? colour : k.ink;
       if (ghost) { c.stroke(); c.setLineDash([]); continue; }
@@ -238,7 +239,8 @@ class MapView {
       }
       c.fillStyle = k.paper;
       c.fill();
-      names.push({ word, colour: k[`${word}-text`], x, y, reach: Math.abs(fy) * l + Math.abs(fx) * w });
+      if (v.length * s < SMALL) ring(c, word, x, y, colour);
+      names.push({ word, colour: k[`${word}-text`], x, y, reach: Math.max(Math.abs(fy) * l + Math.abs(fx) * w, v.length * s < SMALL ? SMALL * 0.6 : 0) });
     }
     this.namePair(c, names);
   }
@@ -270,6 +272,17 @@ class MapView {
     c.textAlign = "left";
     this.label(c, `${metres} m`, x, y - 5, this.colours.ink);
   }
+}
+
+/** Around what is too small to be seen: a circle for the ego, a square on its tip for the adversary. */
+function ring(c, word, x, y, colour) {
+  c.beginPath();
+  if (word === "ego") c.arc(x, y, SMALL / 2, 0, 7);
+  else for (const [dx, dy] of [[0, -1], [1, 0], [0, 1], [-1, 0]]) c.lineTo(x + dx * SMALL * 0.6, y + dy * SMALL * 0.6);
+  c.closePath();
+  c.lineWidth = 2;
+  c.strokeStyle = colour;
+  c.stroke();
 }
 
 function corner(c, x, y, fx, fy, along, left, first) {
