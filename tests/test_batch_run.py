@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -18,6 +19,7 @@ from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_o
 from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
+from sumo_adv.batch.local import _work
 from sumo_adv.batch.results import COLUMNS
 from sumo_adv.memory.bank import MemoryBank
 
@@ -214,6 +216,18 @@ def test_planners_that_hang_cost_their_attempts(program: Program) -> None:
     done = program("batch", INPUTS[0], *QUICK, "--memory", "bank.sqlite", "--out", "out")
     (row,) = table(done.folder)
     assert done.status == 1 and row["ending"] in ("planner_failed", "no_encounter") and row["failure"]
+
+
+def test_a_worker_that_starts_as_its_parent_dies_ends_without_a_word(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Another worker has removed the scratch folder by then."""
+    context = multiprocessing.get_context("spawn")
+    _, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(theirs, None, tmp_path / "gone" / "worker-1" / "log"))
+    process.start()
+    process.join(PATIENCE)
+    assert process.exitcode == 0 and capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("victim", ["worker", "parent"])
