@@ -23,14 +23,14 @@ def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
     format: Annotated[Format, typer.Option(help="openscenario and sumo make a folder, fcd and csv a file.")],
     out: Annotated[
-        Path | None, typer.Option(help="What to write; .gz for a packed fcd or csv [default: beside DIR].")
+        Path | None, typer.Option(help="What to write; .gz for a packed fcd or csv (default: beside DIR).")
     ] = None,
     variant: Annotated[
         Variant, typer.Option(help="Of openscenario: all replayed, or the ego left to the player.")
     ] = Variant.REPLAY,
     unattacked: Annotated[bool, typer.Option("--unattacked", help="The run without an attack instead.")] = False,
     before: Annotated[
-        float | None, typer.Option(min=0.0, help="Begin so long before the takeover, s [default: the run's history].")
+        float | None, typer.Option(min=0.0, help="Begin so long before the takeover, s (default: the run's history).")
     ] = None,
     whole: Annotated[bool, typer.Option("--whole", help="Begin where the simulation began.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export.")] = False,

@@ -17,7 +17,7 @@ PICTURES, FILMS = ("png", "svg", "pdf"), ("gif", "mp4")
 def figure(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
     out: Annotated[
-        Path | None, typer.Option(help="A .png, .svg, .pdf, .gif or .mp4 file [default: figure.png in DIR].")
+        Path | None, typer.Option(help="A .png, .svg, .pdf, .gif or .mp4 file (default: figure.png in DIR).")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 def generate(
     description: Annotated[str, typer.Argument(help="What the vehicle does, in one to three sentences.")],
-    label: Annotated[str | None, typer.Option(help="The intent's label [default: the description's words].")] = None,
+    label: Annotated[str | None, typer.Option(help="The intent's label (default: the description's words).")] = None,
     applies: Annotated[
-        str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour [default: the nearest's].")
+        str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour (default: the nearest's).")
     ] = None,
     llm: Annotated[str | None, typer.Option(help="The model (else that of the settings).")] = None,
     trajectory: Annotated[

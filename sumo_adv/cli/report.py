@@ -24,12 +24,12 @@ OUTCOME, RESULTS = "outcome.json", "results.csv"
 def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a run, or of a batch.")],
     out: Annotated[
-        Path | None, typer.Option(help="File of a run's page, or folder of a batch's [default: in DIR].")
+        Path | None, typer.Option(help="File of a run's page, or folder of a batch's (default: in DIR).")
     ] = None,
     pages: Annotated[
-        int | None, typer.Option(min=0, help="Of a batch: make at most so many replay pages now [default: all].")
+        int | None, typer.Option(min=0, help="Of a batch: make at most so many replay pages now (default: all).")
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes [default: the cores].")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes (default: the cores).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:

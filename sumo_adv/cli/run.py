@@ -30,16 +30,16 @@ def run(
         Path | None,
         typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
     ] = None,
-    record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 [default: 0].")] = None,
+    record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 (default: 0).")] = None,
     ego: Annotated[str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, replay, module:Class.")] = None,
-    ego_id: Annotated[str | None, typer.Option(help="The vehicle under test [default: chosen].")] = None,
+    ego_id: Annotated[str | None, typer.Option(help="The vehicle under test (default: chosen).")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
-    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s [default: found].")] = None,
-    begin: Annotated[float | None, typer.Option(help="Simulation begin, s [default: first departure].")] = None,
+    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
+    begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
     end: Annotated[float | None, typer.Option(help="Look for an encounter until this time, s.")] = None,
-    until: Annotated[Until | None, typer.Option(help="What an attempt must come to [default: ttc].")] = None,
-    attempts: Annotated[int | None, typer.Option(help="At most so many attempts [default: 25].")] = None,
-    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
+    until: Annotated[Until | None, typer.Option(help="What an attempt must come to (default: ttc).")] = None,
+    attempts: Annotated[int | None, typer.Option(help="At most so many attempts (default: 25).")] = None,
+    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
     llm: Annotated[
         str | None,
@@ -49,9 +49,9 @@ def run(
     generator: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
     modifier: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
     fallback: Annotated[
-        str | None, typer.Option(help="builtin: the expert goes on where a model fails [default: off].")
+        str | None, typer.Option(help="builtin: the expert goes on where a model fails (default: off).")
     ] = None,
-    samples: Annotated[int | None, typer.Option(help="Ask the analyzer's model so many times [default: 1].")] = None,
+    samples: Annotated[int | None, typer.Option(help="Ask the analyzer's model so many times (default: 1).")] = None,
     evidence: Annotated[str | None, typer.Option(help="on or off: show a model the predictor's figures.")] = None,
     instruction: Annotated[
         str | None, typer.Option(help="In words, how generated planners are to shape their trajectories.")
@@ -69,10 +69,10 @@ def run(
     metric: Metric = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
     background: Annotated[
-        str | None, typer.Option(help="log or sumo: who drives recorded vehicles [default: as the scenario says].")
+        str | None, typer.Option(help="log or sumo: who drives recorded vehicles (default: as the scenario says).")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/<input>-<seed>].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/<input>-<seed>).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     replay: Annotated[

@@ -44,7 +44,7 @@ def serve(
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port for the client; 0 = any free one.")] = 8813,
     allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = "",
     ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None,
-    ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego [default: SUMO's car].")] = None,
+    ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego (default: SUMO's car).")] = None,
     may_set: Annotated[
         str, typer.Option(help="What the client may set besides its own, with commas between: trafficlight, ..")
     ] = "",
@@ -53,27 +53,27 @@ def serve(
     ] = OnLoss.SUMO,
     real_time: Annotated[bool, typer.Option("--real-time", help="Simulated seconds last a second each.")] = False,
     deadline: Annotated[
-        float | None, typer.Option(min=0.05, help="s the client may take for a step [default: 10, real time 2].")
+        float | None, typer.Option(min=0.05, help="s the client may take for a step (default: 10, real time 2).")
     ] = None,
     patience: Annotated[
-        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up [default: for ever].")
+        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
     ] = None,
-    encounters: Annotated[int | None, typer.Option(min=1, help="End after so many [default: at Ctrl-C].")] = None,
+    encounters: Annotated[int | None, typer.Option(min=1, help="End after so many (default: at Ctrl-C).")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
-    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s [default: found].")] = None,
-    begin: Annotated[float | None, typer.Option(help="Simulation begin, s [default: first departure].")] = None,
+    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
+    begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
     end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
-    until: Annotated[Until | None, typer.Option(help="What an attempt must come to [default: ttc].")] = None,
-    attempts: Annotated[int | None, typer.Option(help="In episodes mode: at most so many each [default: 25].")] = None,
-    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s [default: 1].")] = None,
+    until: Annotated[Until | None, typer.Option(help="What an attempt must come to (default: ttc).")] = None,
+    attempts: Annotated[int | None, typer.Option(help="In episodes mode: at most so many each (default: 25).")] = None,
+    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
     llm: Annotated[str | None, typer.Option(help="A language model, as in run.")] = None,
     learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
     memory: Annotated[
         Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
     ] = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners [default: 0].")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write [default: runs/serve-<input>-<seed>].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/serve-<input>-<seed>).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False,
     events: Annotated[Path | None, typer.Option(help="File of JSON lines: everything that happens.")] = None,
     status_port: Annotated[
