@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from sumo_adv import __version__
-from sumo_adv.cli import batch, bench, convert, doctor, export, figure, memory, report, run, serve
+from sumo_adv.cli import batch, bench, convert, doctor, export, figure, import_fcd, memory, report, run, serve
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
@@ -27,6 +27,7 @@ app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("report", epilog=report.EXAMPLE)(report.report)
 app.command("figure", epilog=figure.EXAMPLE)(figure.figure)
 app.command("export", epilog=export.EXAMPLE)(export.export)
+app.command("import", epilog=import_fcd.EXAMPLE)(import_fcd.import_fcd)
 app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.add_typer(batch.app, name="batch")
 app.add_typer(bench.app, name="bench")

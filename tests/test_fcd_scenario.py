@@ -1,0 +1,104 @@
+"""Floating car data as a scenario: what the program exports it takes back, and what is none it refuses."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import ROOT
+from run_samples import run_folder
+from typer.testing import CliRunner
+
+import sumo_adv
+from sumo_adv.cli.main import app
+from sumo_adv.errors import UsageError
+from sumo_adv.report.export.fcd import fcd
+from sumo_adv.report.export.piece import read_piece
+from sumo_adv.report.export.replay import TYPES, write_replay
+from sumo_adv.world.fcd_scenario import ROUTES, SCENARIO, TRACKS, write_scenario
+from sumo_adv.world.inputs import load_input
+from sumo_adv.world.tracks import read_tracks
+
+NETWORK = ROOT / "networks" / "two_way.net.xml"
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The unattacked run of the crossing, exported as FCD and taken back."""
+    folder = tmp_path_factory.mktemp("import")
+    piece = read_piece(run_folder("crossing"), unattacked=True, whole=True)
+    (folder / "fcd.xml.gz").write_bytes(gzip.compress(fcd(piece).encode()))
+    (folder / "sumo").mkdir()
+    write_replay(folder / "sumo", piece)
+    (folder / "made").mkdir()
+    write_scenario(folder / "made", folder / "fcd.xml.gz", piece.network, "ego", [folder / "sumo" / TYPES])
+    return folder / "made"
+
+
+def test_tracks_come_back_as_they_were(imported: Path) -> None:
+    piece = read_piece(run_folder("crossing"), unattacked=True, whole=True)
+    log = read_tracks(imported / TRACKS)
+    assert set(log.tracks) == {track.id for track in piece.tracks}
+    for track in piece.tracks:
+        back = log.track(track.id)
+        assert back.time == pytest.approx(track.time, abs=1e-6)
+        assert np.hypot(back.x - track.x, back.y - track.y).max() < 1e-3
+        assert back.speed == pytest.approx(track.speed, abs=1e-3)
+        assert (back.length, back.width) == (track.length, track.width)
+
+
+def test_routes_are_those_that_were_driven(imported: Path) -> None:
+    text = (imported / ROUTES).read_text()
+    assert '<route id="ego" edges="west_in east_out"/>' in text
+    assert '<route id="turning" edges="east_in south_out"/>' in text  # a left turn
+
+
+def test_the_scenario_runs(imported: Path, tmp_path: Path) -> None:
+    assert load_input(imported / SCENARIO).ego == "ego"
+    bank = tmp_path / "bank.sqlite"
+    result = sumo_adv.run(
+        imported / SCENARIO, attempts=1, proposals=24, learn="off", out=tmp_path / "out", memory=bank
+    )  # fmt: skip
+    assert len(result.outcome["attempts"]) == 1
+
+
+def text_of(*vehicles: str) -> str:
+    return f'<fcd-export><timestep time="1.00">{"".join(vehicles)}</timestep></fcd-export>'
+
+
+CAR = '<vehicle id="a" x="12.5" y="-1.6" angle="90" speed="3" lane="eastbound_0" type="t"/>'
+PERSON = '<person id="p" x="7" y="5" angle="0" speed="1"/>'
+
+
+def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
+    (tmp_path / "fcd.xml").write_text(text_of(CAR, PERSON))
+    assert write_scenario(tmp_path, tmp_path / "fcd.xml", NETWORK, "a") == 2
+    log = read_tracks(tmp_path / TRACKS)
+    car, person = log.tracks["a"], log.tracks["p"]
+    assert (car.kind, car.x[0], car.y[0], car.heading[0]) == ("vehicle", 10.0, -1.6, 0.0)  # 5 m long
+    assert (person.kind, person.x[0], person.y[0]) == ("pedestrian", 7.0, 5.0)
+    assert person.heading[0] == pytest.approx(np.pi / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (text_of(CAR.replace('id="a"', 'id="b"')), "There is no vehicle 'a' in .*; it has b."),
+        (text_of(CAR.replace("eastbound_0", "elsewhere_0")), "is on no lane of two_way.net.xml"),
+        (text_of(CAR.replace('x="12.5"', 'x="nan"')), "not finite"),
+        (text_of(CAR.replace('angle="90"', "")), "is no FCD of SUMO"),
+        (text_of(), "has no vehicle in a timestep"),
+        ("<fcd-export><timestep", "is not valid XML"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    recording = tmp_path / "fcd.xml"
+    recording.write_text(text)
+    arguments = [str(recording), "--network", str(NETWORK), "--ego", "a", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, ["import", *arguments])
+    assert isinstance(done.exception, UsageError)
+    with pytest.raises(UsageError, match=says):
+        raise done.exception
+    assert [p.name for p in tmp_path.iterdir()] == ["fcd.xml"]
