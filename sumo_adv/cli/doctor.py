@@ -1,73 +1,90 @@
-"""``doctor``: is everything here that a run needs?"""
+"""``doctor``: is everything here that a run needs, and what else could be; and the line of ``--version``."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Callable
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-EXAMPLE = "Example: sumo-adv doctor"
-SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
+from sumo_adv import __version__
+from sumo_adv.errors import SumoAdvError
+
+if TYPE_CHECKING:
+    from sumo_adv.cli.doctor_checks import Finding
+
+EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
 
 
-def doctor() -> None:
-    """Check libraries, sandbox, bank and write rights; each line says how to mend it. Exit 1 if a run cannot work."""
-    checks: list[tuple[str, Callable[[], str], bool]] = [
-        ("libsumo", _libsumo, True), ("sandbox", _sandbox, True), ("memory bank", _bank, True),
-        ("output folder", _write, True), ("netconvert", _netconvert, False),
-        ("Waymo records", _protobuf, False),
-    ]  # fmt: skip
-    failed = False
-    for name, check, needed in checks:
-        try:
-            typer.echo(f"ok    {name}: {check()}")
-        except Exception as error:  # whatever is wrong is what doctor is to report
-            failed |= needed
-            typer.echo(f"{'FAIL ' if needed else 'note '} {name}: {error}")
+def doctor(
+    llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
+    memory: Annotated[Path | None, typer.Option(help="The memory bank [default: your own].")] = None,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to mend it.
+
+    ok; warn: something that a plain run does not need; fail: a run cannot work, and the exit status is 1.
+    """
+    findings = list(_findings(llm, memory, settings_file))
+    failed = sum(f.level == "fail" for f in findings)
+    if as_json:
+        typer.echo(json.dumps({"ok": not failed, "failed": failed, "checks": [asdict(f) for f in findings]}))
+    else:
+        for found in findings:
+            mend = f". To mend it: {found.mend}" if found.mend else ""
+            typer.echo(f"{found.level:<5} {found.name}: {found.found.rstrip('.')}{mend}.")
+        typer.echo("All that a run needs is here." if not failed else "A run cannot work: mend what says fail.")
     if failed:
         raise typer.Exit(1)
 
 
-def _libsumo() -> str:
-    try:
-        import libsumo
-    except ImportError as error:
-        raise RuntimeError(f"{error}; on Debian: apt-get install {SYSTEM_LIBRARIES}") from error
-    return str(libsumo.getVersion()[1])
-
-
-def _sandbox() -> str:
-    from sumo_adv.planning.sandbox import Sandbox
-
-    with Sandbox() as sandbox:
-        return sandbox.note
-
-
-def _bank() -> str:
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
+def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[Finding]:
+    from sumo_adv.cli import doctor_checks as checks
+    from sumo_adv.config import load_settings
     from sumo_adv.world.inputs import data_folder
 
-    with MemoryBank.open(default_bank_path(), seed_from=data_folder("memory_bank.sqlite")) as bank:
-        return f"{bank.path}, {len(bank.intents())} intents{'' if bank.writable else ' (read-only: nothing is learnt)'}"
-
-
-def _write() -> str:
-    with tempfile.NamedTemporaryFile(dir=Path.cwd()):
-        return "can be written"
-
-
-def _netconvert() -> str:
-    from sumo_adv.womd.network.netconvert import find_netconvert
-
-    return f"{find_netconvert().name} found"
-
-
-def _protobuf() -> str:
+    yield from checks.interpreter()
+    yield from checks.libraries()
     try:
-        import google.protobuf
-    except ImportError as error:
-        raise RuntimeError("protobuf is not installed: pip install 'sumo-adv[womd]'") from error
-    return f"protobuf {google.protobuf.__version__}"
+        yield from checks.simulator(data_folder("networks") / "straight_2lane.net.xml")
+        data_folder("scenarios"), data_folder("prompts"), data_folder("memory_bank.sqlite")
+    except SumoAdvError as error:
+        yield checks.Finding("shipped files", checks.Level.FAIL, str(error), "install the package again")
+    yield from checks.programs(developing=find_spec("pytest") is not None)
+    yield from checks.extras()
+    try:
+        settings = load_settings(settings_file, llm=llm, memory=memory)
+    except SumoAdvError as error:
+        yield checks.Finding("settings", checks.Level.FAIL, str(error), "correct the variable or the file")
+        settings = None
+    yield from checks.sandbox(settings is None or settings.bubblewrap)
+    if settings is not None:
+        yield from checks.model(settings)
+    yield from checks.bank(memory if settings is None else settings.memory)
+    yield from checks.output(Path.cwd())
+
+
+def version_line() -> str:
+    """This program, SUMO and the memory bank that a run would use (the shipped one where there is none yet)."""
+    from sumo_adv.cli.memory_common import shipped_bank
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.migrations import MIGRATIONS
+    from sumo_adv.memory.paths import default_bank_path
+
+    try:
+        sumo = version("libsumo")
+    except PackageNotFoundError:
+        sumo = "not installed"
+    try:
+        own = default_bank_path()
+        with MemoryBank.open(own if own.exists() else shipped_bank(), read_only=True) as bank:
+            said = f"schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
+    except SumoAdvError as error:
+        said = str(error).rstrip(".")
+    return f"sumo-adv {__version__} (SUMO {sumo}; memory bank: {said})"

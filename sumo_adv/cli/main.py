@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from sumo_adv import __version__
 from sumo_adv.cli import batch, bench, convert, doctor, export, figure, import_fcd, memory, report, run, serve
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
@@ -36,14 +35,14 @@ app.add_typer(memory.app, name="memory")
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"sumo-adv {__version__}")
+        typer.echo(doctor.version_line())
         raise typer.Exit
 
 
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print program, SUMO, memory bank.")
     ] = False,
 ) -> None:
     """Finds the dangerous case inside SUMO, online, against your driver."""

@@ -1,0 +1,353 @@
+"""What ``doctor`` looks at: each check tries the real thing and says what it found and how to mend it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+from urllib.request import getproxies
+
+from sumo_adv import __version__
+from sumo_adv.errors import SumoAdvError
+
+if TYPE_CHECKING:
+    from sumo_adv.agents.presets import Server
+    from sumo_adv.config import Settings
+
+SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
+LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
+EXTRAS = (
+    ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),
+    ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
+    ("ray", "ray", "batches on several machines"), ("cma", "bench", "the benchmark's row cma"),
+)  # fmt: skip
+PROMPT = 30.0  # s for a program to answer
+REACHED = 3.0  # s for a server to take a connection
+LITTLE_SPACE = 500e6  # bytes
+CONTAINERS = ("/.dockerenv", "/run/.containerenv")
+ONE_STEP = """\
+import sys
+import libsumo
+libsumo.start(["sumo", "-n", sys.argv[1], "--no-step-log", "--no-warnings", "--xml-validation", "never"])
+libsumo.simulationStep()
+said = libsumo.getVersion()[1]
+libsumo.close()
+print(said.split()[-1])
+"""
+TRIED = """\
+PARAMETERS = {}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    pose = at(ego["path"], 3.0)
+    x, y = offset(pose, bv["ahead"], bv["left"])
+    return {"x": x, "y": y, "heading": pose[2], "speed": pose[3], "time": 3.0}
+"""
+
+
+class Level(StrEnum):
+    """``FAIL``: a run cannot work. ``WARN``: something else cannot, or a wall is missing."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line: what was looked at, how it is, what was found, and how to mend it."""
+
+    name: str
+    level: Level
+    found: str
+    mend: str = ""
+
+
+def reason(error: Exception) -> str:
+    """An error on one line."""
+    said = " ".join(str(error).split()).rstrip(".")
+    return said if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {said}"
+
+
+def interpreter() -> Iterator[Finding]:
+    """Python, and whether it can fork."""
+    here = f"sumo_adv {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
+    if hasattr(os, "fork") and sys.platform != "darwin":
+        yield Finding("program", Level.OK, here)
+    else:
+        yield Finding(
+            "program", Level.WARN, f"{here}; attempts are not forked here but loaded and repeated, which is slower",
+            "run on Linux (a container will do)",
+        )  # fmt: skip
+
+
+def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
+    """Those that every run needs, imported."""
+    found, missing = [], []
+    for name in names:
+        try:
+            importlib.import_module(name)
+            found.append(f"{name} {version(name.replace('_', '-'))}")
+        except Exception as error:  # a broken binary may raise anything
+            missing.append(f"{name} ({reason(error)})")
+    if missing:
+        mend = "install the package again: pip install --force-reinstall sumo-adv"
+        yield Finding("libraries", Level.FAIL, f"cannot be imported: {', '.join(missing)}", mend)
+    else:
+        yield Finding("libraries", Level.OK, ", ".join(found))
+
+
+def extras(there: Callable[[str], bool] | None = None) -> Iterator[Finding]:
+    """What only some commands need."""
+    there = there or _installed
+    missing = [(extra, use) for module, extra, use in EXTRAS if not there(module)]
+    names = ", ".join(extra for _, extra, _ in EXTRAS if extra not in {e for e, _ in missing})
+    if not missing:
+        yield Finding("extras", Level.OK, names)
+    for extra, use in missing:
+        yield Finding(
+            f"extra {extra}", Level.WARN, f"not installed; it is for {use} alone", f"pip install 'sumo-adv[{extra}]'"
+        )
+
+
+def _installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ImportError:  # of the package above it
+        return False
+
+
+def simulator(network: Path) -> Iterator[Finding]:
+    """One step of SUMO, in a process that may die of it."""
+    try:
+        done = _said(sys.executable, "-c", ONE_STEP, str(network))
+    except (OSError, subprocess.TimeoutExpired) as error:
+        yield Finding("simulator", Level.FAIL, f"SUMO did not run ({reason(error)})", "try again on an idle machine")
+        return
+    if done.returncode == 0:
+        yield Finding("simulator", Level.OK, f"SUMO {done.stdout.strip()}, as the library libsumo; one step was run")
+        return
+    last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
+    mend = (
+        f"on Debian: apt-get install {SYSTEM_LIBRARIES}" if ".so" in last else "pip install --force-reinstall libsumo"
+    )
+    yield Finding("simulator", Level.FAIL, f"libsumo does not run ({last})", mend)
+
+
+def programs(which: Callable[[str], str | None] = shutil.which, *, developing: bool = False) -> Iterator[Finding]:
+    """Programs that some commands start; ``developing``: also what only the tests want."""
+    from sumo_adv.serve.sumo_process import find_sumo
+    from sumo_adv.womd.network.netconvert import find_netconvert
+
+    for name, find, use in (("sumo", find_sumo, "serve"), ("netconvert", find_netconvert, "Waymo and OpenSCENARIO")):
+        try:
+            yield _program(name, find(), use)
+        except SumoAdvError:
+            yield Finding(name, Level.WARN, f"not found; it is for {use} alone", "pip install 'sumo-adv[sumo]'")
+    wanted: list[tuple[str, tuple[str, ...], str]]
+    wanted = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif needs nothing)")]
+    if developing:
+        wanted.append(("chromium", ("chromium", "chromium-browser", "google-chrome"), "some of the tests"))
+    for name, spellings, use in wanted:
+        if any(which(spelling) for spelling in spellings):
+            yield Finding(name, Level.OK, "found")
+        else:
+            yield Finding(name, Level.WARN, f"not found; it is for {use} alone", f"on Debian: apt-get install {name}")
+
+
+def _program(name: str, path: Path, use: str) -> Finding:
+    """A program of SUMO's: it runs, and is of the library's version."""
+    try:
+        said = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return Finding(name, Level.WARN, f"does not run ({reason(error)}); it is for {use} alone", "install it again")
+    library = _version("libsumo")
+    if said is None:
+        mend = f"on Debian: apt-get install {SYSTEM_LIBRARIES}"
+        return Finding(name, Level.WARN, f"does not say its version; it is for {use} alone", mend)
+    if said[1] != library:
+        return Finding(
+            name, Level.WARN, f"{said[1]}, but the library is {library}: both may drive differently",
+            "pip install 'sumo-adv[sumo]', and unset SUMO_HOME",
+        )  # fmt: skip
+    return Finding(name, Level.OK, said[1])
+
+
+def _said(*command: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command, capture_output=True, text=True, timeout=PROMPT, check=False, stdin=subprocess.DEVNULL
+    )
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "missing"
+
+
+def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding]:
+    """A planner is tried where planners run; and how many walls there are. ``contained``: in a container."""
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planning.source import make_planner
+    from sumo_adv.planning.trial import trial
+
+    try:
+        with Sandbox(bubblewrap=None if bubblewrap else False) as box:
+            wrong = trial(box, make_planner("Trial", "trial", TRIED, "person"), ("neighbour",))
+            isolation, note = box.isolation, box.note
+    except SumoAdvError as error:
+        yield Finding("sandbox", Level.FAIL, reason(error), "pip install --force-reinstall pydantic-monty")
+        return
+    if wrong is not None:
+        yield Finding("sandbox", Level.FAIL, wrong, "pip install --force-reinstall pydantic-monty")
+    elif isolation == "bubblewrap":
+        yield Finding("sandbox", Level.OK, note)
+    elif in_container() if contained is None else contained:
+        yield Finding(
+            "sandbox", Level.OK, "Planners run in a separate interpreter; bubblewrap is not to be had in this "
+            "container, which is the second wall: give it no network and no files that matter",
+        )  # fmt: skip
+    else:
+        yield Finding(
+            "sandbox", Level.WARN, f"{note.rstrip('.')}. The interpreter's own wall stands; if a planner broke "
+            "through it, it could do what you can do", _more_walls(note),
+        )  # fmt: skip
+
+
+def _more_walls(note: str) -> str:
+    if "turned off" in note:
+        return "leave SUMO_ADV_BUBBLEWRAP unset"
+    if "not installed" in note:
+        return "on Debian: apt-get install bubblewrap"
+    return "run in a container, or allow user name spaces (sysctl kernel.unprivileged_userns_clone=1)"
+
+
+def in_container(files: tuple[str, ...] = CONTAINERS, environment: Mapping[str, str] = os.environ) -> bool:
+    """Whether this is the inside of a container, as far as its usual marks tell."""
+    return bool(environment.get("container")) or any(Path(file).exists() for file in files)
+
+
+def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
+    """The servers of the models that the settings name. Nothing is asked of them, and no key is sent or shown."""
+    from sumo_adv.agents.llm import REPLAY
+    from sumo_adv.agents.presets import find_server
+    from sumo_adv.episode.cast import ROLES
+
+    names = sorted({name for role in ROLES if (name := settings.player(role)) is not None})
+    level = Level.WARN if settings.fallback == "builtin" else Level.FAIL
+    if not names:
+        yield Finding("model", Level.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)")
+    for name in names:
+        if name.startswith(REPLAY):
+            there = Path(name.removeprefix(REPLAY)).is_file()
+            found = "a recording, asked instead of a model" if there else "a recording that is not there"
+            yield Finding(f"model {name}", Level.OK if there else level, found, "" if there else "give its path")
+            continue
+        try:
+            server = find_server(name, settings, environment)
+        except SumoAdvError as error:
+            yield Finding(f"model {name}", level, reason(error), "see docs/models.md")
+            continue
+        yield _reached(name, server, level)
+
+
+def _reached(name: str, server: Server, level: Level) -> Finding:
+    parts = urlsplit(server.base_url)
+    host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
+    key = "with a key" if server.key is not None else "without a key"
+    proxy = None if host in ("localhost", "127.0.0.1", "::1") else getproxies().get(parts.scheme)
+    way = urlsplit(proxy) if proxy else None
+    try:
+        with socket.create_connection((way.hostname or "", way.port or 80) if way else (host, port), timeout=REACHED):
+            pass
+    except OSError as error:
+        mend = "start the server, or correct SUMO_ADV_LLM_BASE_URL"
+        through = "the proxy on the way to " if way else ""
+        return Finding(f"model {name}", level, f"{through}{host}:{port} cannot be reached ({reason(error)})", mend)
+    done = "the proxy on the way to it takes connections" if way else "takes connections"
+    return Finding(f"model {name}", Level.OK, f"{host}:{port} {done}; {key}. It was asked nothing")
+
+
+def bank(path: Path | None) -> Iterator[Finding]:
+    """The bank that a run would use; none is made."""
+    from sumo_adv.cli.memory_common import shipped_bank
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.migrations import MIGRATIONS
+    from sumo_adv.memory.paths import default_bank_path
+
+    used = path or default_bank_path()
+    try:
+        if not used.exists():
+            with MemoryBank.open(shipped_bank(), read_only=True) as shipped:
+                says = (
+                    f"{len(shipped.intents())} intents, schema {len(MIGRATIONS)}, content {shipped.content_hash()[:12]}"
+                )
+            yield _made_later(used, says)
+            return
+        with MemoryBank.open(used) as found:
+            says = (
+                f"{used}: {len(found.intents())} intents, schema {len(MIGRATIONS)}, content {found.content_hash()[:12]}"
+            )
+            writable = found.writable
+    except SumoAdvError as error:
+        yield Finding("memory bank", Level.FAIL, reason(error), "give another --memory, or move the file away")
+        return
+    if writable:
+        yield Finding("memory bank", Level.OK, says)
+    else:
+        yield Finding(
+            "memory bank",
+            Level.WARN,
+            f"{says}; read-only, so nothing is learnt",
+            "make the file and its folder writable",
+        )
+
+
+def _made_later(path: Path, says: str) -> Finding:
+    """The nearest folder above that is there must be writable."""
+    above = next(folder for folder in path.absolute().parents if folder.is_dir())
+    wrong = not_writable(above)
+    if wrong is None:
+        return Finding("memory bank", Level.OK, f"none yet; the first run copies the shipped one ({says}) to {path}")
+    mend = "set --memory, SUMO_ADV_MEMORY or XDG_DATA_HOME to where you may write"
+    return Finding("memory bank", Level.FAIL, f"none yet, and {above} cannot be written ({wrong})", mend)
+
+
+def output(folder: Path) -> Iterator[Finding]:
+    """Whether ``runs/`` in ``folder`` can be written, and how much room there is."""
+    runs = folder / "runs"
+    place = runs if runs.is_dir() else folder
+    wrong = not_writable(place)
+    if wrong is not None:
+        yield Finding("output", Level.FAIL, f"{place} cannot be written ({wrong})", "run elsewhere, or give --out")
+        return
+    free = shutil.disk_usage(place).free
+    if free < LITTLE_SPACE:
+        found = f"{place} can be written, but only {free / 1e6:.0f} MB are free"
+        yield Finding("output", Level.WARN, found, "free some space: a run takes 0.1 MB, a campaign gigabytes")
+    else:
+        yield Finding("output", Level.OK, f"{place} can be written; {free / 1e9:.0f} GB are free")
+
+
+def not_writable(folder: Path) -> str | None:
+    """Why no file can be made there; None if one can."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return (error.strerror or str(error)).lower()

@@ -1,0 +1,154 @@
+"""``doctor`` and ``--version``: each line tells what is, and how to mend what is not; the key is never in it."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from cli_samples import ROOT, Program
+
+from sumo_adv import __version__
+from sumo_adv.cli import doctor_checks as checks
+from sumo_adv.cli.doctor_checks import Level
+from sumo_adv.config import Settings, load_settings
+
+SHIPPED = ROOT / "memory_bank.sqlite"
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Program:
+    return Program(tmp_path, tmp_path / "home")
+
+
+@pytest.fixture
+def server() -> Iterator[str]:
+    """A place that takes connections and says nothing."""
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen()
+        yield f"http://127.0.0.1:{listening.getsockname()[1]}/v1"
+
+
+def named(checked: Iterator[checks.Finding]) -> dict[str, checks.Finding]:
+    return {f.name: f for f in checked}
+
+
+def settings(**given: object) -> Settings:
+    return load_settings(None, **given)
+
+
+def test_all_that_a_run_needs_is_here(program: Program) -> None:
+    done = program("doctor", "--json")
+    said = json.loads(done.out)
+    levels = {c["name"]: c["level"] for c in said["checks"]}
+    assert (done.status, said["ok"], said["failed"], done.err) == (0, True, 0, "")
+    assert {levels[n] for n in ("program", "libraries", "simulator", "model", "memory bank", "output")} == {"ok"}
+    assert levels["sandbox"] in ("ok", "warn")
+    assert all(c["mend"] for c in said["checks"] if c["level"] != "ok")
+    assert not (program.home / "data").exists()  # looking makes no bank
+    assert program.leftovers() == []
+
+
+def test_what_is_broken_fails_and_says_how_to_mend_it(program: Program) -> None:
+    (program.folder / "bank.sqlite").write_text("no bank")
+    key = "sk-secret-word"
+    program.variables = {"SUMO_ADV_LLM_API_KEY": key, "SUMO_ADV_LLM_BASE_URL": "http://127.0.0.1:1/v1"}
+    done = program("doctor", "--memory", "bank.sqlite", "--llm", "mine")
+    failed = [line for line in done.out.splitlines() if line.startswith("fail")]
+    assert done.status == 1
+    assert [line.split(": ")[0].split()[1] for line in failed] == ["model", "memory"]
+    assert "127.0.0.1:1 cannot be reached" in failed[0]
+    assert "is not a SQLite file" in failed[1]
+    assert all("To mend it: " in line for line in failed)
+    assert key not in done.out + done.err
+
+
+def test_a_bad_setting_is_one_line(program: Program) -> None:
+    program.variables = {"SUMO_ADV_ATTEMPTS": "many"}
+    done = program("doctor")
+    assert done.status == 1
+    assert "fail  settings: Setting 'attempts' cannot be 'many'" in done.out
+
+
+def test_the_version_names_sumo_and_the_bank(program: Program) -> None:
+    done = program("--version")
+    assert done.out.startswith(f"sumo-adv {__version__} (SUMO 1.28.0; memory bank: schema 2, content ")
+    assert done.out == program("--version").out
+    bank = program.home / "data" / "sumo_adv"
+    bank.mkdir(parents=True)
+    (bank / "memory_bank.sqlite").write_text("no bank")
+    done = program("--version")
+    assert (done.status, done.err) == (0, "")
+    assert "is not a SQLite file" in done.out
+
+
+def test_the_version_stands_in_one_place() -> None:
+    kept = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    assert 'dynamic = ["version"]' in kept
+    assert 'path = "sumo_adv/__init__.py"' in kept
+
+
+def test_a_library_that_is_not_there_is_named() -> None:
+    (found,) = checks.libraries(("numpy", "no_such_library"))
+    assert found.level is Level.FAIL
+    assert "no_such_library (ModuleNotFoundError" in found.found
+    assert "numpy" not in found.found
+
+
+def test_extras_are_told_apart() -> None:
+    found = named(checks.extras(lambda module: module != "google.protobuf"))
+    assert list(found) == ["extra womd"]
+    assert found["extra womd"].mend == "pip install 'sumo-adv[womd]'"
+    assert named(checks.extras(lambda module: True))["extras"].level is Level.OK
+
+
+def test_programs_that_only_some_commands_start() -> None:
+    found = named(checks.programs(lambda name: None, developing=True))
+    assert found["ffmpeg"].level is found["chromium"].level is Level.WARN
+    assert found["ffmpeg"].mend == "on Debian: apt-get install ffmpeg"
+    assert "chromium" not in named(checks.programs(lambda name: None))
+    assert found["sumo"] == checks.Finding("sumo", Level.OK, "1.28.0")
+
+
+def test_without_bubblewrap_a_container_is_the_second_wall() -> None:
+    (outside,) = checks.sandbox(False, contained=False)
+    (inside,) = checks.sandbox(False, contained=True)
+    assert (outside.level, inside.level) == (Level.WARN, Level.OK)
+    assert "could do what you can do" in outside.found
+    assert outside.mend == "leave SUMO_ADV_BUBBLEWRAP unset"
+    assert "the second wall" in inside.found
+
+
+def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
+    mark = tmp_path / ".dockerenv"
+    assert not checks.in_container((str(mark),), {})
+    assert checks.in_container((), {"container": "podman"})
+    mark.touch()
+    assert checks.in_container((str(mark),), {})
+
+
+def test_a_server_that_listens_is_asked_nothing(server: str) -> None:
+    (found,) = checks.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
+    assert found.level is Level.OK
+    assert found.found.endswith("takes connections; with a key. It was asked nothing")
+
+
+def test_a_model_without_a_key_or_a_recording() -> None:
+    (hosted,) = checks.model(settings(llm="deepseek-chat"), {})
+    assert hosted.level is Level.FAIL
+    assert "DEEPSEEK_API_KEY" in hosted.found
+    (lost,) = checks.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
+    assert lost.level is Level.WARN
+    (none,) = checks.model(settings(), {})
+    assert "built-in expert" in none.found
+
+
+def test_where_results_go_must_be_there(tmp_path: Path) -> None:
+    (found,) = checks.output(tmp_path)
+    assert (found.level, found.name) == (Level.OK, "output")
+    (lost,) = checks.output(tmp_path / "nowhere")
+    assert lost.level is Level.FAIL
+    assert "no such file or directory" in lost.found
