@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from cli_samples import ROOT
 
-from sumo_adv.benchmark.banks import bank_of
+from sumo_adv.benchmark.banks import bank_of, known_place
 from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, make_jobs, slug
 from sumo_adv.benchmark.methods import ABLATIONS, FIXED_LIBRARY, REFERENCE, Method, method_of
 from sumo_adv.benchmark.nouns import Case
@@ -107,3 +107,40 @@ def test_an_encounter_that_was_cut_off_begins_from_the_same_bank_again(tmp_path:
             assert bank.content_hash() == left
     with MemoryBank.open(tmp_path / "kept.sqlite", read_only=True) as bank:
         assert {i.label for i in bank.intents() if i.status != "active"} == {"Emergency Braking", "Straight Lane Shift"}
+
+
+def _learnt(tmp_path: Path, place: int, label: str) -> str:
+    """The bank that the encounter at ``place`` begins with, by its hash; it retires ``label``."""
+    job = Job(CASES[place % 3], "idm", 0, ("expert",), place=place)
+    with (
+        MemoryBank.open(SHIPPED, read_only=True) as library,
+        bank_of(Method("expert", learns=True), job, _setup(tmp_path), library, tmp_path) as bank,
+    ):
+        found = bank.content_hash()
+        bank.retire(label)
+        return found
+
+
+def test_an_encounter_that_broke_or_was_none_hands_on_the_bank_it_had(tmp_path: Path) -> None:
+    """Encounter 1 makes no bank; encounter 2 has the one that encounter 0 left, and nothing of a log that somebody who
+    was killed left beside its own."""
+    _learnt(tmp_path, 0, "Emergency Braking")
+    folder = tmp_path / "banks" / "idm" / "expert"
+    left = folder / "3.part-wal"
+    left.write_bytes(b"of a process that was killed")
+    assert known_place(Job(CASES[2], "idm", 0, ("expert",), place=2), _setup(tmp_path)) == 1
+    with MemoryBank.open(folder / "1.sqlite", read_only=True) as bank:
+        after_the_first = bank.content_hash()
+    assert _learnt(tmp_path, 2, "Aggressive Cut-in") == after_the_first
+    assert sorted(p.name for p in folder.iterdir()) == ["1.sqlite", "3.sqlite"]
+
+
+def test_a_row_that_learns_begins_at_the_first_encounter_where_the_banks_are_of_later_ones(tmp_path: Path) -> None:
+    first = _learnt(tmp_path, 0, "Emergency Braking")
+    _learnt(tmp_path, 1, "Aggressive Cut-in")
+    _learnt(tmp_path, 2, "Straight Lane Shift")
+    folder = tmp_path / "banks" / "idm" / "expert"
+    assert sorted(p.name for p in folder.iterdir()) == ["2.sqlite", "3.sqlite"]
+    assert known_place(Job(CASES[1], "idm", 0, ("expert",), place=1), _setup(tmp_path)) == 0
+    assert _learnt(tmp_path, 0, "Emergency Braking") == first
+    assert sorted(p.name for p in folder.iterdir()) == ["0.sqlite", "1.sqlite"]  # nothing of the first time

@@ -45,20 +45,33 @@ def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
 
 @contextmanager
 def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
-    """The bank as the encounter before left it; what this one learns is kept for the next.
+    """The bank as the encounters before left it; what this one learns is kept for the next.
 
     ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that one that was cut off
-    is done again from the same bank.
+    is done again from the same bank.  An encounter that broke, or that was none, leaves no bank: the next one has the
+    newest there is.
     """
     place = job.place or 0
-    folder = setup.folder / "banks" / slug(job.ego) / slug(job.rows[0])
+    folder = _folder(job, setup)
     folder.mkdir(parents=True, exist_ok=True)
-    before, after = folder / f"{place}.sqlite", folder / f"{place + 1}.sqlite"
-    if place == 0:
+    before = folder / f"{known_place(job, setup)}.sqlite"
+    if place == 0 or not before.exists():
         shutil.copyfile(setup.bank, before)
-    (folder / f"{place - 1}.sqlite").unlink(missing_ok=True)
-    part = after.with_suffix(".part")
+    for other in folder.iterdir():  # of encounters long done, or of one that was cut off
+        if other != before:
+            other.unlink()
+    part, after = folder / f"{place + 1}.part", folder / f"{place + 1}.sqlite"
     shutil.copyfile(before, part)
     with MemoryBank.open(part) as bank:
         yield bank
     part.replace(after)
+
+
+def known_place(job: Job, setup: Setup) -> int:
+    """The place, at most the job's, from which a row that learns can go on: the newest with a bank, else the first."""
+    places = (int(file.stem) for file in _folder(job, setup).glob("*.sqlite"))
+    return max((k for k in places if k <= (job.place or 0)), default=0)
+
+
+def _folder(job: Job, setup: Setup) -> Path:
+    return setup.folder / "banks" / slug(job.ego) / slug(job.rows[0])

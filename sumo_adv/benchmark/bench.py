@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
+from sumo_adv.benchmark.banks import known_place
 from sumo_adv.benchmark.jobs import Job, Setup, cell_path
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
@@ -67,9 +68,10 @@ class Bench:
         return replace(job, rows=rows) if rows else None
 
     def _rest(self, chain: Sequence[Job]) -> list[Job]:
-        """A chain from the first encounter on that has no cell: those after it hang on it."""
-        first = next((k for k, job in enumerate(chain) if self._missing(job) is not None), len(chain))
-        return list(chain[first:])
+        """A chain from the first encounter on that has no cell, since those after it hang on it; or from before that,
+        where the bank it begins with is gone."""
+        first = next((job for job in chain if self._missing(job) is not None), None)
+        return [] if first is None else list(chain[known_place(first, self._setup) :])
 
     def _pool(self) -> None:
         """Work until all is done or a process dies."""
