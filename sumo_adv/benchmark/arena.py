@@ -20,7 +20,7 @@ from sumo_adv.episode.knowledge import read_library, signature
 from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
 from sumo_adv.episode.refine import attempt_of, succeeded
 from sumo_adv.episode.task import AttemptResult, Found, Task
-from sumo_adv.errors import ModelError, SimulationError, SumoAdvError
+from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.engine import Engine
@@ -86,7 +86,11 @@ class Arena:
         return episode
 
     def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Episode:
-        """An opponent's attacks, until success or until its budget is used up."""
+        """An opponent's attacks, until success or until its budget is used up.
+
+        Raises:
+            SimulationError: the simulation was lost, and with it what other rows need.
+        """
         episode = self.fresh()
         found, settings, done = episode.found, episode.settings, episode.refinement
         if found is None:
@@ -103,9 +107,7 @@ class Arena:
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
-        except SumoAdvError as error:
-            if error.exit_status == 2:
-                raise
+        except SandboxError as error:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
         return episode
@@ -130,10 +132,17 @@ class Arena:
         try:
             return brain.attempt([proposal])[0]
         except SimulationError as error:
-            if not self.episode.forked:
+            if not self.episode.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error), None)
             return AttemptResult(failed, None, found.situations[proposal.delay].time)
+
+    def _lost(self) -> bool:
+        """Whether the simulation itself is gone, and not only a fork of it."""
+        try:
+            return not self.engine.request("forks")
+        except SimulationError:
+            return True
 
     def encounter(self, found: Found, bank: MemoryBank) -> Encounter:
         """What an opponent sees."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+import os
+import signal
+import tempfile
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -19,9 +22,9 @@ from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
 from sumo_adv.errors import UsageError
 
-TRIES = 2  # of a job whose process died or got stuck
 TICK = 0.5  # s between looks at the clock
-Running = dict[Future[None], tuple[Job, int | None, float]]  # the job, its chain, since when [s]
+KILLED = 5.0  # s that a process that was killed may take to be gone
+CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
 
 class Watcher(Protocol):
@@ -36,12 +39,25 @@ class Watcher(Protocol):
         ...
 
 
+@dataclass(slots=True)
+class _Turn:
+    """A job under way. ``chain``: of which it is the next; ``left``: rows without a cell when the last one came,
+    ``since`` [s]; ``suspect``: it was under way when a process died before."""
+
+    job: Job
+    chain: int | None
+    suspect: bool
+    left: int
+    since: float
+    stuck: bool = False
+
+
 class Bench:
-    """Runs jobs. ``deadline`` [s]: after which a job is held to be stuck."""
+    """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck."""
 
     def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float = 900.0) -> None:
         self._setup, self._workers, self._watcher, self._deadline = setup, workers, watcher, deadline
-        self._tries: Counter[Job] = Counter()
+        self._suspects: deque[tuple[Job, int | None]] = deque()  # one at a time, so that it is known who it was
         self._waiting: deque[Job] = deque()
         self._chains: dict[int, deque[Job]] = {}
 
@@ -55,17 +71,17 @@ class Bench:
         self._watcher.begin(total, total - missing)
         self._chains = {k: deque(chain) for k, chain in enumerate(todo) if chain}
         self._waiting = deque(left)
-        try:
-            while self._waiting or any(self._chains.values()):
-                self._pool()
-        finally:
-            for child in multiprocessing.active_children():
-                child.kill()
+        with tempfile.TemporaryDirectory(prefix="sumo_adv-bench-", ignore_cleanup_errors=True) as scratch:
+            while self._suspects or self._waiting or any(self._chains.values()):
+                self._pool(Path(scratch))
 
     def _missing(self, job: Job) -> Job | None:
         """The job with those of its rows that have no cell."""
-        rows = tuple(r for r in job.rows if not cell_path(self._setup.folder, job.ego, job.case.name, r).exists())
+        rows = tuple(r for r in job.rows if not self._cell(job, r).exists())
         return replace(job, rows=rows) if rows else None
+
+    def _cell(self, job: Job, row: str) -> Path:
+        return cell_path(self._setup.folder, job.ego, job.case.name, row)
 
     def _rest(self, chain: Sequence[Job]) -> list[Job]:
         """A chain from the first encounter on that has no cell, since those after it hang on it; or from before that,
@@ -73,80 +89,117 @@ class Bench:
         first = next((job for job in chain if self._missing(job) is not None), None)
         return [] if first is None else list(chain[known_place(first, self._setup) :])
 
-    def _pool(self) -> None:
+    def _pool(self, scratch: Path) -> None:
         """Work until all is done or a process dies."""
         context = multiprocessing.get_context("spawn")
-        running: Running = {}
-        pool = ProcessPoolExecutor(self._workers, context, begin, (self._setup,))
-        busy: set[int] = set()
+        running: dict[Future[None], _Turn] = {}
+        pool = ProcessPoolExecutor(self._workers, context, begin, (self._setup, scratch))
         try:
             while True:
-                self._submit(pool, running, busy)
+                self._submit(pool, running)
                 if not running:
                     return
                 done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
                 for future in done:
-                    job, chain, _ = running[future]
                     future.result()
-                    del running[future]
-                    self._done(job, chain)
-                    busy.discard(-1 if chain is None else chain)
+                    turn = running.pop(future)
+                    self._done(turn.job, turn.chain)
                 self._watch(running)
         except BrokenProcessPool:
-            self._again(running)
+            self._broken(running)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-            for child in multiprocessing.active_children():
-                child.kill()
+            _kill_all()
 
-    def _submit(self, pool: ProcessPoolExecutor, running: Running, busy: set[int]) -> None:
-        """As many jobs as there are workers: the next one of every chain first, since others wait for it."""
-        for k, chain in self._chains.items():
-            if chain and k not in busy and len(running) < self._workers:
-                busy.add(k)
-                running[pool.submit(work, self._setup, chain[0])] = (chain[0], k, time.monotonic())
+    def _submit(self, pool: ProcessPoolExecutor, running: dict[Future[None], _Turn]) -> None:
+        """As many jobs as there are workers: the next one of every chain first, since others wait for it. A suspect
+        has them all for itself."""
+        if self._suspects or any(turn.suspect for turn in running.values()):
+            if not running:
+                job, chain = self._suspects[0]
+                running[self._begun(pool, job)] = self._turn(job, chain, suspect=True)
+                self._suspects.popleft()
+            return
+        busy = {turn.chain for turn in running.values()}
+        for k, jobs in self._chains.items():
+            if jobs and k not in busy and len(running) < self._workers:
+                running[self._begun(pool, jobs[0])] = self._turn(jobs[0], k)
         while self._waiting and len(running) < self._workers:
-            job = self._waiting.popleft()
-            running[pool.submit(work, self._setup, job)] = (job, None, time.monotonic())
+            job = self._waiting[0]
+            running[self._begun(pool, job)] = self._turn(job, None)
+            self._waiting.popleft()
+
+    def _begun(self, pool: ProcessPoolExecutor, job: Job) -> Future[None]:
+        """The job, given to a process; a cell that hangs on one that was missing is void. Raises BrokenProcessPool."""
+        for row in job.rows:
+            self._cell(job, row).unlink(missing_ok=True)
+        return pool.submit(work, self._setup, job)
+
+    def _turn(self, job: Job, chain: int | None, *, suspect: bool = False) -> _Turn:
+        return _Turn(job, chain, suspect, len(job.rows), time.monotonic())
 
     def _done(self, job: Job, chain: int | None) -> None:
         if chain is not None:
             self._chains[chain].popleft()
         self._watcher.finished(job)
 
-    def _watch(self, running: Running) -> None:
-        """End all processes where a job is stuck: which one has it is not known."""
-        late = [job for job, _, since in running.values() if time.monotonic() - since > self._deadline]
-        if late:
-            for job in late:
-                self._tries[job] = TRIES
-            for child in multiprocessing.active_children():
-                child.kill()
+    def _watch(self, running: dict[Future[None], _Turn]) -> None:
+        """End all processes where a row is stuck: which one has it is not known."""
+        now = time.monotonic()
+        for turn in running.values():
+            missing = self._missing(turn.job)
+            left = 0 if missing is None else len(missing.rows)
+            if left < turn.left:
+                turn.left, turn.since = left, now
+            turn.stuck = left > 0 and now - turn.since > self._deadline
+        if any(turn.stuck for turn in running.values()):
+            _kill_all()
 
-    def _again(self, running: Running) -> None:
-        """Jobs that were under way when a process died: once more, then they have failed."""
-        for job, chain, _ in running.values():
-            left = self._missing(job)
-            if left is None:
-                self._done(job, chain)
+    def _broken(self, running: dict[Future[None], _Turn]) -> None:
+        """What becomes of jobs that were under way when a process died: each is tried again by itself. If that ends in
+        the same way, or if it was stuck, the row that it was at has failed, and those after it go on."""
+        hung = any(turn.stuck for turn in running.values())
+        for turn in running.values():
+            missing = self._missing(turn.job)
+            rows = () if missing is None else missing.rows
+            to_blame = bool(rows) and (turn.stuck or turn.suspect)
+            if to_blame:
+                why = f"It was not done after {self._deadline:g} s." if turn.stuck else "Its process died, twice."
+                keep_cell(self._setup.folder, failure(self._setup, turn.job, rows[0], why))
+                rows = rows[1:]
+            if not rows:
+                self._done(turn.job, turn.chain)
                 continue
-            self._tries[job] += 1
-            if self._tries[job] < TRIES:
-                if chain is None:
-                    self._waiting.appendleft(job)
-                continue
-            for row in left.rows:
-                why = "Its process died or was stuck, twice." if self._tries[job] == TRIES else "It was stuck."
-                keep_cell(self._setup.folder, failure(self._setup, job, row, why))
-            self._done(job, chain)
+            left = replace(turn.job, rows=rows)
+            if not (to_blame or hung):
+                self._suspects.append((left, turn.chain))
+            elif turn.chain is None:
+                self._waiting.appendleft(left)
+            if over := tuple(row for row in turn.job.rows if row not in rows):
+                self._watcher.finished(replace(turn.job, rows=over))
+
+
+def _kill_all() -> None:
+    """End the workers with everything they started."""
+    children = multiprocessing.active_children()
+    for child in children:
+        try:
+            os.killpg(child.pid or 0, signal.SIGKILL)
+        except (OSError, AttributeError):  # it has no group of its own yet, or this system knows none
+            child.kill()
+    for child in children:
+        child.join(KILLED)
 
 
 def read_cells(folder: Path) -> list[Cell]:
     """Every cell of a bench. Raises UsageError for one that cannot be read."""
-    found = []
+    found: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
-            found.append(json.loads(file.read_text(encoding="utf-8")))
+            cell = json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
+        if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
+            raise UsageError(f"{file} is not a cell of a bench; delete it to have it run again.")
+        found.append(cell)
     return found

@@ -55,11 +55,6 @@ class Job:
     shift: float = 0.0
     place: int | None = None
 
-    @property
-    def words(self) -> str:
-        """For people."""
-        return f"{self.case.name} ({self.ego}): {', '.join(self.rows)}"
-
 
 def cell_path(folder: Path, ego: str, case: str, row: str) -> Path:
     """Where a cell lies in the bench's folder."""

@@ -24,7 +24,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.warm import WarmEngine, die_with_parent
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
-from sumo_adv.files import write_text
+from sumo_adv.files import is_storage_error, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
 
@@ -42,8 +42,12 @@ class Bencher:
         for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
             del os.environ[name]  # the table has its settings from there already
 
-    def run(self, job: Job) -> None:
-        """Every row's cell into its place. What fails is a cell, too. Raises UsageError, BankError, OSError."""
+    def run(self, job: Job, left: list[str]) -> None:
+        """The cells of the job's rows that are ``left`` into their places; they leave the list one by one.
+
+        Raises:
+            SumoAdvError: the encounter cannot be opened, the simulation was lost, or the results cannot be written.
+        """
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings = self._settings(job, source.horizon)
         if job.shift:
@@ -57,8 +61,9 @@ class Bencher:
             task = make_task(source, settings, Path(scratch))
             with self._engine.episode() as engine:
                 arena = Arena(source, settings, task, engine, self._sandbox(settings), bank)
-                for row in job.rows:
-                    keep_cell(self._setup.folder, self._cell(job, row, arena, bank, Path(scratch)))
+                while left:
+                    keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
+                    left.pop(0)
             if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
                 self._engine.close()
 
@@ -156,22 +161,40 @@ def _recall(outcome: Mapping[str, Any]) -> str | None:
 _bencher: list[Bencher] = []
 
 
-def begin(setup: Setup) -> None:
-    """Make this process ready for jobs."""
+def begin(setup: Setup, scratch: Path | None = None) -> None:
+    """Make this process ready for jobs: a group of its own, whose temporary files are in ``scratch``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the front's
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()
     die_with_parent()
+    if scratch is not None:
+        tempfile.tempdir = str(scratch)
     _bencher.append(Bencher(setup))
 
 
 def work(setup: Setup, job: Job) -> None:
-    """One job in this process; what breaks becomes the cells of its rows. Raises BankError, OSError."""
-    try:
-        _bencher[-1].run(job)
-    except (BankError, OSError):
-        raise
-    except Exception as error:
-        why = str(error) if isinstance(error, SumoAdvError) else f"A fault of sumo_adv itself: {traceback.format_exc()}"
-        _bencher.pop().close()
-        _bencher.append(Bencher(setup))
-        for row in job.rows:
-            keep_cell(setup.folder, failure(setup, job, row, why))
+    """One job in this process. A row that breaks becomes a failed cell, and those after it begin afresh.
+
+    Raises:
+        BankError: the library cannot be read.
+        OSError, SumoAdvError: the results cannot be written.
+    """
+    left = list(job.rows)
+    while left:
+        try:
+            _bencher[-1].run(job, left)
+        except Exception as error:
+            if isinstance(error, BankError) or is_storage_error(error):
+                raise
+            why = str(error) if isinstance(error, SumoAdvError) else _fault(error)
+            broken = _bencher.pop()
+            _bencher.append(Bencher(setup))
+            broken.close()
+            if left:
+                keep_cell(setup.folder, failure(setup, job, left.pop(0), why))
+
+
+def _fault(error: Exception) -> str:
+    """A sentence, and below it where it happened."""
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"A fault of sumo_adv itself ({what}); please report it.\n{traceback.format_exc()}"

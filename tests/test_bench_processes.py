@@ -1,0 +1,118 @@
+"""What becomes of cells when a worker process dies, hangs, or a row breaks. No SUMO: opening an encounter ends it."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sumo_adv.benchmark.bench import Bench, read_cells
+from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
+from sumo_adv.benchmark.nouns import Case
+from sumo_adv.errors import UsageError
+from sumo_adv.world.inputs import data_folder
+
+CALM = "It cannot be opened."
+
+
+def load(path: Path, record: str | None) -> Any:
+    """Ends as the file's name says; every way that is none is a row that broke by itself."""
+    there = {file.stem for file in path.parent.glob(f"cells/idm/{path.stem}/*.json")}
+    if path.stem == "killer" or (path.stem == "second" and there == {"raw"}):
+        os._exit(9)
+    if path.stem == "hangs":
+        time.sleep(600)
+    if path.stem == "slow":
+        time.sleep(1)
+    raise UsageError(CALM)
+
+
+@contextmanager
+def nobody(*_: Any) -> Iterator[None]:
+    yield None
+
+
+def outcome(episode: Any) -> dict[str, Any]:
+    return {}
+
+
+def keep(path: Path, episode: Any) -> None:
+    return None
+
+
+class Told:
+    """A watcher that counts."""
+
+    def __init__(self) -> None:
+        self.cells: list[tuple[str, str]] = []
+
+    def begin(self, total: int, before: int) -> None:
+        self.total, self.before = total, before
+
+    def finished(self, job: Job) -> None:
+        self.cells += [(job.case.name, row) for row in job.rows]
+
+
+def job(folder: Path, name: str, *rows: str, place: int | None = None) -> Job:
+    return Job(Case(name, folder / f"{name}.toml", None, "leader", "straight"), "idm", 0, rows, place=place)
+
+
+def bench(folder: Path, told: Told, deadline: float = 900.0) -> Bench:
+    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, nobody, outcome, keep))
+    return Bench(setup, 2, told, deadline)
+
+
+def reasons(folder: Path) -> dict[tuple[str, str], str]:
+    cells = read_cells(folder)
+    assert {c["ending"] for c in cells} == {"simulation_failed"}
+    return {(c["case"], c["row"]): c["reason"] for c in cells}
+
+
+def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: Path) -> None:
+    """The killer has one row that dies, twice; the second row of another dies, and the rows around it do not."""
+    told = Told()
+    free = [
+        job(tmp_path, "killer", "raw"), job(tmp_path, "slow", "raw"), job(tmp_path, "second", "raw", "random", "bezier")
+    ]  # fmt: skip
+    chain = [job(tmp_path, name, "expert", place=k) for k, name in enumerate(("slow", "killer", "other"))]
+    bench(tmp_path, told).run(free, [chain])
+    died = "Its process died, twice."
+    assert reasons(tmp_path) == {
+        ("killer", "raw"): died, ("killer", "expert"): died, ("second", "random"): died, ("slow", "raw"): CALM,
+        ("second", "raw"): CALM, ("second", "bezier"): CALM, ("slow", "expert"): CALM, ("other", "expert"): CALM,
+    }  # fmt: skip
+    assert sorted(told.cells) == sorted(reasons(tmp_path)) and (told.total, told.before) == (8, 0)
+
+
+def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
+    bench(tmp_path, Told(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
+    assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s."}
+
+
+def test_what_is_there_is_not_run_again_and_a_chain_goes_on_where_it_can(tmp_path: Path) -> None:
+    """Of three encounters in a line the second has no cell, and no bank is left: all three are done again."""
+    told, kept = Told(), cell_path(tmp_path, "idm", "killer", "raw")
+    chain = [job(tmp_path, name, "expert", place=k) for k, name in enumerate(("one", "two", "three"))]
+    for file in (kept, *(cell_path(tmp_path, "idm", name, "expert") for name in ("one", "three"))):
+        file.parent.mkdir(parents=True)
+        file.write_text("{}")
+    bench(tmp_path, told).run([job(tmp_path, "killer", "raw")], [chain])
+    assert kept.read_text() == "{}" and (told.total, told.before) == (4, 1)
+    assert sorted(told.cells) == [("one", "expert"), ("three", "expert"), ("two", "expert")]
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"row": "raw"}', "\x00"])
+def test_a_cell_that_is_none_is_named(tmp_path: Path, text: str) -> None:
+    file = cell_path(tmp_path, "idm", "one", "raw")
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    with pytest.raises(UsageError, match=r"raw\.json .*delete it to have it run again\.$"):
+        read_cells(tmp_path)
+    file.write_text(json.dumps(dict.fromkeys(("case", "kind", "group", "ego", "row", "seed", "ending"), "x")))
+    assert len(read_cells(tmp_path)) == 1
