@@ -221,6 +221,14 @@ def test_what_is_no_suite_is_said_with_those_there_are(tmp_path: Path) -> None:
         load_suite(str(tmp_path))
     with pytest.raises(UsageError, match=r"no manifest\.csv"):
         load_suite(f"womd:{tmp_path}")
+    manifest = tmp_path / "manifest.csv"
+    manifest.write_bytes(b"id,suite\n\xff\xfe,straight\n")
+    with pytest.raises(UsageError, match=r"^The suite womd:.* cannot be read \("):
+        load_suite(f"womd:{tmp_path}")
+    manifest.write_text("id,suite\none,straight\none,straight\n", encoding="utf-8")
+    with pytest.raises(UsageError, match=r"lists 'one' twice\.$"):
+        load_suite(f"womd:{tmp_path}")
+    manifest.unlink()
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
     with pytest.raises(UsageError, match="not empty"):

@@ -11,6 +11,9 @@ from typing import Any
 import pytest
 from cli_samples import ROOT, Done, Program
 
+from sumo_adv.cli.bench import _settings
+from sumo_adv.errors import UsageError
+
 MOTORWAY, TEE = (f"scenarios/{n}.toml" for n in ("motorway_cut_in_left", "t_junction_left_from_stem"))
 SMALL = (
     "bench", "table", "--suite", MOTORWAY, "--suite", TEE, "--ego", "idm", "--attempts", "3", "--set", "proposals=30",
@@ -108,6 +111,14 @@ def test_a_folder_holds_the_cells_of_one_bench_only(whole: tuple[Program, Done])
         (("--ego", ","), "--ego names no driver"),
         (("--set", "proposals"), "--set takes NAME=VALUE"),
         (("--suite", "nowhere.toml"), "nowhere.toml"),
+        (("--suite", "smoke"), "The suite smoke stands alone in a table"),
+        (("--set", "seed=3"), "--set seed is not for all rows of a table; say it as --seed."),
+        (("--set", "learn=off"), "say it as a row, expert+learn=off."),
+        (("--row", "expert+ttc=3"), "changes 'ttc', which is the same for all rows"),
+        (("--row", "expert+llm=some"), "a row with a model is called llm-a:NAME"),
+        (("--row", "llm-f+learn=on"), "llm-f is the row with a bank that stays"),
+        (("--row", "expert+shift=nan"), "no number of seconds"),
+        (("--row", "raw", "--reference", "expert"), "--reference 'expert' is none of the table's rows: raw."),
     ],
 )
 def test_what_there_is_not_is_refused_before_anything_runs(
@@ -130,3 +141,13 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
     assert done.status == 0
     assert "sumo-adv: 1 of 2 cells failed, for instance broken (random): " in done.err and "500 s" in done.err
     assert "| `random` | 2 |" in done.out  # it stays in the denominator
+
+
+def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``--set`` goes before a variable; who the ego is, and who plays it all, is never a variable's."""
+    for name, value in {"PROPOSALS": "30", "REPLAN": "2", "EGO": "careful", "LLM": "some", "LLM_API_KEY": "k"}.items():
+        monkeypatch.setenv(f"SUMO_ADV_{name}", value)
+    assert _settings(["proposals=40"]) == {"proposals": 40, "replan": 2.0}
+    monkeypatch.setenv("SUMO_ADV_PROPOSALS", "many")
+    with pytest.raises(UsageError, match="Setting 'proposals' cannot be 'many'"):
+        _settings([])

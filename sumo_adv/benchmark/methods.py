@@ -13,6 +13,7 @@ Whatever else is an opponent (``rows/``).
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,7 +24,11 @@ from sumo_adv.errors import UsageError
 RAW, TRANSFORMER = "raw", "transformer"
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
 OWN = ("expert", "llm-a", "llm-f")
-GIVEN_ELSEWHERE = ("ego", "seed", "until", "attempts", "memory", "trigger")
+GIVEN_ELSEWHERE = (
+    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "limits", "duration",
+    "step_length", "density", "background",
+)  # fmt: skip
+"""Settings that no row changes: who is attacked, where, with what budget, and how it is judged."""
 
 ABLATIONS: Mapping[str, str] = {
     "expert": "everything",
@@ -81,17 +86,24 @@ def method_of(row: str) -> Method | None:
             raise UsageError(f"The row '{row}' changes '{name}', which is no setting; say it as expert+NAME=VALUE.")
         if name in GIVEN_ELSEWHERE:
             raise UsageError(f"The row '{row}' changes '{name}', which is the same for all rows of a table.")
+        if name == "llm":
+            raise UsageError(f"The row '{row}' changes 'llm'; a row with a model is called llm-a:NAME or llm-f:NAME.")
         if name == "shift":
             shift = _number(row, value)
         else:
             settings[name] = value
     load_settings(None, **settings)  # raises for bad values
-    learns = kind != "llm-f" and settings.pop("learn", "on") == "on"
+    learns = settings.pop("learn", "off" if kind == "llm-f" else "on") == "on"
+    if learns and kind == "llm-f":
+        raise UsageError(f"The row '{row}' learns, but llm-f is the row with a bank that stays; say llm-a or expert.")
     return Method(row, settings, kind == "llm-f", learns, shift)
 
 
 def _number(row: str, value: str) -> float:
     try:
-        return float(value)
+        seconds = float(value)
     except ValueError:
-        raise UsageError(f"The row '{row}' has shift={value}, which is no number of seconds.") from None
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise UsageError(f"The row '{row}' has shift={value}, which is no number of seconds.")
+    return seconds

@@ -23,6 +23,7 @@ import csv
 import hashlib
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -86,12 +87,23 @@ def load_suite(*named: str) -> Suite:
     """
     if not named:
         raise UsageError(f"Name a suite: {', '.join(shipped_suites())}, a folder, scenario files or {WOMD}FOLDER.")
+    try:
+        return _named(named)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or error
+        raise UsageError(f"The suite {' '.join(named)} cannot be read ({why}).") from error
+
+
+def _named(named: Sequence[str]) -> Suite:
     if len(named) == 1:
         if named[0].startswith(WOMD):
             return _womd(Path(named[0].removeprefix(WOMD)))
         found = _list_file(named[0])
         if found is not None:
             return _listed(found)
+    whole = next((name for name in named if name.startswith(WOMD) or _list_file(name) is not None), None)
+    if whole is not None:
+        raise UsageError(f"The suite {whole} stands alone in a table; several --suite are scenario files, or folders.")
     return _scenarios([source for name in named for source in _sources(name)])
 
 
@@ -243,6 +255,9 @@ def _womd(folder: Path) -> Suite:
     lacking = {"id", "suite"} - set(rows[0] if rows else ())
     if lacking:
         raise UsageError(f"{manifest} lacks the column '{min(lacking)}'.")
+    twice = next((name for name, many in Counter(row["id"] for row in rows).items() if many > 1), None)
+    if twice is not None:
+        raise UsageError(f"{manifest} lists '{twice}' twice.")
     cases, hashes = [], {manifest.name: hash_of_file(manifest)}
     for row in rows:
         if row["suite"] not in GROUPS:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
@@ -20,6 +21,12 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert --row random --out runs/bench"
 ROWS = ("raw", "llm-f", "expert", "random")
+SAID_ELSEWHERE = {
+    "ego": "--ego", "seed": "--seed", "until": "--until", "attempts": "--attempts", "memory": "--memory",
+    "learn": "a row, expert+learn=off", "trigger": "a row, expert+shift=-1.5", "llm": "a row, llm-a:MODEL",
+    "analyzer": "a row, llm-a:MODEL", "generator": "a row, llm-a:MODEL", "modifier": "a row, llm-a:MODEL",
+}  # fmt: skip
+"""What is no setting of all rows, and how a table says it."""
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -62,7 +69,11 @@ def table(
     as_json: Json = False,
 ) -> None:
     """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
+    from sumo_adv.benchmark.tables.compute import BEST_FIXED
+
     rows = _unique(row or ROWS)
+    if reference is not None and reference not in (*rows, BEST_FIXED):
+        raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
     cells = _run(asked, means, as_json=as_json)
     _write(asked, means, cells, "table", reference or ("expert" if "expert" in rows else None), as_json=as_json)
@@ -197,17 +208,25 @@ def _order(
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
-    """``--set`` as data: a value is what TOML makes of it, else text."""
+    """What ``SUMO_ADV_*`` variables and ``--set`` say, as data: a value is what TOML makes of it, else text."""
     found: dict[str, Any] = {}
     for each in given:
-        name, equals, value = each.partition("=")
-        if not equals or not name.strip():
+        name, equals, value = (word.strip() for word in each.partition("="))
+        if not equals or not name:
             raise UsageError(f"--set takes NAME=VALUE, such as proposals=60, not '{each}'.")
+        if name in SAID_ELSEWHERE:
+            raise UsageError(f"--set {name} is not for all rows of a table; say it as {SAID_ELSEWHERE[name]}.")
         try:
-            found[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+            found[name] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            found[name.strip()] = value.strip()
-    return found
+            found[name] = value
+    return {**_of_variables(), **found}
+
+
+def _of_variables() -> dict[str, Any]:
+    """The settings that ``SUMO_ADV_*`` variables give, but for those of tables' own; a server's key is in none."""
+    settings = load_settings()
+    return settings.model_dump(mode="json", include=settings.model_fields_set - SAID_ELSEWHERE.keys())
 
 
 def _run(asked: Asked, means: Means, *, as_json: bool) -> list[Cell]:
@@ -245,7 +264,9 @@ def _write(
 
 def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, *, as_json: bool) -> None:
     """What came of it; exit status 1 if every cell failed."""
-    broken = [c for c in cells if c["ending"] == "simulation_failed"]
+    from sumo_adv.benchmark.tables.cells import failed
+
+    broken = [c for c in cells if failed(c)]
     if as_json:
         count = {"cells": len(cells), "failed": len(broken)}
         typer.echo(json.dumps({"folder": str(means.folder), **count, "files": [str(f) for f in files]}))
@@ -253,7 +274,8 @@ def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, 
         typer.echo(text)
         typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
     if broken:
-        first = f"{broken[0]['case']} ({broken[0]['row']}): {broken[0]['reason']}"
+        why, *_ = broken[0]["reason"].split("\n")
+        first = f"{broken[0]['case']} ({broken[0]['row']}): {why}"
         typer.echo(f"sumo-adv: {len(broken)} of {len(cells)} cells failed, for instance {first}", err=True)
     if len(broken) == len(cells):
         raise typer.Exit(1)
