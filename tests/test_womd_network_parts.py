@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,22 +86,6 @@ def heights_over(low: Link, high: Link) -> np.ndarray:
     """How far the second line lies over the first, every 0.1 m of 20 m along x."""
     x = np.arange(0.0, 20.0, 0.1)
     return np.interp(x, *high.shape.T) - np.interp(x, *low.shape.T)
-
-
-def test_who_joins_at_an_angle_and_leaves_again_crosses_where_it_joins() -> None:
-    """A link comes from the right at 45 degrees, runs on the other's line from x = 5 to 12 m and leaves to the right:
-    it crosses once more within the first metre and runs 0.05 m beside the other from there on."""
-    through = link([(v, 0.0) for v in np.linspace(0, 20, 41)], "a", "b")
-    turning = replace(link([(2.0, -3.0), (5.0, 0.0), (12.0, 0.0), (15.0, -3.0)], "c", "d"), turn=-1.5)
-    bent, pairs = bend_together((through, turning), {(0, 1)})
-    assert pairs == 1 and bent[0] is through
-    x, y = bent[1].shape.T
-    over = x[np.flatnonzero(np.diff(np.sign(y)))]
-    assert len(over) == 2 and 4.4 < over[0] < over[1] < 6.0
-    assert y[(x > 6.1) & (x < 11.9)] == pytest.approx(-0.05)
-    assert np.array_equal(bent[1].shape[[0, -1]], turning.shape[[0, -1]])
-    merging = replace(link([(2.0, -0.9), (5.0, 0.0), (12.0, 0.0), (15.0, -3.0)], "c", "d"), turn=-1.1)
-    assert bend_together((through, merging), {(0, 1)})[0][1] is merging  # at 17 degrees
 
 
 def test_ends_that_lanes_share_are_road_not_junction(tmp_path: Path) -> None:

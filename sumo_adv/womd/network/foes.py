@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import wrap_all
-from sumo_adv.womd.network.polyline import SAME, at, headings, stations
+from sumo_adv.womd.network.polyline import SAME, at, stations
 from sumo_adv.womd.network.roads import Link
 
 if TYPE_CHECKING:
@@ -25,11 +24,6 @@ BEND = 4.0  # m before and after the nearest place over which a line is bent
 END = 1.0  # m from its end where a line is not bent
 MOST_BENT = 0.45  # m that one line is bent
 OVER = 0.05  # m by which bent lines reach over each other
-SHARED = 0.5  # m between two lines that share their ground
-LEAST_SHARED = 3.0  # m of shared ground, less is a crossing
-JOINING = 0.35  # rad at which a link comes onto shared ground, less is a merge that SUMO knows how to follow
-EARLY = 1.0  # m of the shared ground within which the lines cross
-PROBE = 0.25  # m
 OVERPASS = 3.0  # m of height that keep two links apart
 
 
@@ -72,10 +66,6 @@ def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[tu
             continue
         lines = LineString(a.shape), LineString(b.shape)
         if lines[0].intersects(lines[1]):
-            if lines[0].intersection(lines[1]).geom_type != "Point":
-                n, link, other = (i, a, b) if abs(a.turn) > abs(b.turn) else (j, b, a)
-                bent[n] = _parted(link, other)
-                pairs += bent[n] is not link
             continue
         where, missing = _nearest(lines, [substring(line, END, line.length - END) for line in lines])
         if np.hypot(*missing) > 2.0 * MOST_BENT:
@@ -90,34 +80,6 @@ def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[tu
             bent[j] = _bend(b, where[1], -share * missing)
         pairs += 1
     return tuple(bent), pairs
-
-
-def _parted(link: Link, other: Link) -> Link:
-    """A link that comes onto the ground of another at an angle, shares it for a while and leaves it: moved off the
-    other so that the two cross where it comes, not where it leaves. SUMO lets it wait before the last crossing."""
-    from shapely import LineString, line_locate_point, points
-
-    along = stations(link.shape)
-    every = np.unique(np.concatenate([along, np.arange(0.0, along[-1], PROBE)]))
-    place = at(link.shape, along, every)
-    beside = stations(other.shape)
-    station = line_locate_point(LineString(other.shape), points(place))
-    ahead = headings(other.shape, beside, station)
-    left = np.stack([-np.sin(ahead), np.cos(ahead)], axis=-1)
-    aside = ((place - at(other.shape, beside, station)) * left).sum(axis=1)
-    apart = np.flatnonzero(np.abs(aside) > SHARED)
-    gaps = np.flatnonzero(np.diff(every[apart]) > LEAST_SHARED)
-    if not len(gaps):
-        return link
-    first, last = apart[gaps[0]], apart[gaps[0] + 1]
-    if abs(wrap_all(headings(link.shape, along, every[first]) - ahead[first])) < JOINING:
-        return link
-    side = np.sign(aside[last])
-    wanted = np.where(every < every[first] + EARLY, -side, side)
-    zone = np.arange(first + 1, last)
-    off = wanted[zone] * np.maximum(wanted[zone] * aside[zone], OVER) - aside[zone]
-    place[zone] += off[:, None] * left[zone]
-    return replace(link, shape=place, heights=np.interp(every, along, link.heights))
 
 
 def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[list[float], Floats]:
