@@ -1,0 +1,73 @@
+"""The pages as stories: blocks marked ``file`` are saved and those marked ``run`` are run, in their order, in a folder that
+holds what a checkout holds. What a reader types is what runs."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from cli_samples import PATIENCE, ROOT, Program
+from docs_blocks import Block, blocks, pages
+
+STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
+AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[dict[str, Future[list[str]]]]:
+    """What went wrong in each story; all are begun at once, as many at a time as there are processors."""
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        folders = {name: tmp_path_factory.mktemp(page.stem) for name, page in STORIES.items()}
+        yield {name: pool.submit(tell, page, folders[name], caches) for name, page in STORIES.items()}
+
+
+def tell(page: Path, folder: Path, caches: Path) -> list[str]:
+    """Play a page; a sentence for the first block that fails."""
+    program = Program(folder, caches)
+    for name in AT_HAND:
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+    environment = program.environment()
+    environment["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), environment["PATH"]))
+    for block in blocks(page):
+        if block.mark == "file":
+            (folder / block.said).write_text(block.text, encoding="utf-8")
+        elif block.mark == "run" and (wrong := run(block, folder, environment)) is not None:
+            return [wrong]
+    return []
+
+
+def run(block: Block, folder: Path, environment: dict[str, str]) -> str | None:
+    """None if the block ends well."""
+    command = [sys.executable, "-"] if block.is_python else ["sh", "-eu"]
+    done = subprocess.run(
+        command, input=block.text, cwd=folder, env=environment, capture_output=True, text=True, check=False,
+        timeout=PATIENCE,
+    )  # fmt: skip
+    return None if done.returncode == 0 else f"{block.where}: status {done.returncode}: {done.stderr[-600:]}"
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_what_a_page_says_works(name: str, told: dict[str, Future[list[str]]]) -> None:
+    assert told[name].result() == []
+
+
+def test_a_block_that_fails_is_told(tmp_path: Path) -> None:
+    page = ROOT / "README.md"
+    shell = Block(page, 7, "sh", "sumo-adv run nowhere\ntrue\n", "run", "")
+    python = Block(page, 9, "python", "raise ValueError('no')\n", "run", "")
+    environment = Program(tmp_path, tmp_path).environment()
+    environment["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), environment["PATH"]))
+    assert "README.md:7: status 2: sumo-adv: There is no file nowhere" in (run(shell, tmp_path, environment) or "")
+    assert "ValueError: no" in (run(python, tmp_path, environment) or "")
+
+
+def test_the_stories_are_those_that_newcomers_need() -> None:
+    needed = {"first_hour", "ego", "planner", "bank", "campaign", "extend", "settings"}
+    assert needed <= {page.stem for page in STORIES.values()}

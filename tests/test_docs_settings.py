@@ -1,0 +1,106 @@
+"""``docs/settings.md`` cannot drift: its names, defaults and bounds are those of the models that read settings and
+scenario files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from enum import EnumType
+from pathlib import Path
+from types import NoneType
+from typing import Any, Literal, get_args, get_origin
+
+import pytest
+from cli_samples import ROOT
+from pydantic import BaseModel, SecretStr
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+
+from sumo_adv.config import LimitSettings, Settings
+from sumo_adv.config_model import ModelSettings
+from sumo_adv.world.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
+
+PAGE = ROOT / "docs" / "settings.md"
+MODELS: Mapping[str, type[BaseModel]] = {
+    "Settings of a run": Settings, "Limits": LimitSettings, "Servers of language models": ModelSettings,
+    "Top of the file": Scenario, "[demand]": Demand, "[ego]": Ego, "[window]": Window, "[adversary]": Adversary,
+    "[signals]": Signals, "[label]": Label, "[[parked]], [[pedestrians]], [[cyclists]]": Box,
+}  # fmt: skip
+WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
+SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}
+
+
+def rows_of(heading: str) -> dict[str, tuple[str, str]]:
+    """The table below a heading of the page: name -> default and what is allowed."""
+    text = PAGE.read_text(encoding="utf-8")
+    part = re.search(rf"^#+ {re.escape(heading)}\n(.*?)(?=^#|\Z)", text, re.MULTILINE | re.DOTALL)
+    assert part is not None, f"the page has no heading {heading!r}"
+    lines = [line.strip("| ").split(" | ") for line in part[1].splitlines() if line.startswith("| `")]
+    return {cells[0].strip("`"): (cells[1], cells[2]) for cells in lines if len(cells) == 4}
+
+
+def fields_of(model: type[BaseModel]) -> Iterator[tuple[str, str, str]]:
+    """Name, default and what is allowed, as the page is to have them."""
+    for name, field in model.model_fields.items():
+        if model is Settings and name in ModelSettings.model_fields:
+            continue  # they have a table of their own
+        yield field.alias or name, default_of(field), allowed_of(field)
+
+
+def default_of(field: FieldInfo) -> str:
+    if field.is_required():
+        return "needed"
+    value = field.get_default(call_default_factory=True)
+    if value is None or value == () or value == {} or isinstance(value, BaseModel) or value is PydanticUndefined:
+        return "-"
+    if isinstance(value, tuple):
+        return ", ".join(map(number, value))
+    return number(value) if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def number(value: float) -> str:
+    """Without ``.0`` behind whole ones."""
+    return str(int(value)) if value == int(value) else str(value)
+
+
+def allowed_of(field: FieldInfo) -> str:
+    return _words(field.annotation, field.metadata)
+
+
+def _words(kind: Any, metadata: list[Any]) -> str:
+    """A type and its bounds in words."""
+    if hasattr(kind, "__metadata__"):
+        further = [m for m in kind.__metadata__ if not isinstance(m, FieldInfo)]
+        inner = [m for f in kind.__metadata__ if isinstance(f, FieldInfo) for m in f.metadata]
+        return _words(kind.__origin__, [*further, *inner, *metadata])
+    found = ((sign, getattr(m, sign, None)) for m in metadata for sign in SIGNS)
+    bounds = list(dict.fromkeys(SIGNS[sign].format(number(value)) for sign, value in found if value is not None))
+    bounds = ["not empty" if b == "1 or more characters" else b for b in bounds]
+    origin, inside = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        said = ", ".join(sorted(str(value) for value in inside))  # equal ones share an order
+    elif origin is tuple and inside[-1] is not Ellipsis:
+        said = " and ".join(_words(each, []) for each in inside)
+    elif origin is tuple:
+        said = f"list: {_words(inside[0], [])}"
+    elif origin is dict or kind is dict:
+        said = "table"
+    elif inside:  # a union
+        said = " or ".join(dict.fromkeys(_words(each, []) for each in inside if each is not NoneType))
+    elif isinstance(kind, EnumType):
+        said = ", ".join(kind)
+    elif isinstance(kind, type) and issubclass(kind, BaseModel):
+        return "table"
+    else:
+        said = WORDS[kind]
+    return ", ".join([said, *bounds])
+
+
+@pytest.mark.parametrize("heading", MODELS)
+def test_the_page_says_what_is_read(heading: str) -> None:
+    assert rows_of(heading) == {name: (default, allowed) for name, default, allowed in fields_of(MODELS[heading])}
+
+
+def test_a_changed_default_would_be_seen() -> None:
+    attempts = {name: (default, allowed) for name, default, allowed in fields_of(Settings)}["attempts"]
+    assert attempts == ("25", "whole number, >= 1, <= 10000")
