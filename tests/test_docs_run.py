@@ -1,5 +1,5 @@
-"""The pages as stories: blocks marked ``file`` are saved and those marked ``run`` are run, in their order, in a folder that
-holds what a checkout holds. What a reader types is what runs."""
+"""The pages as stories: blocks marked ``file`` are saved and those marked ``run`` are run, in their order, in a folder
+that holds what a checkout holds. What a reader types is what runs."""
 
 from __future__ import annotations
 
