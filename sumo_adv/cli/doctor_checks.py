@@ -23,12 +23,12 @@ from urllib.request import getproxies
 
 from sumo_adv import __version__
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.world.library import SYSTEM_LIBRARIES
 
 if TYPE_CHECKING:
     from sumo_adv.agents.presets import Server
     from sumo_adv.config import Settings
 
-SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
 EXTRAS = (
     ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),

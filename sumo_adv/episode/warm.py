@@ -21,6 +21,7 @@ from typing import Any, Self
 
 from sumo_adv.errors import SimulationError
 from sumo_adv.world.engine import Engine, can_fork
+from sumo_adv.world.library import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -108,11 +109,11 @@ COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts")
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The commands of the engine process."""
-    import libsumo  # noqa: F401 - what every episode needs is there before the first fork
-    import shapely.geometry  # noqa: F401
+    import shapely.geometry  # noqa: F401 - what every episode needs is there before the first fork
 
     import sumo_adv.episode.worker  # noqa: F401
 
+    load_libsumo()
     faulthandler.enable()
     nursery = _Nursery(slots)
     return {"begin": nursery.begin, "end": nursery.end, **{name: nursery.command(name) for name in COMMANDS}}

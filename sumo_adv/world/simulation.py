@@ -15,6 +15,7 @@ from typing import Any
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.errors import SimulationError
+from sumo_adv.world.library import load_libsumo
 from sumo_adv.world.remote import RawState, Remote
 
 BASE_FLAGS = (
@@ -126,8 +127,7 @@ class Simulation:
         """Start libsumo."""
         if Simulation._running is not None:
             raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
-        import libsumo
-
+        libsumo = load_libsumo()
         self._sumo = libsumo
         self._errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:

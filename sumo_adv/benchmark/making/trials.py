@@ -25,6 +25,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.situation import Target
 from sumo_adv.world.engine import in_forks
 from sumo_adv.world.inputs import load_input
+from sumo_adv.world.library import load_libsumo
 
 EGOS = ("idm", "krauss", "eidm", "careful")
 """The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
@@ -114,7 +115,8 @@ def _each(trials: Sequence[Trial]) -> list[str]:
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The command of the process that forks the trials."""
-    import libsumo  # noqa: F401 - what every trial needs is there before the first fork
-    import shapely.geometry  # noqa: F401
+    import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
+
+    load_libsumo()
 
     return {"trials": _each}
