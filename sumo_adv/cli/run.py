@@ -69,7 +69,10 @@ def run(
     metric: Metric = None,
     density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
     background: Annotated[
-        str | None, typer.Option(help="log or sumo: who drives recorded vehicles (default: as the scenario says).")
+        str | None,
+        typer.Option(
+            help="log or sumo: who drives recorded vehicles (default: as the scenario says, else log for a replayed ego)."
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/<input>-<seed>).")] = None,
