@@ -105,6 +105,8 @@ def test_a_folder_holds_the_cells_of_one_bench_only(whole: tuple[Program, Done])
         (("--row", "expert+seed=3"), "which is the same for all rows of a table"),
         (("--row", "expert+replan=soon"), "Setting 'replan' cannot be 'soon'"),
         (("--row", "llm-a"), "The row llm-a needs a model"),
+        (("--row", "llm-a:deepseek-chat"), "The model 'deepseek-chat' needs a key"),
+        (("--memory", "nowhere.sqlite"), "The memory bank nowhere.sqlite does not exist."),
         (("--row", "raw+tuner=off"), "The row 'raw+tuner=off' has no settings to change"),
         (("--row", "transformer"), "it is not built yet"),
         (("--ego", "ghost"), "ghost"),
@@ -151,3 +153,10 @@ def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(mon
     monkeypatch.setenv("SUMO_ADV_PROPOSALS", "many")
     with pytest.raises(UsageError, match="Setting 'proposals' cannot be 'many'"):
         _settings([])
+
+
+def test_a_suite_that_cannot_be_written_is_a_sentence(program: Program) -> None:
+    (program.folder / "file").write_text("")
+    done = program("bench", "make", "--seed", "1", "--out", "file/suite")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert done.err.startswith("sumo-adv: The results in file/suite cannot be written (")

@@ -8,8 +8,8 @@ import shutil
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any
 from sumo_adv.batch.nouns import Done, Job, Setup
 from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.world.engine import QUIET_VARIABLES
+from sumo_adv.world.engine import QUIET_VARIABLES, deaf
 
 TRIES = 2  # of an episode whose worker crashes or hangs, or whose simulation fails
 STARTS = 3  # workers in a row that may die before they are ready
@@ -124,7 +124,7 @@ class LocalWorkers:
         os.environ.update(variables)
         process = context.Process(target=_work, args=(theirs, self.setup, folder / "log"))
         try:
-            with _deaf():
+            with deaf():
                 process.start()
         finally:
             for name, value in saved.items():
@@ -223,19 +223,6 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
         return
     except SumoAdvError as error:
         connection.send(error)
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Processes started within it do not hear Ctrl-C, from their first instruction on."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _alone(scratch: Path) -> None:

@@ -21,6 +21,7 @@ from sumo_adv.benchmark.jobs import Job, Setup, cell_path
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
 from sumo_adv.errors import UsageError
+from sumo_adv.world.engine import deaf
 
 TICK = 0.5  # s between looks at the clock
 KILLED = 5.0  # s that a process that was killed may take to be gone
@@ -133,7 +134,8 @@ class Bench:
         """The job, given to a process; a cell that hangs on one that was missing is void. Raises BrokenProcessPool."""
         for row in job.rows:
             self._cell(job, row).unlink(missing_ok=True)
-        return pool.submit(work, self._setup, job)
+        with deaf():
+            return pool.submit(work, self._setup, job)
 
     def _turn(self, job: Job, chain: int | None, *, suspect: bool = False) -> _Turn:
         return _Turn(job, chain, suspect, len(job.rows), time.monotonic())

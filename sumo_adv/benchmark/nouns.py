@@ -58,7 +58,7 @@ class Opponent(Protocol):
     name: str
 
     def begin(self, encounter: Encounter) -> None:
-        """A new encounter; what was learnt in others may be kept."""
+        """A new encounter. Each has an opponent of its own, made anew: nothing is kept of others."""
         ...
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:

@@ -62,9 +62,10 @@ def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
         UsageError: bad rows, egos or settings, or a folder that holds cells of something else; BankError.
     """
     asked.check()
+    plan = json.loads(json.dumps(manifest(asked, means)))
     with sentences(means.folder):
         means.folder.mkdir(parents=True, exist_ok=True)
-        _keep_plan(asked, means)
+        _keep_plan(plan, means.folder)
         setup = Setup(
             means.folder.absolute(), asked.suite.name, asked.bank.absolute(), asked.settings, means.parts,
             means.keep_runs,
@@ -86,9 +87,9 @@ def manifest(asked: Asked, means: Means) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _keep_plan(asked: Asked, means: Means) -> None:
+def _keep_plan(now: Mapping[str, Any], folder: Path) -> None:
     """Remember what the folder is of. Raises UsageError where it holds something else."""
-    now, file = json.loads(json.dumps(manifest(asked, means))), means.folder / PLAN
+    file = folder / PLAN
     if file.exists():
         try:
             before = json.loads(file.read_text(encoding="utf-8"))
@@ -97,12 +98,12 @@ def _keep_plan(asked: Asked, means: Means) -> None:
         changed = [k for k in now if before.get(k) != now[k]]
         if changed:
             raise UsageError(
-                f"{means.folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
+                f"{folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
                 "give another --out."
             )
         return
-    if any(means.folder.iterdir()):
-        raise UsageError(f"{means.folder} is not empty and not the folder of a bench; give another --out.")
+    if any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty and not the folder of a bench; give another --out.")
     write_text(file, json.dumps(now, indent=2) + "\n")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.config import load_settings
+from sumo_adv.config import BUILTIN, load_settings
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
@@ -171,12 +171,14 @@ def make(
     from dataclasses import asdict
 
     from sumo_adv.benchmark.making.suite import make_suite
+    from sumo_adv.files import sentences
 
     def told(case: str, wrong: str) -> None:
         if not as_json and not wrong:
             typer.echo(case, err=True)
 
-    made = make_suite(seed, out, name=out.name, told=told)
+    with sentences(out):
+        made = make_suite(seed, out, name=out.name, told=told)
     if as_json:
         typer.echo(json.dumps(asdict(made), default=str))
         return
@@ -203,8 +205,23 @@ def _order(
     found = load_suite(*suite)
     settings = {**_settings(setting or ()), "attempts": attempts, "until": until}
     asked = Asked(found, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
+    _check_models(asked)
     folder = out or Path("runs") / f"bench-{found.name}"
     return asked, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs)
+
+
+def _check_models(asked: Asked) -> None:
+    """Raises UsageError for a row whose model has no server or no key; asks nothing."""
+    from sumo_adv.agents.ledger import Ledger
+    from sumo_adv.agents.llm import connect
+    from sumo_adv.benchmark.methods import method_of
+    from sumo_adv.episode.cast import ROLES
+
+    for row in asked.rows:
+        given = method.settings if (method := method_of(row)) is not None else {}
+        for name in (given[key] for key in ("llm", *ROLES) if given.get(key, BUILTIN) != BUILTIN):
+            settings = load_settings(None, **{**asked.settings, **given})
+            connect(name, settings, Ledger.for_settings(settings))
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:

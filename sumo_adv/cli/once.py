@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -51,9 +50,9 @@ def play(
 def new_engine() -> Engine:
     """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
     from sumo_adv.episode.worker import body
-    from sumo_adv.world.engine import Engine
+    from sumo_adv.world.engine import Engine, deaf
 
-    with _without_main(), _without_interrupts():
+    with _without_main(), deaf():
         return Engine(body)
 
 
@@ -67,19 +66,3 @@ def _without_main() -> Iterator[None]:
         yield
     finally:
         sys.modules["__main__"] = main
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """A new process inherits that Ctrl-C is blocked; ours gets one that came meanwhile at the end."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from multiprocessing import resource_tracker
-
-    resource_tracker.ensure_running()  # starting it would unblock them
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -12,7 +12,8 @@ import pickle
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
@@ -134,6 +135,23 @@ def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
     if isinstance(error, SimulationError) and said and said[-1] not in str(error):
         return SimulationError(f"{str(error).rstrip('.')}: {said[-1].strip()[:300]}")
     return error
+
+
+@contextmanager
+def deaf() -> Iterator[None]:
+    """Processes started within it do not hear Ctrl-C, from their first instruction on; ours gets one that came
+    meanwhile at the end."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # starting it would unblock them
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def can_fork() -> bool:
