@@ -18,7 +18,8 @@ def test_a_libsumo_that_does_not_load_says_what_to_install(tmp_path: Path, said:
     (tmp_path / "libsumo.py").write_text(f"raise ImportError({said!r})\n")
     done = subprocess.run(
         [sys.executable, "-m", "sumo_adv", "run", "motorway_cut_in_left", "--memory", "bank.sqlite"],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, capture_output=True, text=True, check=False,
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, capture_output=True, text=True,
+        check=False,
     )  # fmt: skip
     assert done.returncode == 1
     assert f"does not load ({said})" in done.stderr

@@ -139,6 +139,11 @@ class Sandbox:
                 script = Path(self._folder.name) / "worker"
                 script.write_text(wrapper_script(jail, self.limits.memory))
                 script.chmod(0o700)
+                if not os.access(script, os.X_OK):
+                    raise SandboxError(
+                        f"No program can be started in {Path(self._folder.name).parent}, which is mounted noexec: set "
+                        "TMPDIR to a folder where one can (a container's tmpfs wants the option exec)."
+                    )
                 program = str(script)
             self._start(program)
             self._jail = jail
@@ -192,6 +197,6 @@ class Sandbox:
             owner.submit(session.__enter__).result()
         except TimeoutError:
             raise SandboxError(f"All {self._workers} sandbox workers are busy: close planner sessions.") from None
-        except (MontyError, OSError) as error:
+        except (MontyError, OSError, RuntimeError) as error:
             raise SandboxError(f"The sandbox's worker does not start ({clean(str(error))}): run doctor.") from None
         return session
