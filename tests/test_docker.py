@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -205,3 +206,23 @@ def test_a_tmpfs_without_exec_is_named_by_the_sandbox(tmp_path: Path) -> None:
         said[options] = done.stdout
     assert said["exec"] == ""
     assert said["noexec"].startswith(f"No program can be started in {tmpfs}, which is mounted noexec: set TMPDIR")
+
+
+def test_compose_lines_in_the_docs_name_services_profiles_and_commands_that_are_there() -> None:
+    text = (ROOT / "docs" / "docker.md").read_text(encoding="utf-8")
+    lines = [shlex.split(line, comments=True)[4:] for line in text.splitlines() if "docker compose -f" in line]
+    assert len(lines) > 5
+    named = set()
+    for words in lines:
+        if words[0] == "--profile":
+            assert words[1] in {p for service in SERVICES.values() for p in service["profiles"]}
+            named.add(words[1])
+            words = words[2:]
+        rest = [word for word in words[1:] if not word.startswith("--")]
+        assert words[0] in ("up", "run", "exec")
+        assert set(rest[:1]) <= set(SERVICES), rest
+        named |= set(rest[:1])
+        if words[0] == "run" and len(rest) > 1:
+            command = words[words.index(rest[0], 1) + 1 :]
+            COMMANDS[command[0]].make_context(command[0], command[1:])
+    assert named >= {"run", "serve", "ego", "ollama", "model", "remote"}
