@@ -81,7 +81,7 @@ def blocks(page: Path) -> Iterator[Block]:
             at, mark, line = end - 1, ("", ""), lines[end - 1]
         elif line.strip():
             mark = ("", "")
-        after_blank = not lines[at].strip() or MARK.fullmatch(lines[at].strip()) is not None
+        after_blank = not lines[at].strip() or lines[at].startswith("#") or bool(MARK.fullmatch(lines[at].strip()))
         at += 1
 
 

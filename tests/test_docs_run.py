@@ -3,11 +3,12 @@ that holds what a checkout holds. What a reader types is what runs."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,15 +17,16 @@ from cli_samples import PATIENCE, ROOT, Program
 from docs_blocks import Block, blocks, pages
 
 STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
+Told = Mapping[str, tuple[Path, Future[list[str]]]]
 AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[dict[str, Future[list[str]]]]:
-    """What went wrong in each story; all are begun at once, as many at a time as there are processors."""
+def told(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Told]:
+    """The folder of each story, and what went wrong in it; as many are played at a time as there are processors."""
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         folders = {name: tmp_path_factory.mktemp(page.stem) for name, page in STORIES.items()}
-        yield {name: pool.submit(tell, page, folders[name], caches) for name, page in STORIES.items()}
+        yield {name: (folders[name], pool.submit(tell, page, folders[name], caches)) for name, page in STORIES.items()}
 
 
 def tell(page: Path, folder: Path, caches: Path) -> list[str]:
@@ -54,8 +56,18 @@ def run(block: Block, folder: Path, environment: dict[str, str]) -> str | None:
 
 
 @pytest.mark.parametrize("name", STORIES)
-def test_what_a_page_says_works(name: str, told: dict[str, Future[list[str]]]) -> None:
-    assert told[name].result() == []
+def test_what_a_page_says_works(name: str, told: Told) -> None:
+    assert told[name][1].result() == []
+
+
+@pytest.mark.parametrize(
+    ("page", "run_folder"), [("docs/first_hour.md", "runs/first"), ("docs/planner.md", "runs/squeeze")]
+)
+def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, told: Told) -> None:
+    folder, wrong = told[page]
+    assert wrong.result() == []
+    outcome = json.loads((folder / run_folder / "outcome.json").read_text(encoding="utf-8"))
+    assert (outcome["ending"], outcome["outcome"]["valid"]) == ("critical", True)
 
 
 def test_a_block_that_fails_is_told(tmp_path: Path) -> None:
