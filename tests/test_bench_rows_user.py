@@ -53,6 +53,13 @@ class Stumbles(Says):
         raise KeyError("targets")
 
 
+class Scribbles(Says):
+    def begin(self, encounter: Any) -> None:
+        first = min(encounter.situations)
+        encounter.situations[first].profile_v[:] = 0.0
+        encounter.situations.clear()
+
+
 class WantsArguments(Says):
     def __init__(self, size: int) -> None:
         """It cannot be made without."""
@@ -64,6 +71,12 @@ class Half:
 
 
 HERE = __name__
+
+
+def test_what_a_generator_writes_into_its_encounter_is_not_seen_by_other_rows() -> None:
+    met = encounter([neighbour()])
+    make_row(f"{HERE}:Scribbles").begin(met)
+    assert len(met.situations) >= 1 and all((s.profile_v > 0.0).all() for s in met.situations.values())
 
 
 def answered(answer: Callable[[], Any]) -> Proposal | None:

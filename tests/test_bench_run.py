@@ -137,12 +137,13 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
     assert "trigger = 500.0" in text  # long after its end
     (program.folder / "broken.toml").write_text(text)
     done = program(
-        "bench", "table", "--suite", "broken.toml", "--suite", MOTORWAY, "--row", "random", "--attempts", "1",
-        "--out", "out", "--workers", "1",
+        "bench", "table", "--suite", "broken.toml", "--suite", MOTORWAY, "--row", "random", "--row", "expert",
+        "--attempts", "1", "--set", "proposals=20", "--out", "out", "--workers", "1",
     )  # fmt: skip
     assert done.status == 0
-    assert "sumo-adv: 1 of 2 cells failed, for instance broken (random): " in done.err and "500 s" in done.err
-    assert "| `random` | 2 |" in done.out  # it stays in the denominator
+    assert "sumo-adv: 2 of 4 cells failed, for instance broken (expert): " in done.err and "500 s" in done.err
+    assert "| `random` | 2 |" in done.out and "| `expert` | 2 |" in done.out  # it stays in the denominator
+    assert cell(program.folder / "out", "motorway_cut_in_left", "expert")["attempts"]  # a row that learns goes on
 
 
 def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ Citation: none, it is yours.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -43,10 +44,10 @@ class UserRow:
         self._situations: Mapping[float, Situation] = {}
 
     def begin(self, encounter: Encounter) -> None:
-        """Raises PlannerRuntimeError if the user's code fails."""
+        """Of a copy: other rows see nothing of what is written there. Raises PlannerRuntimeError if its code fails."""
         self._situations = encounter.situations
         try:
-            self._generator.begin(encounter)
+            self._generator.begin(replace(encounter, situations=deepcopy(dict(encounter.situations))))
         except Exception as error:  # user code
             raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {said(error)}.") from error
 
