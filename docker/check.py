@@ -84,7 +84,7 @@ class Checks:
         config = json.loads(self.buildah("inspect", "--type", "image", IMAGE))["Docker"]["config"]
         user = config["User"]
         assert user.replace(":", "").isdecimal() and not user.startswith("0"), f"runs as {user!r}"
-        assert set(config["Volumes"]) == {"/work/runs", "/data"}, config["Volumes"]
+        assert set(config["Volumes"]) == {"/app/runs", "/data"}, config["Volumes"]
         assert config["Healthcheck"]["Test"][0] == "CMD", "no health check"
         for variable in config["Env"]:
             assert not any(word in variable.upper() for word in ("KEY", "TOKEN", "SECRET", "PASSWORD")), variable
@@ -184,14 +184,14 @@ import pathlib
 said = dict(line.split(":", 1) for line in open("/proc/self/status") if ":" in line)
 assert os.getuid() == 10001 and int(said["CapEff"], 16) == int(said["CapBnd"], 16) == 0, said
 assert said["NoNewPrivs"].strip() == "1" and os.listdir("/sys/class/net") == ["lo"]
-for folder in ("/", "/opt/sumo_adv", "/work", "/etc"):
+for folder in ("/", "/opt/sumo_adv", "/app", "/etc"):
     try:
         pathlib.Path(folder, "x").touch()
     except OSError as error:
         assert error.strerror == "Read-only file system", error
     else:
         raise SystemExit(f"{folder} was written")
-for folder in ("/tmp", "/work/runs", "/data"):
+for folder in ("/tmp", "/app/runs", "/data"):
     pathlib.Path(folder, "x").touch()
     pathlib.Path(folder, "x").unlink()
 print("uid 10001, no capability, no new privileges, no network, a read-only root")

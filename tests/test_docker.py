@@ -80,7 +80,7 @@ def test_everything_that_the_wheel_wants_is_copied() -> None:
 
 
 def test_bank_and_runs_are_in_volumes_and_a_server_has_a_health_check() -> None:
-    assert values("VOLUME") == ['["/work/runs", "/data"]']
+    assert values("VOLUME") == ['["/app/runs", "/data"]']
     assert "XDG_DATA_HOME=/data" in " ".join(values("ENV"))
     assert "/opt/sumo_adv/health.py" in values("HEALTHCHECK")[0]
 
