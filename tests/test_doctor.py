@@ -12,6 +12,7 @@ from cli_samples import ROOT, Program
 
 from sumo_adv import __version__
 from sumo_adv.cli import doctor_checks as checks
+from sumo_adv.cli import doctor_user as user
 from sumo_adv.cli.doctor_checks import Level
 from sumo_adv.config import Settings, load_settings
 
@@ -73,6 +74,13 @@ def test_a_bad_setting_is_one_line(program: Program) -> None:
     assert "fail  settings: Setting 'attempts' cannot be 'many'" in done.out
 
 
+def test_a_variable_that_is_no_setting_is_named() -> None:
+    given = {"SUMO_ADV_ATTEMPT": "5", "SUMO_ADV_LIMITS__JERK": "9", "sumo_adv_seed": "1", "PATH": "x"}
+    (found,) = user.variables(Settings.model_fields, given)
+    assert (found.level, found.found.split(":")[0]) == (Level.WARN, "SUMO_ADV_ATTEMPT")
+    assert list(user.variables(Settings.model_fields, {"SUMO_ADV_SEED": "1"})) == []
+
+
 def test_the_version_names_sumo_and_the_bank(program: Program) -> None:
     done = program("--version")
     assert done.out.startswith(f"sumo-adv {__version__} (SUMO 1.28.0; memory bank: schema 2, content ")
@@ -131,24 +139,24 @@ def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
 
 
 def test_a_server_that_listens_is_asked_nothing(server: str) -> None:
-    (found,) = checks.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
+    (found,) = user.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
     assert found.level is Level.OK
     assert found.found.endswith("takes connections; with a key. It was asked nothing")
 
 
 def test_a_model_without_a_key_or_a_recording() -> None:
-    (hosted,) = checks.model(settings(llm="deepseek-chat"), {})
+    (hosted,) = user.model(settings(llm="deepseek-chat"), {})
     assert hosted.level is Level.FAIL
     assert "DEEPSEEK_API_KEY" in hosted.found
-    (lost,) = checks.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
+    (lost,) = user.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
     assert lost.level is Level.WARN
-    (none,) = checks.model(settings(), {})
+    (none,) = user.model(settings(), {})
     assert "built-in expert" in none.found
 
 
 def test_where_results_go_must_be_there(tmp_path: Path) -> None:
-    (found,) = checks.output(tmp_path)
+    (found,) = user.output(tmp_path)
     assert (found.level, found.name) == (Level.OK, "output")
-    (lost,) = checks.output(tmp_path / "nowhere")
+    (lost,) = user.output(tmp_path / "nowhere")
     assert lost.level is Level.FAIL
     assert "no such file or directory" in lost.found

@@ -46,7 +46,8 @@ def doctor(
 
 def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[Finding]:
     from sumo_adv.cli import doctor_checks as checks
-    from sumo_adv.config import load_settings
+    from sumo_adv.cli import doctor_user as user
+    from sumo_adv.config import Settings, load_settings
     from sumo_adv.world.inputs import data_folder
 
     yield from checks.interpreter()
@@ -63,11 +64,12 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
     except SumoAdvError as error:
         yield checks.Finding("settings", checks.Level.FAIL, str(error), "correct the variable or the file")
         settings = None
+    yield from user.variables(Settings.model_fields)
     yield from checks.sandbox(settings is None or settings.bubblewrap)
     if settings is not None:
-        yield from checks.model(settings)
-    yield from checks.bank(memory if settings is None else settings.memory)
-    yield from checks.output(Path.cwd())
+        yield from user.model(settings)
+    yield from user.bank(memory if settings is None else settings.memory)
+    yield from user.output(Path.cwd())
 
 
 def version_line() -> str:
