@@ -18,6 +18,7 @@ from docs_blocks import Block, blocks, pages
 
 STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
 Told = Mapping[str, tuple[Path, Future[list[str]]]]
+SAID = "said.txt"  # in a story's folder: what its blocks printed
 AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
 
 
@@ -52,6 +53,8 @@ def run(block: Block, folder: Path, environment: dict[str, str]) -> str | None:
         command, input=block.text, cwd=folder, env=environment, capture_output=True, text=True, check=False,
         timeout=PATIENCE,
     )  # fmt: skip
+    with (folder / SAID).open("a", encoding="utf-8") as said:
+        said.write(done.stdout)
     return None if done.returncode == 0 else f"{block.where}: status {done.returncode}: {done.stderr[-600:]}"
 
 
@@ -68,6 +71,17 @@ def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, told: Tol
     assert wrong.result() == []
     outcome = json.loads((folder / run_folder / "outcome.json").read_text(encoding="utf-8"))
     assert (outcome["ending"], outcome["outcome"]["valid"]) == ("critical", True)
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/first_hour.md"])
+def test_the_output_shown_is_the_output(page: str, told: Told) -> None:
+    folder, wrong = told["docs/first_hour.md"]
+    assert wrong.result() == []
+    said = (folder / SAID).read_text(encoding="utf-8")
+    shown = next(b.text for b in blocks(ROOT / page) if b.text.startswith("Encounter at"))
+    lines = [line.split(" (risk")[0] for line in shown.splitlines() if not line.startswith("Files:")]
+    assert len(lines) >= 4  # the predictor's own figures may change
+    assert [line for line in lines if line not in said] == []
 
 
 def test_a_block_that_fails_is_told(tmp_path: Path) -> None:

@@ -20,11 +20,6 @@ SHIPPED = ROOT / "memory_bank.sqlite"
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Program:
-    return Program(tmp_path, tmp_path / "home")
-
-
-@pytest.fixture
 def server() -> Iterator[str]:
     """A place that takes connections and says nothing."""
     with socket.socket() as listening:
