@@ -12,11 +12,11 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import Found
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.full import PAPER_EPSILON
 from sumo_adv.world.recording import tracks_of
 
 NEAR = 60.0  # m from the ego's middle: traffic whose motion is compared with
 MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
-EPSILON = 5.0  # m, of the paper's criterion on centres
 
 
 def unattacked(episode: Episode) -> dict[str, Any] | None:
@@ -36,7 +36,9 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
     return {
         "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.ttc,
         "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [],
-        "paper_centre_distance": {"minimum": _number(apart), "epsilon": EPSILON, "within": apart <= EPSILON},
+        "paper_centre_distance": {
+            "minimum": _number(apart), "epsilon": PAPER_EPSILON, "within": apart <= PAPER_EPSILON
+        },
     }  # fmt: skip
 
 

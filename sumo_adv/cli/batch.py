@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from sumo_adv.cli.set_option import set_values
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def batch(
     planned = len(given) == 1 and is_plan(first)
     table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
     table |= _overrides(seeds, egos, records, learn, memory, figures)
-    table["settings"] = {**_table(table, "settings"), **_settings(setting or [])}
+    table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5")}
     said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
     plan = make_plan(table, folder, said, batch_parts(), settings_file)
     target = out or Path("runs") / (first.stem if planned else "batch")
@@ -128,20 +128,6 @@ def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise UsageError(f"'{key}' of a plan is a table of settings: write [{key}].")
     return value
-
-
-def _settings(given: list[str]) -> dict[str, Any]:
-    """``--set`` as data: a value is what TOML makes of it, else text."""
-    found: dict[str, Any] = {}
-    for each in given:
-        name, equals, value = each.partition("=")
-        if not equals or not name.strip():
-            raise UsageError(f"--set takes NAME=VALUE, such as attempts=5, not '{each}'.")
-        try:
-            found[name.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[name.strip()] = value.strip()
-    return found
 
 
 def _orders(

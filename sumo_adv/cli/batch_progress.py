@@ -5,25 +5,17 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import typer
 
 from sumo_adv.batch.nouns import Job, Row
 from sumo_adv.batch.results import failed
+from sumo_adv.cli.shown import Shown
 
 
-class Quiet:
+class Quiet(Shown):
     """Says only what went wrong, at once, on stderr."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
 
     def begin(self, total: int, before: Sequence[Row]) -> None:
         """Nothing."""
@@ -45,27 +37,18 @@ class Bar(Quiet):
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._progress = Progress(
+        self._display = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(), TextColumn("{task.fields[counts]}"), console=Console(stderr=True, highlight=False),
         )  # fmt: skip
         self._task: Any = None
         self._critical = self._failed = self._ran = 0
 
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
     def begin(self, total: int, before: Sequence[Row]) -> None:
         """The bar, as far as it was before."""
         self._critical = sum(bool(r["critical"]) for r in before)
         self._failed = sum(map(failed, before))
-        self._task = self._progress.add_task("Episodes", total=total, completed=len(before), rate="", counts="")
+        self._task = self._display.add_task("Episodes", total=total, completed=len(before), rate="", counts="")
         self._show(0)
 
     def finished(self, job: Job, row: Row) -> None:
@@ -74,18 +57,18 @@ class Bar(Quiet):
         self._failed += failed(row)
         self._ran += 1
         if failed(row):
-            self._progress.console.print(f"{job.words} failed: {row['failure']}", markup=False)
+            self._display.console.print(f"{job.words} failed: {row['failure']}", markup=False)
         self._show(1)
 
     def _show(self, advance: int) -> None:
-        seconds = self._progress.tasks[0].elapsed or 0.0
+        seconds = self._display.tasks[0].elapsed or 0.0
         rate = f"{60 * self._ran / seconds:.1f}/min" if self._ran and seconds else ""
         counts = f"{self._critical} critical, {self._failed} failed"
-        self._progress.update(self._task, advance=advance, rate=rate, counts=counts)
+        self._display.update(self._task, advance=advance, rate=rate, counts=counts)
 
     def stopping(self, now: bool) -> None:
         """What Ctrl-C does."""
-        self._progress.console.print(stopping_words(now), markup=False)
+        self._display.console.print(stopping_words(now), markup=False)
 
 
 def stopping_words(now: bool) -> str:

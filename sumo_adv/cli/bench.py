@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import os
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv.cli.set_option import set_values
 from sumo_adv.config import BUILTIN, load_settings
 from sumo_adv.errors import UsageError
 
@@ -226,17 +226,10 @@ def _check_models(asked: Asked) -> None:
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
     """What ``SUMO_ADV_*`` variables and ``--set`` say, as data: a value is what TOML makes of it, else text."""
-    found: dict[str, Any] = {}
-    for each in given:
-        name, equals, value = (word.strip() for word in each.partition("="))
-        if not equals or not name:
-            raise UsageError(f"--set takes NAME=VALUE, such as proposals=60, not '{each}'.")
+    found = set_values(given, "proposals=60")
+    for name in found:
         if name in SAID_ELSEWHERE:
             raise UsageError(f"--set {name} is not for all rows of a table; say it as {SAID_ELSEWHERE[name]}.")
-        try:
-            found[name] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            found[name] = value
     return {**_of_variables(), **found}
 
 

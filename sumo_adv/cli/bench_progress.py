@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import typer
 
 from sumo_adv.benchmark.jobs import Job
+from sumo_adv.cli.shown import Shown
 
 EVERY = 30.0  # s between lines where there is no terminal
 
 
-class Quiet:
+class Quiet(Shown):
     """Says nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
 
     def begin(self, total: int, before: int) -> None:
         """Nothing."""
@@ -55,28 +47,19 @@ class Bar(Quiet):
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._progress = Progress(
+        self._display = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
             console=Console(stderr=True, highlight=False),
         )  # fmt: skip
         self._task: Any = None
 
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._progress.stop()
-
     def begin(self, total: int, before: int) -> None:
         """Set the bar up."""
-        self._task = self._progress.add_task("cells", total=total, completed=before)
+        self._task = self._display.add_task("cells", total=total, completed=before)
 
     def finished(self, job: Job) -> None:
         """On by so many."""
-        self._progress.update(self._task, advance=len(job.rows), description=job.case.name)
+        self._display.update(self._task, advance=len(job.rows), description=job.case.name)
 
 
 def make_watcher(*, quiet: bool) -> Quiet:

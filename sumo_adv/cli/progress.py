@@ -10,6 +10,7 @@ from typing import Any, Protocol, Self
 
 import typer
 
+from sumo_adv.cli.shown import Shown
 from sumo_adv.datatypes import Attempt
 
 
@@ -27,19 +28,11 @@ class Reporter(Protocol):
     ) -> None: ...
 
 
-class Silent:
+class Silent(Shown):
     """Says nothing."""
 
     def tell(self, what: str, value: Any) -> None:
         """Nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
 
 
 class Lines(Silent):
@@ -59,16 +52,7 @@ class Live(Silent):
         from rich.console import Console
 
         self._console = Console(highlight=False)
-        self._status = self._console.status("Looking for an encounter ...")
-
-    def __enter__(self) -> Self:
-        self._status.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._status.stop()
+        self._display = self._console.status("Looking for an encounter ...")
 
     def tell(self, what: str, value: Any) -> None:
         """Print it, and say what comes next."""
@@ -76,7 +60,7 @@ class Live(Silent):
         if text:
             self._console.print(text, markup=False)
         following = {"encounter": "Predicting ...", "intents": "Attacking ...", "attempt": "Attacking ..."}
-        self._status.update(following.get(what, ""))
+        self._display.update(following.get(what, ""))
 
 
 def make_reporter(*, quiet: bool) -> Reporter:

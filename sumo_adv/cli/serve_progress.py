@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import typer
+
+from sumo_adv.cli.shown import Shown
 
 Event = Mapping[str, Any]
 
 
-class Quiet(AbstractContextManager["Quiet"]):
+class Quiet(Shown):
     """Says nothing."""
 
     def __call__(self, event: Event) -> None:
         """Nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        return None
 
 
 class Lines(Quiet):
@@ -46,18 +38,9 @@ class Live(Quiet):
         from rich.console import Console
 
         self._console = Console(highlight=False)
-        self._status = self._console.status("Starting ...")
+        self._display = self._console.status("Starting ...")
         self._counts = [0, 0, 0]
         self._doing = "Starting"
-
-    def __enter__(self) -> Self:
-        self._status.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._status.stop()
 
     def __call__(self, event: Event) -> None:
         """Print it, and say what goes on now."""
@@ -69,7 +52,7 @@ class Live(Quiet):
                 self._counts[k] = event["number"] if name == "number" else self._counts[k] + bool(event[name])
         self._doing = now(event) or self._doing
         done, critical, collided = self._counts
-        self._status.update(f"{self._doing} ({done} encounters, {critical} critical, {collided} collisions)")
+        self._display.update(f"{self._doing} ({done} encounters, {critical} critical, {collided} collisions)")
 
 
 def make_terminal(*, quiet: bool) -> Quiet:

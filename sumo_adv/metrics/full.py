@@ -21,6 +21,7 @@ from sumo_adv.metrics.validity import MANOEUVRE_DELAY, MOST, Encounter, align, h
 SENSITIVITY = 0.4  # s, earlier and later
 REACTING = Manoeuvre(PERCEPTION + REACTION, 4.0, RAMP)  # an ordinary driver's braking once the hazard shows
 EXPOSURE_TTC = 1.5  # s, threshold of TET and TIT
+PAPER_EPSILON = 5.0  # m, the paper's collision threshold on centres, which it does not give: a car's length
 
 
 @dataclass(frozen=True, slots=True)

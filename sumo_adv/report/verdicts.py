@@ -22,7 +22,7 @@ from sumo_adv.episode.task import AttemptResult, Found, Prefix
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.contact import Impact
 from sumo_adv.metrics.fault import SecondOpinion
-from sumo_adv.metrics.full import FullVerdict, full_judge
+from sumo_adv.metrics.full import PAPER_EPSILON, FullVerdict, full_judge
 from sumo_adv.metrics.markings import Crossing, Strip, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.report.outcome import number
@@ -40,7 +40,6 @@ SHARES = (
     "abnormal_lateral_share", "reference_abnormal_lateral_share", "off_road_share", "lateral_acceleration_max",
     "jerk_max", "yaw_rate_max", "curvature_max",
 )  # fmt: skip
-PAPER_EPSILON = 5.0  # m, the paper's collision threshold on centres, which it does not give: a car's length
 FULL_KEYS = (
     "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
     "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",

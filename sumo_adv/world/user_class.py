@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from sumo_adv.errors import UsageError
 
@@ -31,6 +33,26 @@ def find_class(what: str, spec: str) -> type:
     if not isinstance(found, type):
         raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the {what} {spec!r}.")
     return found
+
+
+def make_object(what: str, spec: str, parameters: Mapping[str, Any], methods: Mapping[str, str]) -> Any:
+    """An object of the class ``module:Class``; ``methods``: name -> how it is called, for the sentence.
+
+    Raises:
+        UsageError: as ``find_class``, or it cannot be made, or it lacks a method.
+    """
+    try:
+        made = find_class(what, spec)(**parameters)
+    except UsageError:
+        raise
+    except Exception as error:  # user code: anything may come out of it
+        raise UsageError(f"The {what} {spec!r} could not be made: {said(error)}.") from error
+    for method in methods:
+        if not callable(getattr(made, method, None)):
+            raise UsageError(
+                f"The {what} {spec!r} has no method {method!r}; it needs {' and '.join(methods.values())}."
+            )
+    return made
 
 
 def said(error: Exception) -> str:

@@ -12,15 +12,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Course, Planner, Proposal, acceleration_of
-from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, UsageError
+from sumo_adv.errors import PlannerResultError, PlannerRuntimeError
 from sumo_adv.situation import Situation
-from sumo_adv.world.user_class import find_class, said
+from sumo_adv.world.user_class import make_object, said
 
 ARRAYS = ("x", "y", "heading", "speed")
 
@@ -30,16 +29,7 @@ class UserRow:
 
     def __init__(self, spec: str) -> None:
         """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
-        generator = find_class("generator", spec)
-        try:
-            self._generator: Any = generator()
-        except Exception as error:  # user code: anything may come out of it
-            raise UsageError(f"The generator {spec!r} could not be made: {said(error)}.") from error
-        for method in ("begin", "propose"):
-            if not callable(getattr(self._generator, method, None)):
-                raise UsageError(
-                    f"The generator {spec!r} has no method {method!r}; it needs begin(encounter) and propose(tried)."
-                )
+        self._generator = make_object("generator", spec, {}, {"begin": "begin(encounter)", "propose": "propose(tried)"})
         self.name = spec
         self._situations: Mapping[float, Situation] = {}
 

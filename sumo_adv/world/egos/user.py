@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from dataclasses import astuple
 from typing import Any
 
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import SimulationError
 from sumo_adv.world.egos.protocol import Action, LaneSpeed, Observation, Pose, Steer
 from sumo_adv.world.egos.sumo_driven import sumo_type
-from sumo_adv.world.user_class import find_class, said
+from sumo_adv.world.user_class import make_object, said
 
 
 class UserEgo:
@@ -22,16 +22,7 @@ class UserEgo:
 
     def __init__(self, spec: str, parameters: Mapping[str, Any]) -> None:
         """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
-        driver = find_class("ego", spec)
-        try:
-            self._driver = driver(**parameters)
-        except Exception as error:  # user code: anything may come out of it
-            raise UsageError(f"The ego {spec!r} could not be made: {said(error)}.") from error
-        for method in ("reset", "act"):
-            if not callable(getattr(self._driver, method, None)):
-                raise UsageError(
-                    f"The ego {spec!r} has no method {method!r}; it needs reset(seed) and act(observation)."
-                )
+        self._driver = make_object("ego", spec, parameters, {"reset": "reset(seed)", "act": "act(observation)"})
         self._spec = spec
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
