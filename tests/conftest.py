@@ -11,6 +11,17 @@ from pathlib import Path
 import pytest
 from cli_samples import ROOT, Program, Runs
 
+from sumo_adv.errors import SimulationError
+from sumo_adv.world.library import load_libsumo
+
+
+def pytest_sessionstart() -> None:
+    """Where SUMO does not load, the program's own sentence, once, instead of a traceback or a thousand failures."""
+    try:
+        load_libsumo()
+    except SimulationError as error:
+        raise pytest.UsageError(str(error)) from error
+
 
 @pytest.fixture(scope="session")
 def caches() -> Iterator[Path]:

@@ -27,6 +27,18 @@ def test_a_libsumo_that_does_not_load_says_what_to_install(tmp_path: Path, said:
     assert "Traceback" not in done.stderr
 
 
+def test_the_tests_say_so_too_before_any_of_them_runs(tmp_path: Path) -> None:
+    (tmp_path / "libsumo.py").write_text(f"raise ImportError({LACKS!r})\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider"],
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, capture_output=True, text=True,
+        check=False, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == pytest.ExitCode.USAGE_ERROR
+    assert f"does not load ({LACKS}): install its system libraries (Debian: apt-get install libx11-6" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_the_packages_are_the_same_wherever_they_are_named() -> None:
     from sumo_adv.world.library import SYSTEM_LIBRARIES
 
