@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
+import signal
 import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -410,7 +411,7 @@ def test_sumo_that_dies_is_told_and_the_next_simulation_runs(tmp_path: Path) -> 
         with attached(gate, events, tmp_path) as one:
             assert gate.wait_connected(10.0)
             one.step(3)
-            subprocess.run(["kill", "-9", str(one.sumo.pid)], check=True)
+            os.kill(one.sumo.pid, signal.SIGKILL)
             with pytest.raises(traci.FatalTraCIError):
                 one.step(1)
             assert "ended by itself" in one.told(EventKind.ENDED)
