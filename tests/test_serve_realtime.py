@@ -32,6 +32,7 @@ from sumo_adv.world.network import read_network
 
 pytestmark = needs_sumo
 TRIGGER = 3.2  # s, soon after the ego's warm-up
+MAKES_UP = 1.1  # s, a step and the second beyond which Pace lets it slip
 
 
 class Slow(Cast):
@@ -128,7 +129,8 @@ def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
     assert result.snapshots[0].time == 3.3 and result.start >= TRIGGER + decided["age"] - 0.01
     clock = [e["clock"] for e in told.events if e["event"] in ("attack", "released")]
     times = [e["time"] for e in told.events if e["event"] in ("attack", "released")]
-    assert clock[1] - clock[0] > 0.9 * (times[1] - times[0])  # a second lasts a second
+    # A second lasts a second; only what a stall of the machine had made late, at most MAKES_UP, is made up for.
+    assert clock[1] - clock[0] > times[1] - times[0] - MAKES_UP - 0.01
 
 
 def test_a_client_that_goes_while_we_think_costs_no_attempt(tmp_path: Path) -> None:
