@@ -262,7 +262,7 @@ TRICKS = [
     inside(
         "too_many_missing_names", LIMIT, "while True:\n    try:\n        nowhere\n    except NameError:\n        pass"
     ),
-    inside("regex_backtracking", RUNTIME, "import re\nreturn re.match('((a*)*)*\\\\1b', 'a' * 500)"),
+    inside("regex_backtracking", RUNTIME, "import re\nreturn re.match('(a|a)*\\\\1b', 'a' * 40)"),
     inside("surrogate", RESULT, "return '\\ud800'"),
     Attack("endpoint_rebound", RUNTIME, f"{TABLE}{HEAD}    return {GOOD}\nendpoint = None\n"),
     Attack("shadow_builtins", RESULT, f"{TABLE}type = len = dict = float = int = lambda *a: 5\n{HEAD}    return 'x'\n"),
