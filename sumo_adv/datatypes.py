@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -195,6 +196,11 @@ class Parameter:
     meaning: str = ""
 
 
+@lru_cache(maxsize=1024)
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
 @dataclass(frozen=True, slots=True)
 class Planner:
     """Python text that computes an endpoint: the paper's f_phi, one mode of one intent."""
@@ -209,7 +215,7 @@ class Planner:
     @property
     def hash(self) -> str:
         """SHA-256 of the source, hexadecimal."""
-        return hashlib.sha256(self.source.encode()).hexdigest()
+        return _sha256(self.source)
 
     def defaults(self) -> dict[str, float]:
         """Parameter values as the planner's author set them."""
@@ -261,6 +267,14 @@ class Course:
     y: Floats
     heading: Floats
     speed: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class EgoCourse:
+    """How the ego went in an attempt: station on its path [m] and speed [m/s] by step from the takeover, ``(n,)``."""
+
+    s: Floats
+    v: Floats
 
 
 @dataclass(frozen=True, slots=True)

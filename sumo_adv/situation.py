@@ -6,6 +6,7 @@ small enough to be sent between processes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -88,6 +89,7 @@ class Situation:
 
     ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
     situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
+    ``gives_way_at``: station of the ego's path [m] at which it has to give way, inf where it need not.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     """
 
@@ -107,6 +109,7 @@ class Situation:
     signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
     history: tuple[Track, ...] = ()
     ego_sides: tuple[tuple[float, str], ...] = ()
+    gives_way_at: float = math.inf
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -13,16 +13,15 @@ from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
+from sumo_adv.planning.drivers import PredictedEgos, seen_edges
 from sumo_adv.planning.forecast import arrivals, profile_at, stations
 from sumo_adv.planning.predict import (
     Answer,
     Ask,
-    PredictedEgos,
     Rollouts,
     Told,
     local_endpoint,
     predict,
-    seen_edges,
     world_endpoint,
 )
 from sumo_adv.situation import NO_ARRIVAL, Situation

@@ -8,9 +8,10 @@ import pytest
 from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
 from sumo_adv.datatypes import Attempt, Boxes, Intent, LibraryEntry, Proposal, Verdict
-from sumo_adv.episode.foresight import _batches, _touching
+from sumo_adv.episode.foresight import _batches
 from sumo_adv.episode.knowledge import evidence_bias
 from sumo_adv.episode.refine import _untuned
+from sumo_adv.episode.scoring import _touching
 from sumo_adv.planning.source import make_planner
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -144,10 +145,10 @@ def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
     generator = ExpertGenerator(make_planner)
     examples = [entry("Shift", ("neighbour",)), entry("Go-straight", ("crossing_straight",), RUSH, "direct")]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
-    planner = generator.generate(intent, straight_situation(), examples)
-    assert planner is not None and 'MOVEMENT = "right"' in planner.source
+    (planner,) = generator.generate(intent, straight_situation(), examples)
+    assert 'MOVEMENT = "right"' in planner.source
     assert planner.parent == examples[1].planners[0].hash and planner.origin == "expert"
-    assert generator.generate(Intent("bv", "Something else", "", "low", 0.0), straight_situation(), examples) is None
+    assert generator.generate(Intent("bv", "Something else", "", "low", 0.0), straight_situation(), examples) == ()
 
 
 @pytest.mark.parametrize(("collided", "avoidable", "drift"), [(True, "unavoidable", 4.0), (False, None, 3.0)])

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
 from sumo_adv.situation import Situation, Target
@@ -18,6 +19,8 @@ from sumo_adv.situation import Situation, Target
 NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
 AVOIDABLE = 0.7  # a score below is one that somebody could have avoided
+BRAKES = 0.1  # a score below is one that a careful driver who only brakes could have avoided
+SPREAD = 0.12  # of a parameter's range: standard deviation of a variation
 BRAKING_LABEL = "Emergency Braking"
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
@@ -92,6 +95,7 @@ class Expert:
         self._count = proposals
         self._draw = random.Random(seed)
         self._allowed = tuple(allowed)
+        self.hindsight = Hindsight(scorer)
         self._bias = bias or {}  # planner hash -> what evidence adds to its proposals' scores
         self.pool: list[Proposal] = []
 
@@ -105,9 +109,9 @@ class Expert:
         self.pool = self.draw(families(situations, library, self._allowed), self._count)
 
     def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """The intents of the pool, most dangerous first; where none reaches the ego, new ones come first."""
+        """The intents of the pool, most dangerous first; where none reaches it avoidably, new ones come first."""
         ranked = self._ranked(library)
-        if not any(p.score < REACHES for p in self.pool) and not self._allowed:
+        if not any(p.score < AVOIDABLE for p in self.pool) and not self._allowed:
             return compose(situations, library) + ranked
         return ranked
 
@@ -119,7 +123,25 @@ class Expert:
             ways[k % len(ways)].proposal(None if defaults and k < len(ways) else self._draw)
             for k in range(max(count, len(ways) if defaults else 0))
         ]
-        return [replace(p, score=p.score + self._bias.get(p.planner.hash, 0.0)) for p in self._scorer.score(drawn)]
+        return self.hindsight.weigh(self._scorer.score(drawn))
+
+    def price(self, p: Proposal) -> float:
+        """The predicted score, and what evidence of its planner adds to it."""
+        return p.score + self._bias.get(p.planner.hash, 0.0)
+
+    def vary(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
+        """``count`` scored proposals whose numbers are near those of the given ones, in turn."""
+        if not proposals:
+            return []
+        drawn = [self._varied(proposals[k % len(proposals)]) for k in range(count)]
+        return self.hindsight.weigh(self._scorer.score(drawn))
+
+    def _varied(self, p: Proposal) -> Proposal:
+        numbers = {}
+        for q in p.planner.parameters:
+            value = p.parameters[q.name] + self._draw.gauss(0.0, SPREAD * (q.high - q.low))
+            numbers[q.name] = round(min(max(value, q.low), q.high), 4)
+        return replace(p, parameters=numbers)
 
     def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         groups: dict[tuple[str, str], list[Proposal]] = {}
@@ -129,7 +151,7 @@ class Expert:
 
         def order(item: tuple[tuple[str, str], list[Proposal]]) -> tuple[float, float, str, str]:
             key, members = item
-            return (min(p.score for p in members), -_share(members), *key)
+            return (min(map(self.price, members)), -_share(members), *key)
 
         return [_intent(group, described[key[1]]) for key, group in sorted(groups.items(), key=order)]
 
@@ -170,17 +192,23 @@ class ExpertGenerator:
     def __init__(self, make: MakePlanner) -> None:
         self._make = make
 
-    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner | None:
-        """A planner for one of ``NEW_INTENTS``; None for anything else or without an example to start from."""
+    def generate(
+        self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]
+    ) -> tuple[Planner, ...]:
+        """Planners for one of ``NEW_INTENTS``, one for each mode of the nearest intent that makes a movement; none for
+        anything else or without an example to start from."""
         movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
         pattern = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
-        for entry in examples:
-            for planner in entry.planners:
-                if movement is not None and planner.mode == "direct" and pattern.search(planner.source):
-                    text = pattern.sub(f'MOVEMENT = "{movement}"', planner.source)
-                    text = re.sub(r"\A# .*", f'# {intent.label}, mode "direct"', text)
-                    return self._make(intent.label, "direct", text, NAME, planner.hash)
-        return None
+        for entry in examples if movement is not None else ():
+            texts = [p for p in entry.planners if pattern.search(p.source) and 'MOVEMENT = "none"' not in p.source]
+            if texts:
+                word = f'MOVEMENT = "{movement}"'
+                return tuple(self._adapted(intent.label, p, pattern.sub(word, p.source)) for p in texts)
+        return ()
+
+    def _adapted(self, label: str, planner: Planner, text: str) -> Planner:
+        text = re.sub(r"\A# .*", f'# {label}, mode "{planner.mode}"', text)
+        return self._make(label, planner.mode, text, NAME, planner.hash)
 
 
 def applies_of(label: str) -> tuple[str, ...]:

@@ -49,7 +49,7 @@ class ModelGenerator:
         self._helpers, self._make, self._trial = helpers, make, trial
         self._tries, self._instruction = tries, instruction
 
-    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner:
+    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> tuple[Planner]:
         """A planner that the sandbox ran on its probe set. ``examples``: nearest first; without a situation the text
         is written from the description alone.
 
@@ -70,7 +70,7 @@ class ModelGenerator:
             self._line, "generator", prompt.system, prompt.user, Written, check=check,
             re_asks=self._tries,
         )  # fmt: skip
-        return self._build(intent.label, found.mode, found.source)
+        return (self._build(intent.label, found.mode, found.source),)
 
     def _build(self, label: str, mode: str, source: str) -> Planner:
         return self._make(label, mode_word(mode), bare(source), self.name, None)

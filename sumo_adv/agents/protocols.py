@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, EgoCourse, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.situation import Situation
 
 
 class Scorer(Protocol):
     """Predicts proposals; lower scores are better."""
 
-    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """The same proposals with ``score`` and ``predicted``."""
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        """The same proposals with ``score`` and ``predicted``; ``seen``: against egos that drive so."""
         ...
 
 
@@ -32,8 +32,10 @@ class Generator(Protocol):
 
     name: str
 
-    def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> Planner | None:
-        """A planner, or None if it cannot write one."""
+    def generate(
+        self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]
+    ) -> tuple[Planner, ...]:
+        """Its planners, one for each mode; none if it cannot write one."""
         ...
 
 

@@ -90,7 +90,7 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
             make_planner, lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
             instruction=settings.instruction,
         )  # fmt: skip
-        return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)
+        return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)[0]
 
 
 def _prompts() -> Prompts:

@@ -126,13 +126,13 @@ class Cast:
 
     # -- generator and modifier ---------------------------------------------------------------------------------
 
-    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> Planner | None:
-        """A planner for an intent that the bank does not know; ``examples``: nearest first. Raises ModelError."""
+    def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
+        """Planners for an intent that the bank does not know; ``examples``: nearest first. Raises ModelError."""
         from sumo_adv.agents.generator import ModelGenerator
 
         applies = situation.targets[intent.bv].applies()
 
-        def ask() -> Planner | None:
+        def ask() -> tuple[Planner, ...]:
             settings = self.settings
             return ModelGenerator(
                 self._line("generator"), self.prompts, settings.limits.limits(), HELPERS_TEXT, make_planner,

@@ -1,8 +1,4 @@
-"""Proposals scored by prediction: numpy rollouts of the planners' own answers, judged by the verdicts' own functions.
-
-Score, lower is better (ALGORITHM, "How it was built"): a feasible collision that is not rear-end scores by who could
-have avoided it; no hit, an infeasible one, a third party hit first and a rear-end follow.
-"""
+"""Proposals scored by prediction: numpy rollouts of the planners' own answers, each asked in its sandbox session."""
 
 from __future__ import annotations
 
@@ -14,23 +10,17 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Bools, Boxes, Floats, Planner, Proposal, acceleration_at
+from sumo_adv.datatypes import EgoCourse, Planner, Proposal, acceleration_at
+from sumo_adv.episode.scoring import judge_all
 from sumo_adv.errors import PlannerLimitError, SandboxError
-from sumo_adv.geometry import wrap_all
-from sumo_adv.metrics.avoidance import avoidance
-from sumo_adv.metrics.boxes import gap, on_grid, overlaps
-from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
-from sumo_adv.planning.predict import Answer, Rollouts, Told, predict, world_endpoint
+from sumo_adv.planning.predict import Answer, Told, predict, world_endpoint
 from sumo_adv.planning.sandbox import Call, Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
-NONE, MISS, OFF_ROAD, THIRD, REAR, FAILED = 1.2, 1.5, 3.0, 4.0, 5.0, 9.0
-DELAYS = (0.6, 0.8, 1.0)  # s after the hazard shows at which a manoeuvre begins
-LEAST_STEPS = 3
+FAILED = 9.0  # score where the planner failed
 TOGETHER = 12  # planners with a sandbox session open at once
 TRAJECTORY_SECONDS = 20.0  # s all calls of one planner's own trajectory() may take in the predictions of one batch
 
@@ -46,19 +36,20 @@ class Foresight:
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
 
-    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """The same proposals with ``score`` and ``predicted`` filled in."""
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        """The same proposals with ``score`` and ``predicted`` filled in; ``seen``: against egos that drive so."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
         for delay, hashes in _batches(proposals):
             rows = [k for k, p in enumerate(proposals) if p.delay == delay and p.planner.hash in hashes]
-            for k, p in zip(rows, self._together(delay, [proposals[k] for k in rows]), strict=True):
+            egos = None if seen is None else [seen[k] for k in rows]
+            for k, p in zip(rows, self._together(delay, [proposals[k] for k in rows], egos), strict=True):
                 scored[k] = p
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
-    def _together(self, delay: float, proposals: list[Proposal]) -> list[Proposal]:
+    def _together(self, delay: float, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
         situation, settings = self._situations[delay], self._settings
         planners = [p.planner for p in proposals]
         with Sessions(
@@ -67,7 +58,7 @@ class Foresight:
             rollouts = predict(
                 situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan),
+                replan=settings.steps(settings.replan), seen=seen,
             )  # fmt: skip
             self.failures |= sessions.failures
         results = judge_all(situation, proposals, rollouts, self._drivable)
@@ -181,139 +172,3 @@ class Sessions:
         answer = self._answer(proposal, told, end)
         self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - began
         return answer
-
-
-def judge_all(
-    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable
-) -> list[dict[str, Any]]:
-    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, and the score."""
-    n, steps = rollouts.ego[0].shape
-    lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
-    widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
-    ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
-    adversary = Boxes(*rollouts.adversary, lengths, widths)
-    contact = _first(_touching(ego, adversary))
-    hit = contact < steps
-    last = np.minimum(contact, steps - 1)
-    third = _third_party(situation, proposals, adversary, last)
-    off_road = _off_road(adversary, last, drivable)
-    rear = hit & _rear(ego, adversary, last)
-    least, nearest = _least(ego, adversary, last)
-    good = np.flatnonzero(hit & ~third & ~off_road & ~rear & (contact >= LEAST_STEPS))
-    score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
-    score = np.where(off_road, OFF_ROAD, score)
-    score = np.where(third, THIRD, np.where(rear, REAR, score))
-    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
-    if len(good):
-        careful[good], manoeuvre[good], hazard[good] = _avoidable(situation, ego, adversary, good, last[good], drivable)
-        score[good] = _score(careful[good], manoeuvre[good])
-    return [
-        {
-            "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
-            "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
-            "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
-            "time": float(last[k] * situation.dt), "warning": float((last[k] - hazard[k]) * situation.dt),
-        }
-        for k in range(n)
-    ]  # fmt: skip
-
-
-def _touching(a: Boxes, b: Boxes) -> Bools:
-    near = np.hypot(a.x - b.x, a.y - b.y) < _half_diagonal(a) + _half_diagonal(b)
-    touching = np.zeros(near.shape, bool)
-    k = np.nonzero(near)
-    if len(k[0]):
-        touching[k] = overlaps(_pick(a, k), _pick(b, k))
-    return touching
-
-
-def _half_diagonal(b: Boxes) -> Floats:
-    return np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2
-
-
-def _pick(b: Boxes, k: Any) -> Boxes:
-    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
-
-
-def _first(holds: Bools) -> Any:
-    return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
-
-
-def _score(careful: Bools, manoeuvre: Bools) -> Floats:
-    early, middle, late = manoeuvre.T
-    by = np.where(late, 0.1, np.where(middle, 0.2, np.where(early, 0.6, NONE)))
-    return np.where(careful, np.where(late, 0.0, 0.06), by)
-
-
-def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
-    """The adversary behind, going the same way, in line and faster at the contact."""
-    k = (np.arange(len(at)), at)
-    a, b = _pick(ego, k), _pick(adversary, k)
-    turned = np.abs(wrap_all(b.heading - a.heading))
-    c, s = np.cos(a.heading), np.sin(a.heading)
-    ahead = c * (b.x - a.x) + s * (b.y - a.y)
-    left = -s * (b.x - a.x) + c * (b.y - a.y)
-    overlap = (np.asarray(a.length) + np.asarray(b.length)) / 2
-    in_line = np.abs(left) < 0.8 * (np.asarray(a.width) + np.asarray(b.width)) / 2
-    return np.asarray((turned < np.pi / 4) & (ahead < -0.75 * overlap) & in_line & (b.speed > a.speed))
-
-
-def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
-    """Least TTC [s] and least box distance [m] up to the contact, every third step."""
-    steps = np.arange(0, ego.x.shape[1], 3)
-    pick = (np.arange(len(last))[:, None], steps[None, :])
-    a, b = _pick(ego, pick), _pick(adversary, pick)
-    before = steps[None, :] <= last[:, None]
-    centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
-    at = (np.arange(len(last)), centres.argmin(axis=1))
-    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(_pick(a, at), _pick(b, at)))
-
-
-def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
-    """Whether the adversary touches a vehicle in its unattacked motion before the ego."""
-    tracks = situation.others
-    found = np.zeros(len(proposals), bool)
-    if not tracks:
-        return found
-    steps = adversary.x.shape[1]
-    grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
-    names = np.array([t.id for t in tracks])
-    for k, proposal in enumerate(proposals):
-        until = slice(0, int(last[k]) + 1)
-        apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
-        near = apart < _half_diagonal(grid) + _half_diagonal(adversary)[k]
-        near &= (names != proposal.bv)[:, None]
-        i, j = np.nonzero(near)
-        if len(i):
-            rows = np.full(len(i), k)
-            found[k] = bool(overlaps(_pick(grid, (i, j)), _pick(adversary, (rows, j))).any())
-    return found
-
-
-def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
-    """Whether a corner (0.15 m within the box) leaves the carriageway, every fourth step."""
-    steps = np.arange(0, adversary.x.shape[1], 4)
-    x, y, h = adversary.x[:, steps], adversary.y[:, steps], adversary.heading[:, steps]
-    out = np.zeros(x.shape, bool)
-    for along in (-0.5, 0.5):
-        for aside in (-0.5, 0.5):
-            a = along * (np.asarray(adversary.length) - 0.3)
-            b = aside * (np.asarray(adversary.width) - 0.3)
-            out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
-    return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
-
-
-def _avoidable(
-    situation: Situation, ego: Boxes, adversary: Boxes, good: Any, last: Any, drivable: Drivable
-) -> tuple[Bools, Bools, Any]:
-    a, b = _rows(ego, good), _rows(adversary, good)
-    start = np.zeros(len(good), np.intp)
-    hazard, _ = hazard_index(a, b, start, last, situation.dt, lane_half_width=situation.lane_width / 2)
-    found = avoidance(a, b, hazard, situation.dt, delays=DELAYS, on_road=drivable)
-    return found["careful"], found["manoeuvre"], hazard
-
-
-def _rows(b: Boxes, rows: Any) -> Boxes:
-    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
-    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)

@@ -111,10 +111,10 @@ def retrieve(
             known[hit] = entry
             episode.intents = [replace(i, label=hit) if i.label == intent.label else i for i in episode.intents]
             continue
-        planner = cast.generate(intent, situation, near or library)
-        if planner is not None:
+        planners = cast.generate(intent, situation, near or library)
+        if planners:
             own = applies_of(intent.label) or words
-            entry = LibraryEntry(intent.label, intent.description, own, (planner,), "generated")
+            entry = LibraryEntry(intent.label, intent.description, own, planners, "generated")
             known[intent.label] = entry
             entries.append(entry)
     return entries

@@ -6,18 +6,22 @@ used up the modifier writes a new version of it.  Every attempt records who prop
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+import numpy as np
+
 from sumo_adv.agents.expert import Expert, Family, families
 from sumo_adv.agents.tuner import Tuner
 from sumo_adv.config import Settings, Until
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
+from sumo_adv.datatypes import Attempt, EgoCourse, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
 from sumo_adv.episode.cast import Cast
-from sumo_adv.episode.diagnosis import diagnose
+from sumo_adv.episode.diagnosis import REACH, diagnose
 from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.world.recording import tracks_of
 
 AT_ONCE = 2  # attempts that run at the same time after the first; the same whether or not they can be forked
 NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
@@ -76,6 +80,22 @@ def attempt_of(
     )
 
 
+def ego_course(result: AttemptResult, found: Found, delay: float, settings: Settings) -> EgoCourse | None:
+    """How the ego went from the takeover on, at an even speed once that is over; None if it was gone at once."""
+    tracks = tracks_of(result.snapshots, result.sizes, {}, settings.step_length, (found.ego,))
+    track = tracks[0].between(result.start, math.inf) if tracks else None
+    if track is None or len(track.time) < 2:
+        return None
+    path, station, stations = found.situations[delay].ego_path, 0.0, []
+    for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
+        station, _ = path.project(x, y, near=station, reach=REACH)
+        stations.append(station)
+    steps, dt = settings.steps(settings.duration), settings.step_length
+    over = np.maximum(np.arange(steps + 1) - (len(stations) - 1), 0) * dt
+    k = np.minimum(np.arange(steps + 1), len(stations) - 1)
+    return EgoCourse(np.array(stations)[k] + over * float(track.speed[-1]), track.speed[k])
+
+
 class Attempts(Protocol):
     """Who runs attempts; a result is asked for only where those before it did not succeed."""
 
@@ -120,6 +140,8 @@ class Refiner:
                 break
             if self._try(plans, found, began):
                 break
+            if isinstance(source, Tuner):
+                self._learn(source, found, len(plans))
         if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         found.seconds = time.perf_counter() - began
@@ -162,6 +184,13 @@ class Refiner:
                 found.first_success_seconds = time.perf_counter() - began
                 return True
         return False
+
+    def _learn(self, tuner: Tuner, found: Refinement, count: int) -> None:
+        """Tell the tuner how the ego went in the last ``count`` attempts."""
+        for attempt, result in zip(found.attempts[-count:], found.results[-count:], strict=True):
+            course = ego_course(result, self._found, attempt.proposal.delay, self._settings)
+            if course is not None:
+                tuner.heard(attempt.proposal, course, bool(attempt.verdict.valid))
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         phase, by = self._credit(index, proposal)

@@ -13,14 +13,16 @@ import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planning.drivers import Blocked
 from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
-from sumo_adv.situation import NO_ARRIVAL, Situation, Target
+from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
 SAME_PLACE = 0.4  # m: two ways still coincide
+IN_THE_WAY = 1.0  # m before and behind the place where ways cross: half the width of who is on the other one
 
 
 class Ground:
@@ -41,6 +43,7 @@ class Ground:
             [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
         )
         self._roads: dict[int, PathRow] = {}
+        self._junctions = np.array([_junction(w) for w in lines])
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -62,6 +65,20 @@ class Ground:
         near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
+
+    def blocked(self, motion: Motion) -> Blocked:
+        """How the vehicles stand in the ego's way at the junction where their ways meet its path.
+
+        Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
+        """
+        entry, meets, ego, merging = self._junctions[self.rows.row].T
+        half, alone = self.length / 2, 1.0 - merging
+        there = (motion.s + half > entry) & (motion.s - half * alone < meets + IN_THE_WAY * alone)
+        begins = np.where(merging > 0, ego - (meets - motion.s) - half, ego - IN_THE_WAY)
+        return Blocked(
+            begins=np.where(there, begins, np.inf), speed=np.where(there, merging * motion.v, 0.0),
+            before=meets - motion.s - half, behind=2.0 * meets - entry + half - motion.s, meets=ego,
+        )  # fmt: skip
 
     def road(self, k: int) -> PathRow:
         """The way vehicle ``k`` is on, for floats."""
@@ -181,6 +198,13 @@ class Ground:
                 if k < len(t.ways):
                     found[j].append(times[j])
         return found
+
+
+def _junction(way: WayLine) -> tuple[float, float, float, float]:
+    """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; and 1
+    if they merge, 0 if they cross."""
+    c = way.conflict
+    return (np.inf, 0.0, np.inf, 0.0) if c is None else (way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"))
 
 
 BV_FIELDS = (

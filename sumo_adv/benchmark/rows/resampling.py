@@ -27,8 +27,8 @@ from sumo_adv.benchmark.nouns import Encounter, course_proposal
 from sumo_adv.datatypes import Attempt, Bools, Boxes, Course, Floats, Limits, Proposal
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.boxes import on_grid, overlaps
+from sumo_adv.planning.drivers import PredictedEgos
 from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.predict import PredictedEgos
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
 from sumo_adv.situation import Situation, Target
 
@@ -123,7 +123,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         model[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
-        egos.step(k * dt, ground.relative(motion), motion.v)
+        egos.step(k * dt, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _forward(ground, motion, plan, k * dt, limits, dt)
     x, y, heading, speed = poses
     adversary = Boxes(x, y, heading, speed, ground.length[:, None], width[:, None])

@@ -1,0 +1,54 @@
+"""Proposals weighed anew by how the ego really went: what a prediction got wrong once it gets wrong again.
+
+After an attempt that came otherwise than predicted, the proposals of that vehicle and moment are also predicted against
+an ego that drives as it was seen to; their score becomes a mean of both predictions, with a weight that grows with
+every such surprise (in CAT, too, real rollouts take the place of predicted ones; Zhang et al. 2023, CoRL).  This is how
+an ego whose driver is unknown is learnt within an encounter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sumo_adv.agents.protocols import Scorer
+from sumo_adv.datatypes import EgoCourse, Proposal
+
+Key = tuple[str, float]  # BV, delay
+
+SURPRISE = 0.5  # share of what is left of a prediction's weight that goes to what was seen, each time
+WORST = 2.5  # a score above it (a miss by far, a rear-end) counts as this
+HOPELESS = ("off_road", "third_party", "failed")
+
+
+class Hindsight:
+    """What was seen of the ego, by the vehicle that attacked and when."""
+
+    def __init__(self, scorer: Scorer) -> None:
+        self._scorer = scorer
+        self._seen: dict[Key, tuple[EgoCourse, float]] = {}
+
+    def surprised(self, tried: Proposal, course: EgoCourse) -> Key:
+        """Keep how the ego went in an attempt that was predicted otherwise; the key whose proposals that changes."""
+        key = (tried.bv, tried.delay)
+        _, weight = self._seen.get(key, (course, 0.0))
+        self._seen[key] = course, weight + (1.0 - weight) * SURPRISE
+        return key
+
+    def weigh(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
+        """The proposals, those that something was seen for (or ``only`` those of a key) with their new scores."""
+        found = list(proposals)
+        rows = [k for k, p in enumerate(found) if self._concerns(p, only)]
+        if not rows:
+            return found
+        courses = [self._seen[found[k].bv, found[k].delay][0] for k in rows]
+        for k, again in zip(rows, self._scorer.score([found[k] for k in rows], courses), strict=True):
+            weight, before = self._seen[again.bv, again.delay][1], found[k].predicted
+            first = float(before.get("before", found[k].score))
+            score = (1.0 - weight) * min(first, WORST) + weight * min(again.score, WORST)
+            found[k] = replace(found[k], score=score, predicted={**before, "before": first, "seen": again.score})
+        return found
+
+    def _concerns(self, p: Proposal, only: Key | None) -> bool:
+        key = (p.bv, p.delay)
+        return key in self._seen and only in (None, key) and not any(p.predicted.get(w) for w in HOPELESS)

@@ -1,0 +1,194 @@
+"""Predicted rollouts judged by the verdicts' own functions, and what they score.
+
+Score, lower is better (ALGORITHM, "How it was built"): a feasible collision that is not rear-end scores by who could
+have avoided it, and with what to spare; no hit, an infeasible one, a third party hit first and a rear-end follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Proposal
+from sumo_adv.geometry import wrap_all
+from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
+from sumo_adv.metrics.boxes import gap, on_grid, overlaps
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.planning.predict import Rollouts
+from sumo_adv.situation import Situation
+from sumo_adv.world.network import Drivable
+
+NONE, MISS, OFF_ROAD, THIRD, REAR = 1.2, 1.5, 3.0, 4.0, 5.0
+DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
+BY_MANOEUVRE = (0.8, 0.4, 0.25, 0.12)  # score by the last of them at which one still helps
+BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
+SLOWER = 0.4  # s
+INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
+LEAST_STEPS = 3
+
+
+def judge_all(
+    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable
+) -> list[dict[str, Any]]:
+    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, and the score."""
+    n, steps = rollouts.ego[0].shape
+    lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
+    widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
+    ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
+    adversary = Boxes(*rollouts.adversary, lengths, widths)
+    contact = _first(_touching(ego, adversary))
+    hit = contact < steps
+    last = np.minimum(contact, steps - 1)
+    third = _third_party(situation, proposals, adversary, last)
+    off_road = _off_road(adversary, last, drivable)
+    rear = hit & _rear(ego, adversary, last)
+    least, nearest = _least(ego, adversary, last)
+    good = np.flatnonzero(hit & ~third & ~off_road & ~rear & (contact >= LEAST_STEPS))
+    score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
+    score = np.where(off_road, OFF_ROAD, score)
+    score = np.where(third, THIRD, np.where(rear, REAR, score))
+    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
+    if len(good):
+        found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
+        careful[good], late, manoeuvre[good], hazard[good] = found
+        score[good] = _score(careful[good], late, manoeuvre[good])
+    return [
+        {
+            "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
+            "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
+            "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
+            "time": float(last[k] * situation.dt), "warning": float((last[k] - hazard[k]) * situation.dt),
+        }
+        for k in range(n)
+    ]  # fmt: skip
+
+
+def _touching(a: Boxes, b: Boxes) -> Bools:
+    near = np.hypot(a.x - b.x, a.y - b.y) < _half_diagonal(a) + _half_diagonal(b)
+    touching = np.zeros(near.shape, bool)
+    k = np.nonzero(near)
+    if len(k[0]):
+        touching[k] = overlaps(_pick(a, k), _pick(b, k))
+    return touching
+
+
+def _half_diagonal(b: Boxes) -> Floats:
+    return np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2
+
+
+def _pick(b: Boxes, k: Any) -> Boxes:
+    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
+
+
+def _first(holds: Bools) -> Any:
+    return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
+
+
+def _score(careful: Bools, late: Bools, manoeuvre: Bools) -> Floats:
+    """By who avoids it and with what to spare: winners at the verdict's very edge do not survive a little noise."""
+    score = np.full(len(careful), NONE)
+    for k, value in enumerate(BY_MANOEUVRE):
+        score = np.where(manoeuvre[:, k], value, score)
+    return np.where(careful, np.where(late, BY_LATE_CAREFUL, BY_CAREFUL), score)
+
+
+def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
+    """The adversary behind, going the same way, in line and faster at the contact."""
+    k = (np.arange(len(at)), at)
+    a, b = _pick(ego, k), _pick(adversary, k)
+    turned = np.abs(wrap_all(b.heading - a.heading))
+    c, s = np.cos(a.heading), np.sin(a.heading)
+    ahead = c * (b.x - a.x) + s * (b.y - a.y)
+    left = -s * (b.x - a.x) + c * (b.y - a.y)
+    overlap = (np.asarray(a.length) + np.asarray(b.length)) / 2
+    in_line = np.abs(left) < 0.8 * (np.asarray(a.width) + np.asarray(b.width)) / 2
+    return np.asarray((turned < np.pi / 4) & (ahead < -0.75 * overlap) & in_line & (b.speed > a.speed))
+
+
+def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
+    """Least TTC [s] and least box distance [m] up to the contact, every third step."""
+    steps = np.arange(0, ego.x.shape[1], 3)
+    pick = (np.arange(len(last))[:, None], steps[None, :])
+    a, b = _pick(ego, pick), _pick(adversary, pick)
+    before = steps[None, :] <= last[:, None]
+    centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
+    at = (np.arange(len(last)), centres.argmin(axis=1))
+    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(_pick(a, at), _pick(b, at)))
+
+
+def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
+    """Whether the adversary touches a vehicle in its unattacked motion before the ego."""
+    tracks = situation.others
+    found = np.zeros(len(proposals), bool)
+    if not tracks:
+        return found
+    steps = adversary.x.shape[1]
+    grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
+    names = np.array([t.id for t in tracks])
+    for k, proposal in enumerate(proposals):
+        until = slice(0, int(last[k]) + 1)
+        apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
+        near = apart < _half_diagonal(grid) + _half_diagonal(adversary)[k]
+        near &= (names != proposal.bv)[:, None]
+        i, j = np.nonzero(near)
+        if len(i):
+            rows = np.full(len(i), k)
+            found[k] = bool(overlaps(_pick(grid, (i, j)), _pick(adversary, (rows, j))).any())
+    return found
+
+
+def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
+    """Whether a corner (``INSET`` within the box) leaves the carriageway, every fourth step."""
+    steps = np.arange(0, adversary.x.shape[1], 4)
+    x, y, h = adversary.x[:, steps], adversary.y[:, steps], adversary.heading[:, steps]
+    out = np.zeros(x.shape, bool)
+    for along in (-0.5, 0.5):
+        for aside in (-0.5, 0.5):
+            a = along * (np.asarray(adversary.length) - 2 * INSET)
+            b = aside * (np.asarray(adversary.width) - 2 * INSET)
+            out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
+    return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
+
+
+def _avoidable(
+    situation: Situation, proposals: Sequence[Proposal], ego: Boxes, adversary: Boxes, good: Any, last: Any,
+    drivable: Drivable,
+) -> tuple[Bools, Bools, Bools, Any]:  # fmt: skip
+    """Whether the careful driver avoids it, also if slower; whether some manoeuvre does, by ``DELAYS``; the hazard."""
+    a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
+    start, dt = np.zeros(len(good), np.intp), situation.dt
+    hazard, _ = hazard_index(a, b, start, last, dt, lane_half_width=situation.lane_width / 2)
+    found = avoidance(a, b, hazard, dt, delays=DELAYS, on_road=drivable)
+    late = avoidance(a, b, hazard, dt, delays=(), careful_delay=PERCEPTION + REACTION + SLOWER)["careful"]
+    careful, manoeuvre = found["careful"], found["manoeuvre"]
+    names = np.array([proposals[k].bv for k in good])
+    time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
+    for bv in np.unique(names):  # where others leave no room
+        rows = np.flatnonzero((names == bv) & (careful | manoeuvre.any(axis=1)))
+        others = [t for t in situation.others if t.id != bv]
+        if len(rows) and others:
+            room = avoidance(
+                _rows(a, rows), _rows(b, rows), hazard[rows], dt, delays=DELAYS, on_road=drivable,
+                others=on_grid(others, time),
+            )  # fmt: skip
+            careful[rows], manoeuvre[rows] = room["careful"], room["manoeuvre"]
+    return careful, careful & late, manoeuvre, hazard
+
+
+def _cut(b: Boxes, last: Any, dt: float) -> Boxes:
+    """Motions that go straight on at an even speed after the step ``last``, as the judge has them."""
+    steps = np.arange(b.x.shape[1])[None, :]
+    k = (np.arange(len(last))[:, None], np.minimum(steps, last[:, None]))
+    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
+    heading = b.heading[k]
+    x, y = b.x[k] + over * np.cos(heading), b.y[k] + over * np.sin(heading)
+    return Boxes(x, y, heading, b.speed[k], b.length, b.width)
+
+
+def _rows(b: Boxes, rows: Any) -> Boxes:
+    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)

@@ -1,0 +1,177 @@
+"""Egos as they are foreseen: along their path, by the unattacked profile, then by their driver's model.
+
+An ego follows its unattacked profile until the adversary counts as its leader, or is in its way at a junction, and a
+safe speed falls below the profile; from then on its driver's model drives (Krauss's safe speed, IDM, the careful
+driver's brake), never a steering.  How SUMO's drivers see others is in ENGINE.md; at junctions they follow ``MSLink``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, EgoCourse, Floats
+from sumo_adv.planning.forecast import profile_at
+from sumo_adv.situation import Situation
+
+SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
+WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
+FAR = 1e4  # m
+ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
+EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
+CAREFUL_DELAY, CAREFUL_BRAKE, CAREFUL_RAMP = 1.15, 7.59, 0.6  # s, m/s2, s: UN R157
+SEEN_SHIFT = 0.375  # m: UN R157, lateral movement that can be perceived
+FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
+AHEAD = 1.0  # s by which a driver who gives way wants to be over before others come (SUMO's jmTimegapMinor)
+STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
+CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle on the other way takes up
+
+
+class Blocked(NamedTuple):
+    """Who could be in the ego's way at a junction, ``(n,)``.
+
+    begins: the station of the ego's path [m] that they block, inf while they are not on the junction; speed: with which
+    that moves on [m/s]; before, behind: metres that their front has to the place where the ways meet, their rear to the
+    end of the junction; meets: the station of that place on the ego's path [m], inf where the ways do not meet.
+    """
+
+    begins: Floats
+    speed: Floats
+    before: Floats
+    behind: Floats
+    meets: Floats
+
+
+class PredictedEgos:
+    """Copies of the ego along its path, one against each adversary of a length and width [m], ``(n,)``.
+
+    ``seen``: egos that drive as they were seen to in an attempt, whatever the adversary does.
+    """
+
+    def __init__(
+        self, situation: Situation, length: Floats, width: Floats, seen: Sequence[EgoCourse] | None = None
+    ) -> None:
+        self._seen = None if seen is None else (np.stack([c.s for c in seen]), np.stack([c.v for c in seen]))
+        self.situation, self._length, self._width = situation, length, width
+        n = len(length)
+        self.model: Mapping[str, Any] = situation.ego_model
+        self.s = np.full(n, situation.profile_s[0])
+        self.v = np.full(n, situation.profile_v[0])
+        self.a = np.full(n, situation.profile_a[0])
+        self.disturbed = np.zeros(n, bool)
+        self._was_inside = np.zeros(n, bool)
+        self._edges = seen_edges(situation.lane_width, situation.ego.width)
+        self._furthest = np.zeros(n)
+        self._seen_at = np.full(n, np.inf)
+
+    def step(
+        self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
+        blocked: Blocked | None = None,
+    ) -> None:  # fmt: skip
+        """One step against adversaries at station, offset, heading (ego path's frame, box centres); ``blocked``: who is
+        in the way on a junction (``Ground.blocked``)."""
+        sit, dt = self.situation, self.situation.dt
+        if self._seen is not None:
+            k = min(round(now / dt) + 1, self._seen[0].shape[1] - 1)
+            v = self._seen[1][:, k]
+            self.s, self.a, self.v = self._seen[0][:, k], (v - self.v) / dt, v
+            return
+        next_s, next_v = (float(q[0]) for q in profile_at(sit, np.array([now + dt])))
+        if self.model["kind"] == "replay":
+            self.s, self.a, self.v = self.s * 0 + next_s, self.s * 0 + (next_v - self.v) / dt, self.s * 0 + next_v
+            return
+        (s, d, h), length = adversary, self._length
+        front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
+        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
+        leads = self._in_lane(front_d) & (front_s > self.s + sit.ego.length / 2) & ~across
+        gap = s - self.s - (length + sit.ego.length) / 2
+        pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
+        free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
+        bound = np.where(leads, self._following(gap, speed), np.inf)
+        bound = np.minimum(bound, self._careful(now, d, speed, s))
+        bound = np.minimum(bound, self._yielding(blocked, speed))
+        self.disturbed |= bound < next_v - 0.05
+        v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
+        v = np.maximum(v, 0.0)
+        self.a = (v - self.v) / dt
+        self.s = np.where(self.disturbed, self.s + v * dt, next_s)
+        self.v = v
+
+    def _in_lane(self, front_d: Floats) -> Bools:
+        """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines; or, once
+        it has been there (SUMO then keeps it in both lanes), its side is within the strips that the ego takes up."""
+        inside = np.abs(front_d) < self.situation.lane_width / 2
+        (left, right), half = self._edges, self._width / 2
+        partly = (front_d - half < left) & (front_d + half > -right)
+        self._was_inside |= inside
+        return inside | (self._was_inside & partly)
+
+    def _yielding(self, blocked: Blocked | None, speed: Floats) -> Floats:
+        """The speed of SUMO's driver at a junction: it keeps clear of whoever is on it and in the way, whoever of the
+        two has to yield; where it has to give way itself it waits at the line."""
+        if blocked is None:
+            return np.full(len(self.s), np.inf)
+        half = self.situation.ego.length / 2
+        gap = blocked.begins - self.s - half
+        bound = np.where((gap > 0.0) & np.isfinite(gap), self._following(np.minimum(gap, FAR), blocked.speed), np.inf)
+        room = self.situation.gives_way_at - self.s - half
+        waits = self._waits(blocked, speed, room) if np.isfinite(self.situation.gives_way_at) else np.zeros(1, bool)
+        if not waits.any():
+            return bound
+        line = self._following(np.maximum(room, 0.0) + self.model["min_gap"] - STOPS_BEFORE, speed * 0.0)
+        return np.where(waits, np.minimum(bound, line), bound)
+
+    def _waits(self, blocked: Blocked, speed: Floats, room: Floats) -> Bools:
+        """Whether it gives way ``room`` metres before its line: it can still stop there, and would be on the junction
+        together with the adversary, who is expected to speed up (SUMO's ``MSLink::blockedByFoe``)."""
+        a, half, left = self.model["acceleration"], self.situation.ego.length / 2, blocked.meets - self.s
+        stops = (room > -0.5) & (room > self.v * self.v / (2 * self.model["deceleration"]) - STOPS_BEFORE)
+        comes = _seconds(blocked.before, speed, FOE_ACCELERATION)
+        gone = _seconds(blocked.behind, speed, FOE_ACCELERATION)
+        mine = _seconds(left - half - CLEARANCE, self.v, a)
+        over = _seconds(left + half + CLEARANCE, self.v, a)
+        return stops & np.isfinite(blocked.meets) & (blocked.behind > 0.0) & (over + AHEAD > comes) & (gone > mine)
+
+    def _following(self, gap: Floats, leader: Floats) -> Floats:
+        """The speed [m/s] the driver wants behind a leader at a bumper gap [m]."""
+        m, dt = self.model, self.situation.dt
+        b, tau = m["deceleration"], m["tau"]
+        if m["kind"] == "krauss":
+            room = np.maximum(gap - m["min_gap"], 0.0)
+            return -b * tau + np.sqrt(b * b * tau * tau + leader * leader + 2 * b * room)
+        a, v = m["acceleration"], self.v
+        wish = m["min_gap"] + np.maximum(0.0, v * tau + v * (v - leader) / (2 * np.sqrt(a * b)))
+        acceleration = a * (1 - (v / max(m["speed"], 1.0)) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
+        return np.maximum(v + acceleration * dt, 0.0)
+
+    def _careful(self, now: float, d: Floats, speed: Floats, s: Floats) -> Floats:
+        """The careful driver's bound: brakes 1.15 s after the adversary has come 0.375 m closer."""
+        if self.model["kind"] != "careful":
+            return np.full(len(d), np.inf)
+        self._furthest = np.maximum(self._furthest, np.abs(d))
+        near = np.abs(s - self.s) < np.maximum(3.0 * np.abs(self.v - speed * 0.5), 30.0)
+        seen = (np.abs(d) < self._furthest - SEEN_SHIFT) & near
+        self._seen_at = np.minimum(self._seen_at, np.where(seen, now, np.inf))
+        since = now - self._seen_at - CAREFUL_DELAY
+        brake = CAREFUL_BRAKE * np.clip(since / CAREFUL_RAMP, 0.0, 1.0)
+        return np.where(since > 0, np.maximum(self.v - brake * self.situation.dt, 0.0), np.inf)
+
+
+def _seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:
+    """Seconds for a distance [m] (0 where it is behind) from a speed, with an even acceleration up to ``FOE_SPEED``."""
+    distance, least = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
+    most = np.maximum(np.minimum(np.sqrt(least * least + 2 * acceleration * distance), FOE_SPEED), least)
+    span = (most - least) / acceleration
+    return np.maximum(span + (distance - (least + most) / 2 * span) / most, 0.0)
+
+
+def seen_edges(lane: float, width: float) -> tuple[float, float]:
+    """How far to the left and to the right [m] of the middle of its lane a driver of this width looks for leaders:
+    SUMO's strips of ``SUBLANE``, counted from the lane's right edge, that the ego is in as it wanders a little."""
+    wide = width + 2 * WANDERS
+    right = max(0, math.floor((lane - wide) / 2 / SUBLANE)) * SUBLANE
+    left = min(lane, (math.floor((lane + wide) / 2 / SUBLANE) + 1) * SUBLANE)
+    return left - lane / 2, lane / 2 - right
