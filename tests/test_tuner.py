@@ -1,15 +1,16 @@
 """The order in which proposals are tried, and the expert's ranking of intents."""
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
-from sumo_adv.datatypes import Attempt, Boxes, Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.foresight import _batches
-from sumo_adv.episode.knowledge import evidence_bias
+from sumo_adv.episode.knowledge import EVIDENCE, evidence_bias
 from sumo_adv.episode.refine import _untuned
 from sumo_adv.episode.scoring import _touching
 from sumo_adv.planning.source import make_planner
@@ -50,7 +51,7 @@ class ByGap:
     def __init__(self) -> None:
         self.asked = 0
 
-    def score(self, proposals):
+    def score(self, proposals, seen=None):
         self.asked += len(proposals)
         return [
             Proposal(
@@ -64,9 +65,36 @@ class ByGap:
 class NeverHits(ByGap):
     """Predicts that nothing reaches the ego."""
 
-    def score(self, proposals):
+    def score(self, proposals, seen=None):
         self.asked += len(proposals)
-        return [Proposal(p.bv, p.label, p.planner, p.parameters, p.acceleration, p.delay, score=4.0) for p in proposals]
+        return [replace(p, score=4.0) for p in proposals]
+
+
+class InTurn:
+    """Gives one score to so many proposals, then the next one; the last one to all further. Against an ego that was
+    seen everything scores 0.9."""
+
+    def __init__(self, *scores: tuple[int, float]) -> None:
+        self.scores = [score for count, score in scores for _ in range(count)]
+        self.asked, self.again = 0, 0
+
+    def score(self, proposals, seen=None):
+        if seen is not None:
+            self.again += len(proposals)
+            return [replace(p, score=0.9) for p in proposals]
+        places = range(self.asked, self.asked + len(proposals))
+        self.asked += len(proposals)
+        return [
+            replace(p, score=self.scores[min(k, len(self.scores) - 1)]) for k, p in zip(places, proposals, strict=True)
+        ]
+
+
+def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> Tuner:
+    """A tuner whose pool holds so many predictions of one way to attack."""
+    situations, library = dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))]
+    expert = Expert(scorer, proposals=proposals, seed=7)
+    expert.analyze(situations, library)
+    return Tuner(expert, families(situations, library), share=8)
 
 
 def tried(tuner: Tuner, count: int) -> list[Proposal]:
@@ -132,6 +160,59 @@ def test_tries_cost_so_another_family_has_its_turn():
     assert [p.label for p in tried(tuner, 3)] == ["Near", "Near", "Other"]
 
 
+@pytest.mark.parametrize(
+    ("scores", "drawn"),
+    [
+        ([(1, 4.0)], 30 + 12 * 60),  # nothing reaches it: on until 720 are drawn
+        ([(1, 1.2)], 30 + 12 * 60),  # nor would a collision that nobody could avoid do
+        ([(200, 1.2), (1, 0.5)], 30 + 3 * 60),  # the third round brings something avoidable, and that was a lot
+        ([(1, 0.5)], 30 + 2 * 60),  # something is avoidable at once: 120 more
+        ([(40, 0.5), (1, 0.05)], 30 + 1 * 60),  # a brake would do after the first round
+        ([(1, 0.05)], 30),  # a brake would do already
+    ],
+)
+def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, drawn):
+    scorer = InTurn(*scores)
+    tuner = tuner_of(scorer)
+    assert scorer.asked == 30
+    assert tuner.next() is not None
+    assert scorer.asked == drawn
+    assert len(tuner.pool) == drawn - 1
+    tuner.next()
+    assert scorer.asked == drawn  # and not again for the next one
+
+
+def test_half_of_what_is_redrawn_is_near_the_best_ones():
+    """Of the gaps from -3 to 4 m those of the ten best are all -3 m: with a spread of 0.12 * 7 = 0.84 m, cut off at the
+    bound, variations lie at -2.7 m in the mean, evenly drawn ones at 0.5 m."""
+    tuner = tuner_of(InTurn((1, 0.5)))
+    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.3) for p in tuner.pool[:10]]
+    tuner.pool[:10] = best
+    tuner.next()
+    first_round = tuner.pool[29 : 29 + 60]  # one of the 30 is taken
+    gaps = [p.parameters["gap"] for p in first_round]
+    assert np.mean(gaps[30:]) < -2.2
+    assert np.mean(gaps[:30]) > -1.0
+
+
+COURSE = EgoCourse(np.array([0.0, 1.0]), np.array([10.0, 10.0]))
+
+
+@pytest.mark.parametrize(
+    ("score", "valid", "weighed"), [(0.05, True, False), (0.05, False, True), (1.2, False, False), (1.2, True, True)]
+)
+def test_the_pool_is_weighed_anew_only_where_the_prediction_was_wrong(score, valid, weighed):
+    scorer = InTurn((1, score))
+    tuner = tuner_of(scorer, proposals=6, delays=(0.0, 1.5))
+    (first,) = tried(tuner, 1)
+    of_moment = sum(p.delay == first.delay for p in tuner.pool)
+    tuner.heard(first, COURSE, valid)
+    assert scorer.again == (of_moment if weighed else 0)
+    assert {p.score for p in tuner.pool if p.delay != first.delay} == {score}
+    expected = (score + 0.9) / 2 if weighed else score  # what was seen counts for half
+    assert [p.score for p in tuner.pool if p.delay == first.delay] == pytest.approx([expected] * of_moment)
+
+
 def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
     situation = merging_situation()
     library = [entry("Shift", ("neighbour",))]
@@ -175,13 +256,12 @@ def test_evidence_of_failures_sends_a_planner_to_the_back():
     arms = [{"label": "Bad", "planners": [{"planner": bad.planners[0].hash, "rows": 200, "draw": 0.01}]}]
     arms.append({"label": "Good", "planners": [{"planner": good.planners[0].hash, "rows": 0, "draw": 0.02}]})
     bias = evidence_bias(arms)
-    assert bias == {bad.planners[0].hash: pytest.approx(0.3 * 0.98)}  # nobody is judged without evidence
+    assert bias == {bad.planners[0].hash: pytest.approx(EVIDENCE * 0.98)}  # nobody is judged without evidence
     situation = straight_situation()
-    expert = Expert(ByGap(), proposals=2, seed=1, bias=bias)
-    expert.analyze({0.0: situation}, [bad, good])  # both predicted the same: |2 - 1| / 4
+    expert = Expert(InTurn((1, 0.05)), proposals=2, seed=1, bias=bias)  # both predicted the same
+    assert [i.label for i in expert.analyze({0.0: situation}, [bad, good])] == ["Good", "Bad"]
     tuner = Tuner(expert, families({0.0: situation}, [bad, good]), share=8)
-    first = tuner.next()
-    assert first is not None and (first.label, first.score) == ("Good", 0.25)
+    assert [(p.label, p.score) for p in tried(tuner, 1)] == [("Good", 0.05)]
 
 
 def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
