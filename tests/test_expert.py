@@ -1,0 +1,125 @@
+"""The built-in expert: variations of a proposal, what evidence adds to its price, planners for new intents."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from situation_samples import neighbour, situation
+
+from sumo_adv.agents.expert import SPREAD, Expert, ExpertGenerator
+from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.planning.source import make_planner
+
+ENDPOINT = """
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    return {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 1.0, "time": 1.0}
+"""
+TABLE = 'PARAMETERS = {"gap": (2.0, -3.0, 4.0, "m", "where"), "drift": (3.0, 2.0, 6.0, "s", "how long")}\n'
+SHIFT = make_planner("Shift", "side", TABLE + ENDPOINT, "seed")
+
+
+class Same:
+    """Every proposal scores half a point."""
+
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        return [replace(p, score=0.5) for p in proposals]
+
+
+def proposal(planner: Planner = SHIFT, gap: float = 2.0, drift: float = 3.0) -> Proposal:
+    return Proposal("bv", planner.label, planner, {"gap": gap, "drift": drift}, -6.0, 1.5, score=0.3)
+
+
+def expert(seed: int = 1) -> Expert:
+    return Expert(Same(), proposals=10, seed=seed)
+
+
+# ---- variations
+
+
+def test_a_variation_is_another_number_for_the_same_way_to_attack() -> None:
+    near, far = proposal(gap=0.5), proposal(gap=3.0)
+    found = expert().vary([near, far], 5)
+    assert len(found) == 5
+    assert {(p.bv, p.label, p.planner, p.acceleration, p.delay, p.score) for p in found} == {
+        ("bv", "Shift", SHIFT, -6.0, 1.5, 0.5)
+    }
+    assert all(p.parameters.keys() == {"gap", "drift"} for p in found)
+    assert len({tuple(p.parameters.values()) for p in found}) == 5
+    assert near.parameters["gap"] == 0.5  # as it was
+    assert expert().vary([], 5) == []
+
+
+def test_variations_stay_within_the_bounds_and_near() -> None:
+    """gap: -3 to 4 m, drift: 2 to 6 s; of a range of 4 s 0.12 are 0.48 s, and 3.92 s are 4 of them from 2.0 s."""
+    found = expert().vary([proposal(gap=4.0, drift=3.92)], 400)
+    gaps, drifts = (np.array([p.parameters[name] for p in found]) for name in ("gap", "drift"))
+    assert gaps.max() == 4.0 and np.mean(gaps == 4.0) == pytest.approx(0.5, abs=0.1)  # half would be beyond it
+    assert gaps.min() > -3.0
+    assert drifts.min() >= 2.0 and drifts.max() <= 6.0
+    assert drifts.mean() == pytest.approx(3.92, abs=0.1)
+    assert drifts.std() == pytest.approx(SPREAD * 4.0, rel=0.15)
+
+
+def test_they_are_varied_in_turn() -> None:
+    first, second = proposal(gap=-3.0), proposal(gap=4.0)
+    found = expert().vary([first, second], 6)
+    assert [p.parameters["gap"] < 0.5 for p in found] == [True, False] * 3  # 3.5 m are four deviations
+
+
+def test_a_seed_gives_the_same_variations_and_another_one_others() -> None:
+    def numbers(seed: int) -> list[dict[str, float]]:
+        return [dict(p.parameters) for p in expert(seed).vary([proposal()], 8)]
+
+    assert numbers(1) == numbers(1)
+    assert numbers(1) != numbers(2)
+
+
+# ---- evidence
+
+
+def test_evidence_of_a_planner_is_added_to_its_price_alone() -> None:
+    other = make_planner("Other", "side", TABLE + "# another text\n" + ENDPOINT, "seed")
+    knowing = Expert(Same(), proposals=2, seed=1, bias={SHIFT.hash: 0.25})
+    assert knowing.price(proposal()) == pytest.approx(0.55)
+    assert knowing.price(proposal(other)) == 0.3
+    assert expert().price(proposal()) == 0.3
+    tried_often, untried = (LibraryEntry(p.label, "", ("neighbour",), (p,)) for p in (SHIFT, other))
+    ranked = knowing.analyze({0.0: situation([neighbour()])}, [tried_often, untried])
+    assert [i.label for i in ranked] == ["Other", "Shift"]
+
+
+# ---- planners for new intents
+
+
+def movement(mode: str, word: str) -> Planner:
+    return make_planner("Rush", mode, f'# Rush, mode "{mode}"\n{TABLE}MOVEMENT = "{word}"\n{ENDPOINT}', "seed")
+
+
+def test_a_new_intent_gets_a_planner_for_each_mode_that_makes_a_movement() -> None:
+    rush = (movement("direct", "straight"), movement("weave", "straight"), movement("drift", "none"))
+    examples = [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,)), LibraryEntry("Rush", "", ("crossing",), rush)]
+    intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
+    found = ExpertGenerator(make_planner).generate(intent, None, examples)
+    assert [(p.label, p.mode, p.origin, p.parent) for p in found] == [
+        (intent.label, "direct", "expert", rush[0].hash),
+        (intent.label, "weave", "expert", rush[1].hash),
+    ]
+    for planner in found:
+        assert planner.source.startswith(f'# {intent.label}, mode "{planner.mode}"\n')
+        assert 'MOVEMENT = "right"' in planner.source
+        assert planner.defaults() == {"gap": 2.0, "drift": 3.0}
+
+
+def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
+    still = LibraryEntry("Still", "", ("neighbour",), (movement("drift", "none"),))
+    near, far = (LibraryEntry(n, "", (), (movement(n.lower(), "left"),)) for n in ("Near", "Far"))
+    intent = Intent("bv", "Ramp Merge Rush", "", "medium", 0.0)
+    generator = ExpertGenerator(make_planner)
+    (planner,) = generator.generate(intent, None, [still, near, far])
+    assert (planner.mode, 'MOVEMENT = "any"' in planner.source) == ("near", True)
+    assert generator.generate(intent, None, [still]) == ()
+    assert generator.generate(intent, None, []) == ()
