@@ -11,7 +11,7 @@ import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal, acceleration_at
-from sumo_adv.episode.scoring import judge_all
+from sumo_adv.episode.scoring import judge_all, touching
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
@@ -58,7 +58,7 @@ class Foresight:
             rollouts = predict(
                 situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan), seen=seen,
+                replan=settings.steps(settings.replan), seen=seen, touch=touching(situation, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
         results = judge_all(situation, proposals, rollouts, self._drivable)
@@ -142,8 +142,8 @@ class Sessions:
         return Answer(endpoint, states)
 
     def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
-        """Answers for the proposals ``rows``; None where the planner failed."""
-        answers: list[Answer | None] = [None] * len(rows)
+        """Answers for the proposals ``rows``; None where the planner failed, and for the others."""
+        answers: list[Answer | None] = [None] * len(told)
         for name, session in self._open.items():
             mine = [k for k in rows if proposals[k].planner.hash == name]
             if not mine or name in self.failures:

@@ -23,7 +23,7 @@ from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evid
 from sumo_adv.situation import Situation
 
 CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
-EVIDENCE = 0.3  # score: what evidence can add to or take from a prediction
+EVIDENCE = 0.1  # score: what evidence can add to or take from a prediction
 
 
 def read_library(

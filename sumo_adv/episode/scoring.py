@@ -17,7 +17,7 @@ from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
 from sumo_adv.metrics.boxes import gap, on_grid, overlaps
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.hazard import hazard_index
-from sumo_adv.planning.predict import Rollouts
+from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
@@ -64,6 +64,18 @@ def judge_all(
         }
         for k in range(n)
     ]  # fmt: skip
+
+
+def touching(situation: Situation, proposals: Sequence[Proposal]) -> Touch:
+    """Whether the ego and the BVs of these proposals touch."""
+    length = np.array([situation.targets[p.bv].state.length for p in proposals])
+    width = np.array([situation.targets[p.bv].state.width for p in proposals])
+
+    def touch(ego: Floats, adversary: Floats) -> Bools:
+        one = Boxes(ego[0], ego[1], ego[2], ego[3], situation.ego.length, situation.ego.width)
+        return _touching(one, Boxes(adversary[0], adversary[1], adversary[2], adversary[3], length, width))
+
+    return touch
 
 
 def _touching(a: Boxes, b: Boxes) -> Bools:

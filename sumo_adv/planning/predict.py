@@ -33,6 +33,8 @@ class Answer:
 
 
 Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
+Touch = Callable[[Floats, Floats], Bools]
+"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, ``(n,)``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +56,12 @@ def predict(
     steps: int,
     replan: int,
     seen: Sequence[EgoCourse] | None = None,
+    touch: Touch | None = None,
 ) -> Rollouts:
     """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
 
-    ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails; ``seen``: the egos drive so.
+    ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
+    egos drive so. Those that touched follow what they had planned, as in an attempt.
     """
     n, dt = len(proposals), situation.dt
     ground = Ground(situation, [p.bv for p in proposals])
@@ -67,12 +71,16 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
     followers: dict[int, Follower] = {}
+    over = np.zeros(n, bool)
     for k in range(steps):
         now = k * dt
-        if k % replan == 0:
-            goal, motion = _replan(ground, motion, egos, goal, last, followers, now, ask)
+        if k % replan == 0 and not over.all():
+            rows = np.flatnonzero(~over).tolist()
+            goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         ego[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
+        if touch is not None:
+            over |= touch(ego[:, :, k], adversary[:, :, k])
         egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
@@ -82,11 +90,12 @@ def predict(
 
 def _replan(
     ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None],
-    followers: dict[int, Follower], now: float, ask: Ask,
+    followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
     told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last)
-    answers = ask(range(len(told)), told)
-    for k, answer in enumerate(answers):
+    answers = ask(rows, told)
+    for k in rows:
+        answer = answers[k]
         last[k] = None if answer is None else local_endpoint(ground.situation, answer.endpoint)
     goal = ground.aim(motion, [None if a is None else a.endpoint for a in answers], goal)
     before = motion
