@@ -134,6 +134,64 @@ def test_vehicles_of_different_ways_share_one_ground() -> None:
     assert y == pytest.approx([3.2, -25.0, 3.2])
 
 
+# ---- in the way at a junction
+
+
+def at_station(ground: Ground, s: float, v: float = 8.0) -> Motion:
+    return ground.begin()._replace(s=one(s), v=one(v))
+
+
+def test_one_on_a_crossing_blocks_a_metre_before_the_place_until_its_rear_has_left_it() -> None:
+    """Its junction begins after 15 m, the ways meet after 25 m (at 30 m of the ego's path), so the junction is taken to
+    end after 35 m; the car is 5 m long."""
+    ground = Ground(situation([crossing()]), ["bv"])
+    before = ground.blocked(at_station(ground, 0.0))
+    assert (before.begins[0], before.speed[0], before.meets[0]) == (math.inf, 0.0, pytest.approx(30.0))
+    assert (before.before[0], before.behind[0]) == pytest.approx((22.5, 37.5))
+
+    assert ground.blocked(at_station(ground, 12.4)).begins[0] == math.inf  # its front is 0.1 m before the junction
+    entering = ground.blocked(at_station(ground, 12.6))
+    assert (entering.begins[0], entering.speed[0]) == (pytest.approx(29.0), 0.0)  # a vehicle across stands in the way
+    leaving = ground.blocked(at_station(ground, 28.4))
+    assert leaving.begins[0] == pytest.approx(29.0)  # its rear is 0.9 m behind the place
+    assert (leaving.before[0], leaving.behind[0]) == pytest.approx((-5.9, 9.1))
+
+    behind = ground.blocked(at_station(ground, 28.6))
+    assert behind.begins[0] == math.inf
+    assert ground.blocked(at_station(ground, 38.0)).behind[0] == pytest.approx(-0.5)
+
+
+def test_one_that_merges_blocks_what_it_is_ahead_by_and_moves_on() -> None:
+    """A ramp of 67.1 m joins at station 60; its junction begins after 55 m."""
+    ramp = line((0.0, -30.0), (60.0, 0.0), (250.0, 0.0))
+    merging = target(car("bv", 0.0, -30.0, 0.46), "merging", [(ramp, "straight", 55.0)], EGO_PATH)
+    ground = Ground(situation([merging]), ["bv"])
+    conflict = merging.ways[0].conflict
+    assert conflict is not None and conflict.kind == "merging"
+    assert (conflict.bv_s, conflict.ego_s) == pytest.approx((67.1, 60.0), abs=1.0)
+
+    assert ground.blocked(at_station(ground, 52.0, 9.0)).begins[0] == math.inf
+    on = ground.blocked(at_station(ground, 57.0, 9.0))
+    assert on.speed[0] == 9.0
+    assert on.begins[0] == pytest.approx(conflict.ego_s - (conflict.bv_s - 57.0) - 2.5)  # its rear, on the ego's path
+    assert on.begins[0] == pytest.approx(47.5, abs=1.0)
+    assert on.before[0] == pytest.approx(conflict.bv_s - 59.5)
+    assert ground.blocked(at_station(ground, 69.0, 9.0)).begins[0] == math.inf  # from there on it is a leader
+
+
+def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
+    ground = Ground(situation([neighbour()]), ["bv"])
+    found = ground.blocked(at_station(ground, 50.0, 12.0))
+    assert (found.begins[0], found.speed[0], found.meets[0]) == (math.inf, 0.0, math.inf)
+
+
+def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
+    ground = Ground(situation([crossing()]), ["bv", "bv"])
+    ground.rows.row = np.array([0, 1])  # the second one turns left before the ego's path
+    motion = ground.begin()._replace(s=one(20.0, 20.0))
+    assert ground.blocked(motion).begins.tolist() == [pytest.approx(29.0), math.inf]
+
+
 # ---- what a planner is told
 
 

@@ -1,0 +1,158 @@
+"""What predicted rollouts score: who could have avoided it, with what to spare, and whether others leave room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from shapely import box
+from situation_samples import car, situation, target
+
+from sumo_adv.datatypes import Boxes, Floats, Planner, Proposal, Role, Track
+from sumo_adv.episode.scoring import NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
+from sumo_adv.geometry import make_path
+from sumo_adv.planning.predict import Rollouts
+from sumo_adv.situation import Situation
+from sumo_adv.world.network import Drivable
+
+STEPS, DT = 60, 0.1
+TIME: Floats = DT * np.arange(float(STEPS))
+PLANNER = Planner("any", "plain", "", (), "seed")
+State = tuple[Floats, Floats, Floats, Floats]
+
+
+def motion(x: float, y: Floats | float, speed: float) -> State:
+    """East at an even speed; ``y`` over time, the heading left at 0 (it drifts)."""
+    zero = 0.0 * TIME
+    return x + speed * TIME, zero + y, zero, zero + speed
+
+
+def row(state: State) -> State:
+    x, y, h, v = (q[None, :] for q in state)
+    return x, y, h, v
+
+
+def scene(bv: State, others: Sequence[Track] = ()) -> Situation:
+    x, y, _, v = (float(q[0]) for q in bv)
+    path = make_path([(0.0, 0.0), (400.0, 0.0)])
+    way = make_path([(x, y), (x + 300.0, y)])
+    base = situation([target(car("bv", x, y, speed=v), "neighbour", [(way, "none", np.inf)], path)], speed=30.0)
+    return replace(base, others=tuple(others))
+
+
+def judged(ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3)) -> Any:
+    """The one rollout of these motions on a road between two offsets [m]."""
+    drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
+    (found,) = judge_all(scene(bv, others), [Proposal("bv", "any", PLANNER, {}, 0.0, 0.0)], rollouts, drivable)
+    return found
+
+
+def vehicle(name: str, state: State) -> Track:
+    """Another vehicle, from the trigger (100 s) on."""
+    x, y, h, v = state
+    return Track(name, Role.BACKGROUND, 100.0 + TIME, x, y, h, v, 0.0 * v, 5.0, 2.0, ("",) * STEPS)
+
+
+# ---- the table
+
+
+@pytest.mark.parametrize(
+    ("careful", "late", "manoeuvre", "score"),
+    [
+        (False, False, (0, 0, 0, 0), 1.2),  # nobody
+        (False, False, (1, 0, 0, 0), 0.8),  # a manoeuvre begun 0.6 s after the hazard, no later
+        (False, False, (1, 1, 0, 0), 0.4),  # 0.8 s
+        (False, False, (1, 1, 1, 0), 0.25),  # 1.0 s
+        (False, False, (1, 1, 1, 1), 0.12),  # 1.4 s
+        (False, False, (0, 1, 0, 0), 0.4),  # the last one that helps, whether or not earlier ones do
+        (True, False, (0, 0, 0, 0), 0.08),  # the careful driver, who only brakes
+        (True, False, (1, 1, 1, 1), 0.08),
+        (True, True, (1, 1, 1, 1), 0.0),  # also one who is 0.4 s slower
+    ],
+)
+def test_the_score_goes_by_who_avoids_it_and_with_what_to_spare(
+    careful: bool, late: bool, manoeuvre: tuple[int, ...], score: float
+) -> None:
+    found = _score(np.array([careful]), np.array([late]), np.array([manoeuvre], bool))
+    assert found.tolist() == [score]
+
+
+# ---- after the contact
+
+
+def test_after_the_contact_the_motion_goes_straight_on_as_the_judge_has_it() -> None:
+    """North at 5 m/s, from the step 2 on (y = 1.0) braking and turning; cut there it is at 1.5 m after 0.1 s."""
+    y = np.array([[0.0, 0.5, 1.0, 1.2, 1.3, 1.3]])
+    x = np.array([[0.0, 0.0, 0.0, 0.1, 0.2, 0.2]])
+    heading = np.array([[1.0, 1.0, 1.0, 0.5, 0.2, 0.2]]) * np.pi / 2
+    speed = np.array([[5.0, 5.0, 5.0, 2.0, 1.0, 0.0]])
+    found = _cut(Boxes(x, y, heading, speed, 5.0, 2.0), np.array([2]), 0.1)
+    assert found.y[0] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
+    assert found.x[0] == pytest.approx([0.0] * 6)
+    assert found.heading[0] == pytest.approx([np.pi / 2] * 6)
+    assert found.speed[0] == pytest.approx([5.0] * 6)
+    assert (found.length, found.width) == (5.0, 2.0)
+
+
+def test_motions_without_a_contact_stay_as_they_are() -> None:
+    x = np.array([[0.0, 1.0, 1.5], [4.0, 5.0, 7.0]])
+    found = _cut(Boxes(x, 0 * x, 0 * x, 10.0 + 0 * x, 5.0, 2.0), np.array([2, 2]), 0.1)
+    assert found.x == pytest.approx(x)
+
+
+# ---- whole rollouts: the ego at 30 m/s in the right of two lanes
+
+
+DRIFTS = np.maximum(1.2 - 0.8 * TIME, 0.5)  # from the line into the ego's lane: 0.4 m within 0.5 s
+
+
+def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
+    """A car at 5 m/s, 60 m ahead, comes half into the lane: the hazard shows after half a second (0.4 m), the contact
+    comes after 2.2 s (55 m of gap at 25 m/s). Then 42.5 m are left, and braking takes 25 * 0.6 + 25^2 / 16 = 54 m; but
+    to the right there is room, and just time for 1.5 m."""
+    ego, bv = motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0)
+    alone = judged(ego, bv)
+    assert (alone["hit"], alone["careful"]) == (True, False)
+    assert (alone["time"], alone["warning"]) == pytest.approx((2.2, 1.7))
+    assert 0.1 < alone["score"] <= 0.8
+    beside = vehicle("beside", motion(1.0, -3.2, 30.0))
+    filled = judged(ego, bv, [beside])
+    assert (filled["hit"], filled["manoeuvre"], filled["score"]) == (True, False, NONE)
+    far = vehicle("far", motion(1.0, -30.0, 30.0))
+    assert judged(ego, bv, [far])["score"] == alone["score"]
+    itself = vehicle("bv", motion(1.0, -3.2, 30.0))  # the adversary's unattacked motion is in nobody's way
+    assert judged(ego, bv, [itself])["score"] == alone["score"]
+
+
+def test_nor_does_one_off_the_road() -> None:
+    assert judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))["score"] == NONE
+
+
+def test_who_has_time_enough_scores_better() -> None:
+    """Half a second after the trigger the hazard shows. A careful driver takes 25 m/s * 1.15 s, 7.5 m in the ramp and
+    25^2 / (2 * 7.59) = 41.2 m: 77.4 m; one who is 0.4 s slower 10 m more. 82.5 m and 122.5 m are left."""
+    ego = motion(0.0, 0.0, 30.0)
+    near, middle, far = (judged(ego, motion(x, DRIFTS, 5.0)) for x in (60.0, 100.0, 140.0))
+    assert [q["hit"] for q in (near, middle, far)] == [True] * 3
+    assert [q["careful"] for q in (near, middle, far)] == [False, True, True]
+    assert (middle["score"], far["score"]) == (0.08, 0.0)
+
+
+def test_what_does_not_count_as_a_collision() -> None:
+    ego, behind = motion(0.0, 0.0, 30.0), motion(-15.0, 0.0, 40.0)
+    assert judged(ego, behind)["score"] == REAR
+    assert judged(ego, motion(50.0, DRIFTS, 5.0), road=(-4.8, 2.0))["score"] == OFF_ROAD  # its side is at 2.2 m
+    standing = vehicle("standing", motion(53.0, 0.6, 5.0))
+    assert judged(ego, motion(50.0, DRIFTS, 5.0), [standing])["score"] == THIRD
+
+
+def test_a_miss_scores_by_how_near_it_comes() -> None:
+    """Beside the ego at its speed, the sides 0.1 m apart: no TTC (10 s are the most), 1.5 + 0.3 * 10 + 0.1 * 0.1."""
+    found = judged(motion(0.0, 0.0, 30.0), motion(0.0, 2.1, 30.0), road=(-4.8, 4.8))
+    assert not found["hit"]
+    assert found["gap"] == pytest.approx(0.1)
+    assert found["score"] == pytest.approx(1.5 + 3.0 + 0.01)
