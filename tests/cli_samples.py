@@ -24,14 +24,18 @@ ROOT = TESTS.parent
 PATIENCE = 180.0  # s: no run of the tests takes a tenth of it
 
 LEADER = ("run", "leader_two_lanes", "--until", "valid", "--attempts", "8")
-CUT_IN = ("run", "motorway_cut_in_left", "--attempts", "1", "--json")
+AHEAD_BANK = "ahead.sqlite"
+AHEAD_OF_IT = (
+    "run", "motorway_cut_in_left", "--attempts", "1", "--tuner", "off", "--adversary", "left_ahead",
+    "--memory", AHEAD_BANK, "--learn", "off", "--json",
+)  # fmt: skip
 SAMPLES: Mapping[str, Sequence[str]] = {
     "first": (*LEADER, "--json"),
     "again": LEADER,
     "loaded": (*LEADER, "--json", "--no-fork"),
     "other seed": (*LEADER, "--json", "--seed", "1"),
-    "calm": (*CUT_IN, "--ego", "ego_samples:CalmEgo"),
-    "braking": (*CUT_IN, "--ego", "ego_samples:BrakingEgo"),
+    "calm": (*AHEAD_OF_IT, "--ego", "ego_samples:CalmEgo"),
+    "braking": (*AHEAD_OF_IT, "--ego", "ego_samples:BrakingEgo"),
     "nothing": ("run", "straight_3lane", "--density", "1", "--end", "20", "--json"),
     "krauss": ("run", "neighbour_ahead_left", "--ego", "krauss", "--json"),
     "eidm": ("run", "follower_with_free_lane", "--ego", "eidm", "--attempts", "3", "--json"),
@@ -127,8 +131,10 @@ class Runs:
         return self._runs[name].result()
 
     def _run(self, name: str) -> Done:
-        folder = self._folder / name.replace(" ", "_")
-        return Program(folder, self._caches)(*SAMPLES[name], "--out", "out")
+        program = Program(self._folder / name.replace(" ", "_"), self._caches)
+        if AHEAD_BANK in SAMPLES[name]:
+            bank_with(program.folder / AHEAD_BANK, AHEAD)
+        return program(*SAMPLES[name], "--out", "out")
 
     def close(self) -> None:
         """Drop what nobody asked for."""
@@ -193,6 +199,14 @@ TRAIL = (
     return {"x": x, "y": y, "heading": pose[2], "speed": pose[3], "time": 3.0}
 """
 )
+AHEAD = (
+    HEAD
+    + """\
+    ahead = ego["x"] + 3.0 * ego["speed"] + 20.0
+    return {"x": ahead, "y": road["left"], "heading": 0.0, "speed": ego["speed"], "time": 3.0}
+"""
+)
+"""Goes by where the ego is and how fast, not by what is foreseen of it: that is another for each driver."""
 BAD_PLANNERS: Mapping[str, str] = {
     "loops": HEAD + "    while True:\n        pass\n",
     "allocates": HEAD + "    return [0] * 10**9\n",
