@@ -21,6 +21,7 @@ from sumo_adv.errors import (
     SandboxError,
 )
 from sumo_adv.planning.jail import Jail, make_jail, wrapper_script
+from sumo_adv.planning.results import packed
 from sumo_adv.planning.sandbox import Sandbox, SandboxLimits
 from sumo_adv.planning.source import HELPERS_TEXT, make_planner, parse_parameters
 
@@ -80,6 +81,30 @@ def test_batch_equals_single_calls_and_one_failure_harms_no_other(sandbox: Sandb
         assert [results[0], results[1], results[3]] == [session.endpoint(*calls[i]) for i in (0, 1, 3)]
     assert isinstance(results[2], PlannerRuntimeError)
     assert "line 4" in str(results[2]) and "ZeroDivisionError" in str(results[2])
+
+
+def test_a_batch_of_whole_states_gives_planners_what_single_calls_give(sandbox: Sandbox) -> None:
+    """Calls that are all made alike go as rows of numbers, with names sent once; others as they are."""
+    source = (
+        HEAD
+        + '    last = 0.0 if bv["last"] is None else bv["last"]["x"]\n'
+        + '    path = ego["path"]\n'
+        + '    return {"x": bv["x"] + last, "y": path[1][1] + len(path), "heading": sum(ego["arrivals"]),'
+        + ' "speed": ego["speed"] + parameters["gap"], "time": 1 + len(list(bv)) + len(list(ego))}\n'
+    )
+    path = [[float(t), 10.0 * t, 0.0, 0.0, 10.0] for t in range(3)]
+    ego = {"speed": 10.0, "path": path, "arrivals": [0.5, 0.25]}
+    calls = [
+        ("a", {"x": 1.0, "last": None}, ego, {"gap": 2.0}, 0.0, 1.0),
+        ("b", {"x": 2.0, "last": {"x": 4.0}}, {**ego, "arrivals": [2.0]}, {"gap": 3.0}, 0.0, 1.0),
+    ]
+    assert packed(calls) is not None and packed([*calls, ("a", BV, EGO, {"gap": 2.0}, 0.0, 1.0)]) is None
+    with sandbox.session(planner(source), ROADS) as session:
+        one, two = session.endpoints(calls)
+        assert [one, two] == [session.endpoint(*call) for call in calls]
+    # 2 names of the vehicle, 3 of the ego; the ego is at 10 m after 1 s, and its path has 3 places
+    assert one == {"x": 1.0, "y": 13.0, "heading": 0.75, "speed": 12.0, "time": 6.0}
+    assert two == {"x": 6.0, "y": 13.0, "heading": 2.0, "speed": 13.0, "time": 6.0}
 
 
 def test_batch_longer_than_a_feed(sandbox: Sandbox) -> None:

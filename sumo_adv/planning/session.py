@@ -17,7 +17,7 @@ from sumo_adv.errors import (
     PlannerSyntaxError,
     SandboxError,
 )
-from sumo_adv.planning.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean
+from sumo_adv.planning.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean, packed
 from sumo_adv.planning.source import HELPERS_CODE, read_source
 
 if TYPE_CHECKING:
@@ -194,9 +194,11 @@ class PlannerSession:
             return nothing
         for call in calls:
             self._known(call[0])
-        batch = [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
+        rows = packed(calls)
+        batch = rows or [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
+        code = f"many_{self._id}(call_{self._id})" if rows is None else f"rows_{self._id}(*call_{self._id})"
         try:
-            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": batch})
+            values = self._feed(code, {f"call_{self._id}": batch})
         except SandboxError:
             return nothing
         return values if type(values) is list and len(values) == len(calls) else nothing
