@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 
-from sumo_adv.datatypes import Floats, Limits, Planner, Proposal
+from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
 from sumo_adv.planning.drivers import PredictedEgos, seen_edges
 from sumo_adv.planning.forecast import arrivals, profile_at, stations
@@ -185,6 +185,26 @@ def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:
             assert a[k] == pytest.approx(b[0], abs=1e-9)
     assert together.adversary[1][0, -1] > 2.0  # across the ego's path
     assert together.adversary[0][1, -1] < 25.0  # round the corner
+
+
+def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
+    """Asked every half second; the first of two touches after 0.7 s. From 1.0 s on only the other one is asked."""
+    asked: list[list[int]] = []
+
+    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+        asked.append(list(rows))
+        place = end(60.0, 3.2, 12.0, 3.0) if len(asked) <= 2 else end(60.0, 3.2, 4.0, 3.0)
+        return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(told))]
+
+    def touch(ego: Floats, adversary: Floats) -> Bools:
+        assert ego.shape == adversary.shape == (4, 2)
+        return np.array([ego[0, 0] >= 7.0 - 1e-9, False])  # 0.7 s at 10 m/s
+
+    found = predict(SIT, proposals(2), ask, limits=Limits(), steps=30, replan=5, touch=touch)
+    assert asked == [[0, 1], [0, 1], [1], [1], [1], [1]]
+    first, second = found.adversary[3]
+    assert first[:10] == pytest.approx(second[:10])
+    assert first[-1] > second[-1] + 2.0  # it was to keep 12 m/s, the other one has been told to come down to 4
 
 
 def test_planners_are_told_time_and_their_last_endpoint_every_half_second() -> None:
