@@ -20,6 +20,9 @@ NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
 AVOIDABLE = 0.7  # a score below is one that somebody could have avoided
 BRAKES = 0.1  # a score below is one that a careful driver who only brakes could have avoided
+REDRAW, FOR_BRAKES, MOST_DRAWN = 60, 120, 720
+AT_FIRST = 3  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
+NEAREST = 10
 SPREAD = 0.12  # of a parameter's range: standard deviation of a variation
 BRAKING_LABEL = "Emergency Braking"
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
@@ -105,8 +108,11 @@ class Expert:
         return self.ranking(situations, library)
 
     def predict(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
-        """Fill the pool: every way that applies, drawn and scored."""
-        self.pool = self.draw(families(situations, library, self._allowed), self._count)
+        """Fill the pool: every way that applies, drawn and scored; more where nothing of it is good."""
+        ways = families(situations, library, self._allowed)
+        self.pool = self.draw(ways, self._count)
+        while ways and len(self.pool) < min(self.wanted(self.pool), AT_FIRST * self._count):
+            self.pool += self.more(ways, sorted(self.pool, key=self.price))
 
     def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
         """The intents of the pool, most dangerous first; where none reaches it avoidably, new ones come first."""
@@ -128,6 +134,15 @@ class Expert:
     def price(self, p: Proposal) -> float:
         """The predicted score, and what evidence of its planner adds to it."""
         return p.score + self._bias.get(p.planner.hash, 0.0)
+
+    def wanted(self, pool: Sequence[Proposal]) -> int:
+        """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing."""
+        best = min((p.score for p in pool), default=REACHES)
+        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN)
+
+    def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
+        """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""
+        return self.draw(ways, REDRAW // 2, defaults=False) + self.vary(best[:NEAREST], REDRAW // 2)
 
     def vary(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         """``count`` scored proposals whose numbers are near those of the given ones, in turn."""

@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sumo_adv.agents.expert import AVOIDABLE, BRAKES, REACHES, Expert, Family
+from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert, Family
 from sumo_adv.datatypes import EgoCourse, Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
 RANK_PRICE = 0.3  # score a place in a model's ranking costs: a good candidate further down comes after a fair one above
-REDRAW, FOR_BRAKES, MOST_DRAWN = 60, 120, 720
-NEAREST = 10  # of the best predicted ones half of what is redrawn is a variation
 DIVERSE_EVERY = 3
 
 
@@ -38,7 +36,7 @@ class Tuner:
         self._ways = list(ways)
         self._share = share
         self.pool = list(expert.pool)
-        self._begun = self._drawn = len(self.pool)
+        self._drawn = len(self.pool)
         self._tries: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[str] = Counter()
         self._count = 0
@@ -59,21 +57,15 @@ class Tuner:
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
         open_ = self._open()
-        while self._drawn < self._enough(open_):
+        while self._drawn < self._expert.wanted(open_):
             ways = [w for w in self._ways if self._by_planner[w.planner.hash] < self._share]
-            fresh = self._expert.draw(ways, REDRAW // 2, defaults=False)
-            fresh += self._expert.vary(sorted(open_, key=self._price)[:NEAREST], REDRAW // 2)
+            fresh = self._expert.more(ways, sorted(open_, key=self._price))
             self._drawn += max(len(fresh), 1)
             self.pool += fresh
             open_ = self._open()
         if not open_:
             return None
         return self._take(self._chosen(open_))
-
-    def _enough(self, open_: Sequence[Proposal]) -> int:
-        """How much is drawn at most: little more where a brake would do, a lot where nobody could avoid anything."""
-        best = min((p.score for p in open_), default=REACHES)
-        return 0 if best < BRAKES else (self._begun + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN)
 
     def _take(self, chosen: Proposal) -> Proposal:
         self.pool.remove(chosen)

@@ -21,6 +21,8 @@ SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation
 WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
 FAR = 1e4  # m
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
+SAME_WAY = 0.5  # rad
+JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
 CAREFUL_DELAY, CAREFUL_BRAKE, CAREFUL_RAMP = 1.15, 7.59, 0.6  # s, m/s2, s: UN R157
 SEEN_SHIFT = 0.375  # m: UN R157, lateral movement that can be perceived
@@ -93,6 +95,7 @@ class PredictedEgos:
         bound = np.where(leads, self._following(gap, speed), np.inf)
         bound = np.minimum(bound, self._careful(now, d, speed, s))
         bound = np.minimum(bound, self._yielding(blocked, speed))
+        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, h))
         self.disturbed |= bound < next_v - 0.05
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
@@ -108,6 +111,15 @@ class PredictedEgos:
         partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly)
+
+    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, h: Floats) -> Floats:
+        """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind who is slower in
+        the lane to the left it brakes as for a leader, but gently."""
+        lane = self.situation.lane_width
+        beside = (front_d >= lane / 2) & (front_d < 1.5 * lane) & (np.abs(h) < SAME_WAY)
+        slower = beside & (gap > 0.0) & (speed < self.v) & (self.v > JAM)
+        gently = self.v - self.model["deceleration"] * self.situation.dt
+        return np.where(slower, np.maximum(self._following(gap, speed), gently), np.inf)
 
     def _yielding(self, blocked: Blocked | None, speed: Floats) -> Floats:
         """The speed of SUMO's driver at a junction: it keeps clear of whoever is on it and in the way, whoever of the
