@@ -179,3 +179,27 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     assert egos.a == pytest.approx([-30.0, -60.0])  # 3 and 6 m/s within the last 0.1 s
     egos.step(0.3, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
     assert egos.s == pytest.approx([2.0, 4.0])  # nothing more is known
+
+
+# ---- above 60 km/h nobody passes on the right
+
+
+@pytest.mark.parametrize(
+    ("ego", "other", "left", "brakes"),
+    [
+        (20.0, 15.0, 3.2, True),
+        (20.0, 15.0, -3.2, False),  # on the right: passing on the left is free
+        (20.0, 15.0, 6.4, False),  # two lanes away
+        (20.0, 22.0, 3.2, False),  # faster
+        (16.0, 12.0, 3.2, False),  # below 60 km/h: as in a jam
+    ],
+)
+def test_behind_a_slower_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
+    ego: float, other: float, left: float, brakes: bool
+) -> None:
+    """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
+    sit = situation([leader()], model=KRAUSS)
+    sit = replace(sit, ego=replace(sit.ego, speed=ego), profile_s=np.arange(51) * 0.1 * ego, profile_v=np.full(51, ego))
+    egos = egos_of(sit)
+    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), blocked())
+    assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))

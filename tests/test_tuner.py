@@ -161,20 +161,21 @@ def test_tries_cost_so_another_family_has_its_turn():
 
 
 @pytest.mark.parametrize(
-    ("scores", "drawn"),
+    ("scores", "at_first", "drawn"),
     [
-        ([(1, 4.0)], 30 + 12 * 60),  # nothing reaches it: on until 720 are drawn
-        ([(1, 1.2)], 30 + 12 * 60),  # nor would a collision that nobody could avoid do
-        ([(200, 1.2), (1, 0.5)], 30 + 3 * 60),  # the third round brings something avoidable, and that was a lot
-        ([(1, 0.5)], 30 + 2 * 60),  # something is avoidable at once: 120 more
-        ([(40, 0.5), (1, 0.05)], 30 + 1 * 60),  # a brake would do after the first round
-        ([(1, 0.05)], 30),  # a brake would do already
+        ([(1, 4.0)], 90, 30 + 12 * 60),  # nothing reaches it: on until 720 are drawn
+        ([(1, 1.2)], 90, 30 + 12 * 60),  # nor would a collision that nobody could avoid do
+        ([(200, 1.2), (1, 0.5)], 90, 30 + 3 * 60),  # the third round brings something avoidable, and that was a lot
+        ([(1, 0.5)], 90, 30 + 2 * 60),  # something is avoidable at once: 120 more
+        ([(40, 0.5), (1, 0.05)], 90, 30 + 1 * 60),  # a brake would do after the first round
+        ([(1, 0.05)], 30, 30),  # a brake would do already
     ],
 )
-def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, drawn):
+def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, drawn):
+    """30 are wanted: the analysis draws up to three times as many, the tuner goes on from there."""
     scorer = InTurn(*scores)
     tuner = tuner_of(scorer)
-    assert scorer.asked == 30
+    assert scorer.asked == at_first
     assert tuner.next() is not None
     assert scorer.asked == drawn
     assert len(tuner.pool) == drawn - 1
@@ -189,8 +190,8 @@ def test_half_of_what_is_redrawn_is_near_the_best_ones():
     best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.3) for p in tuner.pool[:10]]
     tuner.pool[:10] = best
     tuner.next()
-    first_round = tuner.pool[29 : 29 + 60]  # one of the 30 is taken
-    gaps = [p.parameters["gap"] for p in first_round]
+    last_round = tuner.pool[89 : 89 + 60]  # one of the 90 is taken
+    gaps = [p.parameters["gap"] for p in last_round]
     assert np.mean(gaps[30:]) < -2.2
     assert np.mean(gaps[:30]) > -1.0
 
