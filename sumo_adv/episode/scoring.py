@@ -26,6 +26,7 @@ DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre b
 BY_MANOEUVRE = (0.8, 0.4, 0.25, 0.12)  # score by the last of them at which one still helps
 BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
 SLOWER = 0.4  # s
+GRAZE, GRAZES = 0.3, 0.5  # m; score of a contact that a vehicle so much smaller would not have made: a near miss, maybe
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
 
@@ -41,6 +42,7 @@ def judge_all(
     adversary = Boxes(*rollouts.adversary, lengths, widths)
     contact = _first(_touching(ego, adversary))
     hit = contact < steps
+    firm = np.asarray(_touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
     last = np.minimum(contact, steps - 1)
     third = _third_party(situation, proposals, adversary, last)
     off_road = _off_road(adversary, last, drivable)
@@ -54,7 +56,7 @@ def judge_all(
     if len(good):
         found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
         careful[good], late, manoeuvre[good], hazard[good] = found
-        score[good] = _score(careful[good], late, manoeuvre[good])
+        score[good] = _score(careful[good], late, manoeuvre[good]) + np.where(firm[good], 0.0, GRAZES)
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),

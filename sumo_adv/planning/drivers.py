@@ -88,14 +88,15 @@ class PredictedEgos:
         (s, d, h), length = adversary, self._length
         front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
-        leads = self._in_lane(front_d) & (front_s > self.s + sit.ego.length / 2) & ~across
+        ahead = front_s > self.s + sit.ego.length / 2
+        leads = self._in_lane(front_d) & ahead & ~across
         gap = s - self.s - (length + sit.ego.length) / 2
         pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
         free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
         bound = np.where(leads, self._following(gap, speed), np.inf)
         bound = np.minimum(bound, self._careful(now, d, speed, s))
         bound = np.minimum(bound, self._yielding(blocked, speed))
-        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, h))
+        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
         self.disturbed |= bound < next_v - 0.05
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
@@ -112,12 +113,12 @@ class PredictedEgos:
         self._was_inside |= inside
         return inside | (self._was_inside & partly)
 
-    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, h: Floats) -> Floats:
+    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
         """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind who is slower in
         the lane to the left it brakes as for a leader, but gently."""
         lane = self.situation.lane_width
-        beside = (front_d >= lane / 2) & (front_d < 1.5 * lane) & (np.abs(h) < SAME_WAY)
-        slower = beside & (gap > 0.0) & (speed < self.v) & (self.v > JAM)
+        beside = (front_d >= lane / 2) & (front_d < 1.5 * lane)
+        slower = beside & ahead & (speed < self.v) & (self.v > JAM)
         gently = self.v - self.model["deceleration"] * self.situation.dt
         return np.where(slower, np.maximum(self._following(gap, speed), gently), np.inf)
 
@@ -152,8 +153,8 @@ class PredictedEgos:
         m, dt = self.model, self.situation.dt
         b, tau = m["deceleration"], m["tau"]
         if m["kind"] == "krauss":
-            room = np.maximum(gap - m["min_gap"], 0.0)
-            return -b * tau + np.sqrt(b * b * tau * tau + leader * leader + 2 * b * room)
+            room = gap - m["min_gap"]  # less than none: it brakes harder than for a leader that is near
+            return -b * tau + np.sqrt(np.maximum(b * b * tau * tau + leader * leader + 2 * b * room, 0.0))
         a, v = m["acceleration"], self.v
         wish = m["min_gap"] + np.maximum(0.0, v * tau + v * (v - leader) / (2 * np.sqrt(a * b)))
         acceleration = a * (1 - (v / max(m["speed"], 1.0)) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
