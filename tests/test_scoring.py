@@ -12,7 +12,7 @@ from shapely import box
 from situation_samples import car, situation, target
 
 from sumo_adv.datatypes import Boxes, Floats, Planner, Proposal, Role, Track
-from sumo_adv.episode.scoring import NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
+from sumo_adv.episode.scoring import GRAZES, NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
 from sumo_adv.geometry import make_path
 from sumo_adv.planning.predict import Rollouts
 from sumo_adv.situation import Situation
@@ -156,3 +156,11 @@ def test_a_miss_scores_by_how_near_it_comes() -> None:
     assert not found["hit"]
     assert found["gap"] == pytest.approx(0.1)
     assert found["score"] == pytest.approx(1.5 + 3.0 + 0.01)
+
+
+def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
+    """Both are 2 m wide. At 1.9 m aside they overlap by 0.1 m, and 0.3 m less of width would not; at 1.6 m by 0.4 m."""
+    ego = motion(0.0, 0.0, 30.0)
+    graze, firm = (judged(ego, motion(140.0, aside, 5.0), road=(-4.8, 4.8)) for aside in (1.9, 1.6))
+    assert (graze["hit"], firm["hit"]) == (True, True)
+    assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
