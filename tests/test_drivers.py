@@ -203,3 +203,11 @@ def test_behind_a_slower_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), blocked())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
+
+
+def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
+    sit = situation([leader()], model={**KRAUSS, "passes_right": True})
+    sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
+    egos = egos_of(sit)
+    egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), blocked())
+    assert egos.v[0] == pytest.approx(20.0)

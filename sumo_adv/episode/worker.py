@@ -197,10 +197,9 @@ class Worker:
     def _ego_model(self) -> dict[str, Any]:
         drive = self._drive
         assert drive.ego is not None
-        kind = (
-            drive.controller.name if drive.controller.name in ("krauss", "idm", "eidm", "careful", "replay") else "idm"
-        )
-        return {"kind": kind, **drive.simulation.model(drive.ego)}
+        name = drive.controller.name
+        known = name in ("krauss", "idm", "eidm", "careful", "replay")
+        return {"kind": name if known else "idm", "passes_right": not known, **drive.simulation.model(drive.ego)}
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

@@ -115,7 +115,9 @@ class PredictedEgos:
 
     def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
         """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind who is slower in
-        the lane to the left it brakes as for a leader, but gently."""
+        the lane to the left it brakes as for a leader, but gently. Other drivers (``passes_right``) do not."""
+        if self.model.get("passes_right", False):
+            return np.full(len(self.s), np.inf)
         lane = self.situation.lane_width
         beside = (front_d >= lane / 2) & (front_d < 1.5 * lane)
         slower = beside & ahead & (speed < self.v) & (self.v > JAM)
