@@ -12,7 +12,7 @@ from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, 
 from sumo_adv.episode.foresight import _batches
 from sumo_adv.episode.knowledge import EVIDENCE, evidence_bias
 from sumo_adv.episode.refine import _untuned
-from sumo_adv.episode.scoring import _touching
+from sumo_adv.metrics.boxes import touching
 from sumo_adv.planning.source import make_planner
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -290,5 +290,5 @@ def test_long_vehicles_touch_from_further_away():
     one = np.array([[0.0]])
     car = Boxes(one, one, one, one, 5.0, 1.8)
     bus = Boxes(one + 8.0, one, one, one, 12.0, 2.5)
-    assert _touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
-    assert not _touching(car, Boxes(one + 8.6, one, one, one, 12.0, 2.5)).any()
+    assert touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
+    assert not touching(car, Boxes(one + 8.6, one, one, one, 12.0, 2.5)).any()

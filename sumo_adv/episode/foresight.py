@@ -11,7 +11,7 @@ import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal, acceleration_at
-from sumo_adv.episode.scoring import judge_all, touching
+from sumo_adv.episode.scoring import judge_all, touch_of
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
@@ -58,7 +58,7 @@ class Foresight:
             rollouts = predict(
                 situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan), seen=seen, touch=touching(situation, proposals),
+                replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situation, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
         results = judge_all(situation, proposals, rollouts, self._drivable)

@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Proposal
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
-from sumo_adv.metrics.boxes import gap, on_grid, overlaps
+from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.predict import Rollouts, Touch
@@ -40,9 +40,9 @@ def judge_all(
     widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
     ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
     adversary = Boxes(*rollouts.adversary, lengths, widths)
-    contact = _first(_touching(ego, adversary))
+    contact = _first(touching(ego, adversary))
     hit = contact < steps
-    firm = np.asarray(_touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
+    firm = np.asarray(touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
     last = np.minimum(contact, steps - 1)
     third = _third_party(situation, proposals, adversary, last)
     off_road = _off_road(adversary, last, drivable)
@@ -68,34 +68,16 @@ def judge_all(
     ]  # fmt: skip
 
 
-def touching(situation: Situation, proposals: Sequence[Proposal]) -> Touch:
+def touch_of(situation: Situation, proposals: Sequence[Proposal]) -> Touch:
     """Whether the ego and the BVs of these proposals touch."""
     length = np.array([situation.targets[p.bv].state.length for p in proposals])
     width = np.array([situation.targets[p.bv].state.width for p in proposals])
 
     def touch(ego: Floats, adversary: Floats) -> Bools:
         one = Boxes(ego[0], ego[1], ego[2], ego[3], situation.ego.length, situation.ego.width)
-        return _touching(one, Boxes(adversary[0], adversary[1], adversary[2], adversary[3], length, width))
+        return touching(one, Boxes(adversary[0], adversary[1], adversary[2], adversary[3], length, width))
 
     return touch
-
-
-def _touching(a: Boxes, b: Boxes) -> Bools:
-    near = np.hypot(a.x - b.x, a.y - b.y) < _half_diagonal(a) + _half_diagonal(b)
-    touching = np.zeros(near.shape, bool)
-    k = np.nonzero(near)
-    if len(k[0]):
-        touching[k] = overlaps(_pick(a, k), _pick(b, k))
-    return touching
-
-
-def _half_diagonal(b: Boxes) -> Floats:
-    return np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2
-
-
-def _pick(b: Boxes, k: Any) -> Boxes:
-    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
 
 
 def _first(holds: Bools) -> Any:
@@ -113,7 +95,7 @@ def _score(careful: Bools, late: Bools, manoeuvre: Bools) -> Floats:
 def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
     """The adversary behind, going the same way, in line and faster at the contact."""
     k = (np.arange(len(at)), at)
-    a, b = _pick(ego, k), _pick(adversary, k)
+    a, b = pick(ego, k), pick(adversary, k)
     turned = np.abs(wrap_all(b.heading - a.heading))
     c, s = np.cos(a.heading), np.sin(a.heading)
     ahead = c * (b.x - a.x) + s * (b.y - a.y)
@@ -126,12 +108,12 @@ def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
 def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
     """Least TTC [s] and least box distance [m] up to the contact, every third step."""
     steps = np.arange(0, ego.x.shape[1], 3)
-    pick = (np.arange(len(last))[:, None], steps[None, :])
-    a, b = _pick(ego, pick), _pick(adversary, pick)
+    shown = (np.arange(len(last))[:, None], steps[None, :])
+    a, b = pick(ego, shown), pick(adversary, shown)
     before = steps[None, :] <= last[:, None]
     centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
     at = (np.arange(len(last)), centres.argmin(axis=1))
-    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(_pick(a, at), _pick(b, at)))
+    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(pick(a, at), pick(b, at)))
 
 
 def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
@@ -146,12 +128,12 @@ def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary:
     for k, proposal in enumerate(proposals):
         until = slice(0, int(last[k]) + 1)
         apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
-        near = apart < _half_diagonal(grid) + _half_diagonal(adversary)[k]
+        near = apart < half_diagonal(grid) + half_diagonal(adversary)[k]
         near &= (names != proposal.bv)[:, None]
         i, j = np.nonzero(near)
         if len(i):
             rows = np.full(len(i), k)
-            found[k] = bool(overlaps(_pick(grid, (i, j)), _pick(adversary, (rows, j))).any())
+            found[k] = bool(overlaps(pick(grid, (i, j)), pick(adversary, (rows, j))).any())
     return found
 
 

@@ -9,6 +9,7 @@ Boxes that touch overlap.  A NaN anywhere (a vehicle that is not there) is never
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,27 @@ def separation(a: Boxes, b: Boxes) -> Floats:
 def overlaps(a: Boxes, b: Boxes) -> Bools:
     """Whether the boxes touch or overlap, exact, over the broadcast shape."""
     return np.asarray(separation(a, b) <= 0)
+
+
+def touching(a: Boxes, b: Boxes) -> Bools:
+    """As ``overlaps``, for many boxes of which few are near; positions of one shape, sizes broadcast to it."""
+    near = np.asarray(np.hypot(a.x - b.x, a.y - b.y) < half_diagonal(a) + half_diagonal(b))
+    found = np.zeros(near.shape, bool)
+    k = np.nonzero(near)
+    if len(k[0]):
+        found[k] = overlaps(pick(a, k), pick(b, k))
+    return found
+
+
+def half_diagonal(b: Boxes) -> Floats:
+    """How far the corners are from the centre [m], in the shape of the sizes."""
+    return np.asarray(np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2)
+
+
+def pick(b: Boxes, k: Any) -> Boxes:
+    """The boxes at an index ``k`` of their positions."""
+    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
 
 
 def gap(a: Boxes, b: Boxes) -> Floats:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from sumo_adv.benchmark.nouns import Encounter, course_proposal
 from sumo_adv.datatypes import Attempt, Bools, Boxes, Course, Floats, Limits, Proposal
 from sumo_adv.geometry import wrap_all
-from sumo_adv.metrics.boxes import on_grid, overlaps
+from sumo_adv.metrics.boxes import on_grid, pick, touching
 from sumo_adv.planning.drivers import PredictedEgos
 from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
@@ -202,8 +202,8 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
     last, found = np.full(n, steps - 1), np.zeros((len(futures), n))
     for f, future in enumerate(futures):
         ego = _spread(future, (n, steps), situation.ego.length, situation.ego.width)
-        touching = _touching(ego, adversary)
-        hit, first = touching.any(axis=1), touching.argmax(axis=1)
+        touches = touching(ego, adversary)
+        hit, first = touches.any(axis=1), touches.argmax(axis=1)
         counts = hit & (first > 2) & ~_from_behind(ego, adversary, first)
         found[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
         last = np.where(hit, np.minimum(last, first), last)
@@ -215,24 +215,10 @@ def _spread(columns: Sequence[Floats] | Floats, shape: tuple[int, int], length: 
     return Boxes(x, y, heading, speed, length, width)
 
 
-def _touching(a: Boxes, b: Boxes) -> Bools:
-    reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
-    touching = np.asarray(np.hypot(a.x - b.x, a.y - b.y) < reach)
-    k = np.nonzero(touching)
-    if len(k[0]):
-        touching[k] = overlaps(_pick(a, k), _pick(b, k))
-    return touching
-
-
-def _pick(b: Boxes, k: tuple[Places, ...]) -> Boxes:
-    length, width = (np.broadcast_to(v, b.x.shape)[k] for v in (b.length, b.width))
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width)
-
-
 def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
     """Whether a step before ``at`` the adversary went the ego's way and was a whole length behind it."""
     k = (np.arange(len(at)), np.maximum(at - 1, 0))
-    a, b = _pick(ego, k), _pick(adversary, k)
+    a, b = pick(ego, k), pick(adversary, k)
     ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
     alike = np.abs(wrap_all(b.heading - a.heading)) < np.pi / 4
     return np.asarray(alike & (ahead < SLACK - (np.asarray(a.length) + b.length) / 2))
@@ -258,5 +244,5 @@ def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, l
     for track in situation.others:
         one = on_grid([track], time)
         other = _spread((one.x, one.y, one.heading, one.speed), (n, steps), track.length, track.width)
-        found |= (_touching(other, adversary) & before).any(axis=1) & (mine != track.id)
+        found |= (touching(other, adversary) & before).any(axis=1) & (mine != track.id)
     return found
