@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -295,3 +296,27 @@ def test_snapshots_become_tracks_of_box_centres() -> None:
     (only,) = tracks_of(snapshots, sizes, {}, 0.1, ["car"])
     assert only.id == "car"
     assert np.isfinite(only.x).all()
+
+
+def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> None:
+    """From 17 m/s with 9 m/s2 at most, asked for a standstill or behind one that is suddenly there; then it is SUMO's
+    again, with the 4.5 m/s2 of its type."""
+    for asked in (0.0, 17.0):
+        with running(pair(tmp_path)) as simulation:
+            own = simulation.model("ego")["deceleration"]
+            if asked:
+                simulation.set_speed("leader", 0.0)
+                for _ in range(12):
+                    simulation.step()
+            speeds = [simulation.read().raw["ego"][3]]
+            for _ in range(10):
+                simulation.set_speed("ego", asked)
+                simulation.step()
+                speeds.append(simulation.read().raw["ego"][3])
+            steps = [a - b for a, b in itertools.pairwise(speeds)]
+            assert max(steps) <= 0.9 + 1e-6
+            assert max(steps) > (0.89 if not asked else 0.0)
+            assert simulation.model("ego")["deceleration"] == own == pytest.approx(4.5)
+            simulation.set_speed("ego", None)
+            simulation.step()
+            assert simulation.model("ego")["deceleration"] == own

@@ -27,7 +27,6 @@ KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
-HARD_BRAKING_MODE = 27  # SUMO's safe speed holds, its comfortable deceleration does not (mode 31 clips at 4.5 m/s2)
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
 
@@ -259,7 +258,7 @@ class Simulation:
         """Car-following numbers as SUMO has them: acceleration, deceleration [m/s2], tau [s], gap [m], speed [m/s]."""
         v = self._sumo.vehicle
         return {
-            "acceleration": v.getAccel(vehicle), "deceleration": v.getDecel(vehicle), "tau": v.getTau(vehicle),
+            "acceleration": v.getAccel(vehicle), "deceleration": self._deceleration(vehicle), "tau": v.getTau(vehicle),
             "min_gap": v.getMinGap(vehicle), "speed": v.getAllowedSpeed(vehicle),
         }  # fmt: skip
 
@@ -304,9 +303,18 @@ class Simulation:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
-        """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO."""
-        self._sumo.vehicle.setSpeedMode(vehicle, SUMO_SPEED_MODE if speed is None else HARD_BRAKING_MODE)
-        self._sumo.vehicle.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
+        """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.
+
+        It brakes at most as hard as in an emergency: a speed that is asked for is clipped to the type's ``decel``, and
+        in the modes that do not clip SUMO's safe speed takes it to a standstill within a step."""
+        v = self._sumo.vehicle
+        v.setDecel(vehicle, self._deceleration(vehicle) if speed is None else v.getEmergencyDecel(vehicle))
+        v.setSpeedMode(vehicle, SUMO_SPEED_MODE)
+        v.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
+
+    def _deceleration(self, vehicle: str) -> float:
+        """The ``decel`` [m/s2] of its type, whatever it was changed to for the vehicle itself."""
+        return float(self._sumo.vehicletype.getDecel(self._sumo.vehicle.getTypeID(vehicle).split("@")[0]))
 
     def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
         """Ask SUMO's driver to change to the lane of that index."""

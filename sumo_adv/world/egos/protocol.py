@@ -65,8 +65,8 @@ class Steer:
 class LaneSpeed:
     """SUMO keeps the lane: go to ``lane`` (index from the right; None = stay), be at ``speed`` [m/s] after the step.
 
-    SUMO goes slower than asked where it must (safe distance, red light). The engine sends it with speed mode 27: so
-    the ego can brake harder than the vType's ``decel`` (measured: mode 31 clips at ``decel``, 27 does not).
+    SUMO goes slower than asked where it must (safe distance, red light). The ego can brake harder than the vType's
+    ``decel``, up to its ``emergencyDecel``.
     """
 
     lane: int | None
