@@ -27,9 +27,10 @@ def crossroads(line: float = math.inf, model: Mapping[str, Any] = KRAUSS) -> Sit
 
 
 def blocked(
-    begins: float = math.inf, *, before: float = 0.0, behind: float = 0.0, meets: float = 34.0, speed: float = 0.0
-) -> Blocked:
-    return Blocked(*(np.array([float(q)]) for q in (begins, speed, before, behind, meets)))
+    begins: float = math.inf, *, beside: float = 0.0, before: float = 0.0, behind: float = 0.0, meets: float = 34.0,
+    speed: float = 0.0,
+) -> Blocked:  # fmt: skip
+    return Blocked(*(np.array([float(q)]) for q in (begins, beside, speed, before, behind, meets)))
 
 
 def drive(
@@ -106,6 +107,18 @@ def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
     assert egos.s[0] == pytest.approx(20.0)
 
 
+def test_beside_one_that_merges_and_is_ahead_it_brakes_as_hard_as_it_can() -> None:
+    """The front of the ego (2.5 m) is 1 m past the rear of a car of 5 m: by 9 m/s2 slower each second. Once it is past
+    that car's front, the ego drives on."""
+    egos = egos_of(crossroads())
+    v = float(egos.v[0])
+    drive(egos, 0.1, lambda _: blocked(1.5, beside=5.0, speed=8.0), 8.0)
+    assert egos.v == pytest.approx([v - 0.9])
+    past = egos_of(crossroads())
+    drive(past, 0.1, lambda _: blocked(-2.6, beside=5.0, speed=8.0), 8.0)
+    assert past.v == pytest.approx([v])
+
+
 # ---- its line is at 30 m, the ways meet at 34 m. To be over the ego has 34 + 2.5 + 2 = 38.5 m, which it takes to drive
 # ---- in 1.5 s up to 13.9 m/s (17.925 m) and 1.48 s more: 2.98 s; to be there 29.5 m, that is 2.33 s.
 
@@ -171,7 +184,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     other = EgoCourse(2.0 * course.s, 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(crossroads(30.0), 5.0 * both, 2.0 * both, [course, other])
-    here = Blocked(*(q * both for q in (3.0, 0.0, 5.0, 25.0, 34.0)))
+    here = Blocked(*(q * both for q in (3.0, 0.0, 0.0, 5.0, 25.0, 34.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
         assert egos.s == pytest.approx([course.s[k + 1], other.s[k + 1]])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from situation_samples import neighbour, situation
 
-from sumo_adv.agents.expert import SPREAD, Expert, ExpertGenerator
+from sumo_adv.agents.expert import Expert, ExpertGenerator
+from sumo_adv.agents.firmness import SPREAD
 from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.planning.source import make_planner
 

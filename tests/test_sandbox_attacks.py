@@ -28,7 +28,7 @@ TABLE = "PARAMETERS = {}\n"
 HEAD = "def endpoint(bv, ego, road, parameters, acc, horizon):\n"
 GOOD = "{'x': 1.0, 'y': 2.0, 'heading': 0.0, 'speed': 3.0, 'time': 1.0}"
 GOOD_RESULT = {"x": 1.0, "y": 2.0, "heading": 0.0, "speed": 3.0, "time": 1.0}
-LIMITS = SandboxLimits(call_seconds=0.1, batch_seconds=0.5, memory=32 * 1024 * 1024, grace_seconds=0.2)
+LIMITS = SandboxLimits(call_seconds=0.1, batch_seconds=0.5, memory=32 * 1024 * 1024, grace_seconds=0.5)
 ROAD = {"a": {"lanes": [1.0, 2.0]}}
 ARGUMENTS: Call = ("a", {"x": 0.0}, {"path": []}, {}, 0.0, 1.0)
 

@@ -77,8 +77,15 @@ def vehicle(name: str, state: State) -> Track:
 def test_the_score_goes_by_who_avoids_it_and_with_what_to_spare(
     careful: bool, late: bool, manoeuvre: tuple[int, ...], score: float
 ) -> None:
-    found = _score(np.array([careful]), np.array([late]), np.array([manoeuvre], bool))
+    found = _score(np.array([careful]), np.array([late]), np.array([manoeuvre], bool), np.zeros(1))
     assert found.tolist() == [score]
+
+
+def test_of_those_that_nobody_avoids_one_with_more_warning_scores_better() -> None:
+    """0.3 less for two seconds of it or more, in proportion for less."""
+    nobody = np.zeros(4, bool)
+    found = _score(nobody, nobody, np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]))
+    assert found == pytest.approx([1.2, 1.05, 0.9, 0.9])
 
 
 # ---- after the contact
@@ -121,7 +128,8 @@ def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
     assert 0.1 < alone["score"] <= 0.8
     beside = vehicle("beside", motion(1.0, -3.2, 30.0))
     filled = judged(ego, bv, [beside])
-    assert (filled["hit"], filled["manoeuvre"], filled["score"]) == (True, False, NONE)
+    assert (filled["hit"], filled["manoeuvre"]) == (True, False)
+    assert filled["score"] == pytest.approx(NONE - 0.3 * 1.7 / 2)
     far = vehicle("far", motion(1.0, -30.0, 30.0))
     assert judged(ego, bv, [far])["score"] == alone["score"]
     itself = vehicle("bv", motion(1.0, -3.2, 30.0))  # the adversary's unattacked motion is in nobody's way
@@ -129,7 +137,8 @@ def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
 
 
 def test_nor_does_one_off_the_road() -> None:
-    assert judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))["score"] == NONE
+    found = judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))
+    assert found["score"] == pytest.approx(NONE - 0.3 * 1.7 / 2)
 
 
 def test_who_has_time_enough_scores_better() -> None:

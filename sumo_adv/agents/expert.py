@@ -9,8 +9,9 @@ from __future__ import annotations
 import random
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from sumo_adv.agents.firmness import firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
@@ -22,10 +23,13 @@ AVOIDABLE = 0.7  # a score below is one that somebody could have avoided
 BRAKES = 0.1  # a score below is one that a careful driver who only brakes could have avoided
 REDRAW = 60  # proposals drawn at once where the first were not good
 FOR_BRAKES = 120  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
-MOST_DRAWN = 720  # drawn at most where nothing is avoidable
+MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` more for each attempt
+FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 3  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
+LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
 NEAREST = 10  # of the best ones whose numbers are varied
-SPREAD = 0.12  # of a parameter's range: standard deviation of a variation
+FIRMED = 8  # of the best ones whose neighbours are predicted at once,
+ROUNDS = 3  # and how often at most, until the best one is among them
 BRAKING_LABEL = "Emergency Braking"
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
@@ -71,14 +75,15 @@ def _drawn(parameter: Parameter, draw: random.Random) -> float:
 def families(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
 ) -> list[Family]:
-    """All that applies: by delay, most dangerous BV first, in the library's order."""
+    """All that applies: by delay, most dangerous BV first, by label; whatever order evidence gave the library."""
     found = []
     for delay in sorted(situations):
         for target in situations[delay].target_list():
             words = set(target.applies())
-            for entry in library:
+            for entry in sorted(library, key=lambda e: e.label):
                 if words & set(entry.applies) and (not allowed or entry.label in allowed):
-                    found += [Family(delay, target, entry, planner) for planner in entry.planners]
+                    planners = sorted(entry.planners, key=lambda p: (p.mode, p.hash))
+                    found += [Family(delay, target, entry, planner) for planner in planners]
     return found
 
 
@@ -111,17 +116,40 @@ class Expert:
 
     def predict(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Fill the pool: every way that applies, drawn and scored; more where nothing of it is good."""
+        self.pool = []
+        self.widen(situations, library)
+
+    def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
+        """Add to the pool what the library has and the pool has not; more where nothing is good then."""
         ways = families(situations, library, self._allowed)
-        self.pool = self.draw(ways, self._count)
+        known = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
+        fresh = [w for w in ways if (w.delay, w.target.state.id, w.entry.label, w.planner.hash) not in known]
+        self.pool += self.draw(fresh, self._count // 2 if self.pool else self._count)
         while ways and len(self.pool) < min(self.wanted(self.pool), AT_FIRST * self._count):
             self.pool += self.more(ways, sorted(self.pool, key=self.price))
+        self.pool = self.firmed(self.pool)
+
+    def firmed(self, pool: Sequence[Proposal]) -> list[Proposal]:
+        """The pool with the best ones weighed together with their neighbours, and these."""
+        pool = sorted(pool, key=self.price)
+        for _ in range(ROUNDS):
+            if not pool or firm(pool[0]) or pool[0].score >= AVOIDABLE:
+                break
+            best = [p for p in pool if p.score < AVOIDABLE and not firm(p)][:FIRMED]
+            chosen = {id(p) for p in best}
+            weighed = firmed(best, lambda near: self.hindsight.weigh(self._scorer.score(near)), self._draw)
+            pool = sorted([p for p in pool if id(p) not in chosen] + weighed, key=self.price)
+        return pool
 
     def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """The intents of the pool, most dangerous first; where none reaches it avoidably, new ones come first."""
+        """The intents of the pool, most dangerous first; where few proposals reach it avoidably, new ones come last,
+        and first where none does."""
         ranked = self._ranked(library)
-        if not any(p.score < AVOIDABLE for p in self.pool) and not self._allowed:
-            return compose(situations, library) + ranked
-        return ranked
+        good = sum(p.score < AVOIDABLE for p in self.pool)
+        if good >= FEW or self._allowed:
+            return ranked
+        composed = compose(situations, library)
+        return ranked + composed if good else composed + ranked
 
     def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
         """``count`` scored proposals, round robin; the first of each family with its author's numbers."""
@@ -134,13 +162,15 @@ class Expert:
         return self.hindsight.weigh(self._scorer.score(drawn))
 
     def price(self, p: Proposal) -> float:
-        """The predicted score, and what evidence of its planner adds to it."""
-        return p.score + self._bias.get(p.planner.hash, 0.0)
+        """The predicted score, what evidence of its planner adds to it, and how late the contact comes."""
+        late = LATE * float(p.predicted.get("time", 0.0)) if p.score < REACHES else 0.0
+        return p.score + self._bias.get(p.planner.hash, 0.0) + late
 
-    def wanted(self, pool: Sequence[Proposal]) -> int:
-        """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing."""
+    def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
+        """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing, and
+        ever more as attempts go on."""
         best = min((p.score for p in pool), default=REACHES)
-        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN)
+        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + REDRAW * tried)
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
         """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""
@@ -150,15 +180,8 @@ class Expert:
         """``count`` scored proposals whose numbers are near those of the given ones, in turn."""
         if not proposals:
             return []
-        drawn = [self._varied(proposals[k % len(proposals)]) for k in range(count)]
+        drawn = [varied(proposals[k % len(proposals)], self._draw) for k in range(count)]
         return self.hindsight.weigh(self._scorer.score(drawn))
-
-    def _varied(self, p: Proposal) -> Proposal:
-        numbers = {}
-        for q in p.planner.parameters:
-            value = p.parameters[q.name] + self._draw.gauss(0.0, SPREAD * (q.high - q.low))
-            numbers[q.name] = round(min(max(value, q.low), q.high), 4)
-        return replace(p, parameters=numbers)
 
     def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         groups: dict[tuple[str, str], list[Proposal]] = {}

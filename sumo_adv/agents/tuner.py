@@ -57,7 +57,7 @@ class Tuner:
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
         open_ = self._open()
-        while self._drawn < self._expert.wanted(open_):
+        while self._drawn < self._expert.wanted(open_, self._count):
             ways = [w for w in self._ways if self._by_planner[w.planner.hash] < self._share]
             fresh = self._expert.more(ways, sorted(open_, key=self._price))
             self._drawn += max(len(fresh), 1)
@@ -65,6 +65,9 @@ class Tuner:
             open_ = self._open()
         if not open_:
             return None
+        closed = [p for p in self.pool if self._by_planner[p.planner.hash] >= self._share]
+        open_ = self._expert.firmed(open_)
+        self.pool = closed + open_
         return self._take(self._chosen(open_))
 
     def _take(self, chosen: Proposal) -> Proposal:

@@ -226,7 +226,7 @@ def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequenc
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
     if entries != library:
-        met.expert.predict(situations, entries)
+        met.expert.widen(situations, entries)
     return entries
 
 

@@ -22,11 +22,12 @@ from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
 NONE, MISS, OFF_ROAD, THIRD, REAR = 1.2, 1.5, 3.0, 4.0, 5.0
+WARNED, ENOUGH = 0.3, 2.0  # taken off ``NONE`` for so many s of warning: what nearly could have been avoided
 DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
 BY_MANOEUVRE = (0.8, 0.4, 0.25, 0.12)  # score by the last of them at which one still helps
 BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
 SLOWER = 0.4  # s
-GRAZE, GRAZES = 0.3, 0.5  # m; score of a contact that a vehicle so much smaller would not have made: a near miss, maybe
+GRAZE, GRAZES = 0.3, 0.15  # m; score of a contact that one so much smaller would not have made: maybe a near miss
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
 
@@ -56,7 +57,8 @@ def judge_all(
     if len(good):
         found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
         careful[good], late, manoeuvre[good], hazard[good] = found
-        score[good] = _score(careful[good], late, manoeuvre[good]) + np.where(firm[good], 0.0, GRAZES)
+        warning = (last[good] - hazard[good]) * situation.dt
+        score[good] = _score(careful[good], late, manoeuvre[good], warning) + np.where(firm[good], 0.0, GRAZES)
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
@@ -84,9 +86,9 @@ def _first(holds: Bools) -> Any:
     return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
 
 
-def _score(careful: Bools, late: Bools, manoeuvre: Bools) -> Floats:
+def _score(careful: Bools, late: Bools, manoeuvre: Bools, warning: Floats) -> Floats:
     """By who avoids it and with what to spare: winners at the verdict's very edge do not survive a little noise."""
-    score = np.full(len(careful), NONE)
+    score = NONE - WARNED * np.clip(warning / ENOUGH, 0.0, 1.0)
     for k, value in enumerate(BY_MANOEUVRE):
         score = np.where(manoeuvre[:, k], value, score)
     return np.where(careful, np.where(late, BY_LATE_CAREFUL, BY_CAREFUL), score)

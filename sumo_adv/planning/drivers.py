@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, EgoCourse, Floats
+from sumo_adv.planning.careful import CarefulDrivers
 from sumo_adv.planning.forecast import profile_at
 from sumo_adv.situation import Situation
 
@@ -24,8 +25,6 @@ ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
-CAREFUL_DELAY, CAREFUL_BRAKE, CAREFUL_RAMP = 1.15, 7.59, 0.6  # s, m/s2, s: UN R157
-SEEN_SHIFT = 0.375  # m: UN R157, lateral movement that can be perceived
 FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
 AHEAD = 1.0  # s by which a driver who gives way wants to be over before others come (SUMO's jmTimegapMinor)
 STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
@@ -35,12 +34,14 @@ CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle 
 class Blocked(NamedTuple):
     """Who could be in the ego's way at a junction, ``(n,)``.
 
-    begins: the station of the ego's path [m] that they block, inf while they are not on the junction; speed: with which
-    that moves on [m/s]; before, behind: metres that their front has to the place where the ways meet, their rear to the
-    end of the junction; meets: the station of that place on the ego's path [m], inf where the ways do not meet.
+    begins: the station of the ego's path [m] that they block, inf while they are not on the junction; beside: metres
+    behind it where the ego still counts as behind them; speed: with which that moves on [m/s]; before, behind: metres
+    that their front has to the place where the ways meet, their rear to the end of the junction; meets: the station of
+    that place on the ego's path [m], inf where the ways do not meet.
     """
 
     begins: Floats
+    beside: Floats
     speed: Floats
     before: Floats
     behind: Floats
@@ -66,8 +67,9 @@ class PredictedEgos:
         self.disturbed = np.zeros(n, bool)
         self._was_inside = np.zeros(n, bool)
         self._edges = seen_edges(situation.lane_width, situation.ego.width)
-        self._furthest = np.zeros(n)
-        self._seen_at = np.full(n, np.inf)
+        mine = (situation.ego.length, situation.ego.width)
+        careful = self.model["kind"] == "careful"
+        self._careful = CarefulDrivers(mine, length, width, situation.dt) if careful else None
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -94,7 +96,8 @@ class PredictedEgos:
         pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
         free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
         bound = np.where(leads, self._following(gap, speed), np.inf)
-        bound = np.minimum(bound, self._careful(now, d, speed, s))
+        if self._careful is not None:
+            bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
         bound = np.minimum(bound, self._yielding(blocked, speed))
         bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
         self.disturbed |= bound < next_v - 0.05
@@ -131,7 +134,8 @@ class PredictedEgos:
             return np.full(len(self.s), np.inf)
         half = self.situation.ego.length / 2
         gap = blocked.begins - self.s - half
-        bound = np.where((gap > 0.0) & np.isfinite(gap), self._following(np.minimum(gap, FAR), blocked.speed), np.inf)
+        held = (gap > -blocked.beside) & np.isfinite(gap)
+        bound = np.where(held, self._following(np.minimum(gap, FAR), blocked.speed), np.inf)
         room = self.situation.gives_way_at - self.s - half
         waits = self._waits(blocked, speed, room) if np.isfinite(self.situation.gives_way_at) else np.zeros(1, bool)
         if not waits.any():
@@ -161,18 +165,6 @@ class PredictedEgos:
         wish = m["min_gap"] + np.maximum(0.0, v * tau + v * (v - leader) / (2 * np.sqrt(a * b)))
         acceleration = a * (1 - (v / max(m["speed"], 1.0)) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
         return np.maximum(v + acceleration * dt, 0.0)
-
-    def _careful(self, now: float, d: Floats, speed: Floats, s: Floats) -> Floats:
-        """The careful driver's bound: brakes 1.15 s after the adversary has come 0.375 m closer."""
-        if self.model["kind"] != "careful":
-            return np.full(len(d), np.inf)
-        self._furthest = np.maximum(self._furthest, np.abs(d))
-        near = np.abs(s - self.s) < np.maximum(3.0 * np.abs(self.v - speed * 0.5), 30.0)
-        seen = (np.abs(d) < self._furthest - SEEN_SHIFT) & near
-        self._seen_at = np.minimum(self._seen_at, np.where(seen, now, np.inf))
-        since = now - self._seen_at - CAREFUL_DELAY
-        brake = CAREFUL_BRAKE * np.clip(since / CAREFUL_RAMP, 0.0, 1.0)
-        return np.where(since > 0, np.maximum(self.v - brake * self.situation.dt, 0.0), np.inf)
 
 
 def _seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:

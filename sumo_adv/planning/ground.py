@@ -73,10 +73,12 @@ class Ground:
         """
         entry, meets, ego, merging = self._junctions[self.rows.row].T
         half, alone = self.length / 2, 1.0 - merging
-        there = (motion.s + half > entry) & (motion.s - half * alone < meets + IN_THE_WAY * alone)
+        late = merging * motion.v * self.situation.dt  # SUMO's drivers see who comes to a merge a step later
+        there = (motion.s + half - late > entry) & (motion.s - half * alone < meets + IN_THE_WAY * alone)
         begins = np.where(merging > 0, ego - (meets - motion.s) - half, ego - IN_THE_WAY)
         return Blocked(
-            begins=np.where(there, begins, np.inf), speed=np.where(there, merging * motion.v, 0.0),
+            begins=np.where(there, begins, np.inf), beside=merging * self.length,
+            speed=np.where(there, merging * motion.v, 0.0),
             before=meets - motion.s - half, behind=2.0 * meets - entry + half - motion.s, meets=ego,
         )  # fmt: skip
 

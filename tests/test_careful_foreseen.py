@@ -1,0 +1,124 @@
+"""The careful driver as it is foreseen brakes when, and as, the real controller does (on a straight road along x)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.planning.careful import CarefulDrivers, _needed, _overlap, _speed_lost
+from sumo_adv.world.egos import CarefulEgo, LaneSpeed, Observation
+from sumo_adv.world.egos.careful import speed_lost
+from sumo_adv.world.egos.hazard import needed_braking
+
+DT = 0.1
+PATH = tuple((float(x), 0.0) for x in range(-50, 2000, 5))
+Motion = tuple[float, float, float, float, float, float]  # x, y, heading, speed, acceleration, turn rate
+
+
+def states(motion: Motion, steps: int) -> list[tuple[float, float, float, float]]:
+    """x, y, heading, speed a step apart."""
+    x, y, heading, speed, acceleration, turn = motion
+    found = []
+    for _ in range(steps):
+        found.append((x, y, heading, speed))
+        x, y = x + speed * DT * math.cos(heading), y + speed * DT * math.sin(heading)
+        heading, speed = heading + turn * DT, max(speed + acceleration * DT, 0.0)
+    return found
+
+
+def column(values: tuple[float, float, float]) -> tuple[Floats, Floats, Floats]:
+    a, b, c = (np.array([v]) for v in values)
+    return a, b, c
+
+
+def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], list[float]]:
+    """The ego's speeds, driven by the real controller and by the foreseen one."""
+    found = []
+    for foreseen in (False, True):
+        real, many = CarefulEgo(), CarefulDrivers((5.0, 2.0), np.array([5.0]), np.array([2.0]), DT)
+        at, v, a, before = 0.0, speed, 0.0, None
+        speeds = []
+        for k, (x, y, h, w) in enumerate(states(motion, steps)):
+            if foreseen:
+                ego_now, other_now, speed_now = (at, v, a), (x, y, h), np.array([w])
+                bound = many.bound(k * DT, column(ego_now), column(other_now), speed_now)
+                asked = float(bound[0])
+            else:
+                slower = 0.0 if before is None else (w - before) / DT
+                ego = VehicleState("ego", at, 0.0, 0.0, v, a, 5.0, 2.0, "")
+                other = VehicleState("bv", x, y, h, w, slower, 5.0, 2.0, "")
+                action = real.act(Observation(k * DT, DT, ego, (other,), path=PATH))
+                asked = action.speed if isinstance(action, LaneSpeed) else math.inf
+            before = w
+            a, v = (min(v, asked) - v) / DT, min(v, asked)
+            at += v * DT
+            speeds.append(v)
+        found.append(speeds)
+    return found[0], found[1]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.floats(5.0, 30.0), st.floats(6.0, 60.0), st.floats(-5.0, 5.0), st.floats(-0.15, 0.15), st.floats(0.0, 30.0),
+    st.floats(-4.0, 2.0), st.floats(-0.03, 0.03),
+)  # fmt: skip
+def test_one_that_goes_the_same_way_is_braked_for_as_the_controller_does(
+    speed: float, x: float, y: float, heading: float, other: float, acceleration: float, turn: float
+) -> None:
+    """But for a step where rounding decides: full braking is 0.76 m/s a step."""
+    real, foreseen = braked(speed, (x, y, heading, other, acceleration, turn))
+    assert foreseen == pytest.approx(real, abs=0.8)
+
+
+@pytest.mark.parametrize(
+    ("speed", "motion"),
+    [
+        (10.0, (90.0, 3.2, math.pi + 0.1, 12.0, 0.0, -0.02)),  # comes over the line
+        (10.0, (90.0, 3.2, math.pi, 12.0, 0.0, 0.0)),  # keeps its lane
+        (12.0, (45.0, -30.0, math.pi / 2, 9.0, 0.0, 0.0)),  # crosses and meets it
+        (12.0, (45.0, -60.0, math.pi / 2, 9.0, 0.0, 0.0)),  # crosses behind it
+        (12.0, (45.0, 40.0, -2.0, 12.0, -1.0, 0.0)),
+    ],
+)
+def test_others_too_within_what_a_coarser_look_makes_of_it(speed: float, motion: Motion) -> None:
+    """A meeting is looked for every 0.2 s, not 0.1 s: braking may begin a step or two later."""
+    real, foreseen = braked(speed, motion)
+    assert (min(real) < speed) == (min(foreseen) < speed)
+    first = [next((k for k, v in enumerate(speeds) if v < speed), None) for speeds in (real, foreseen)]
+    assert first[0] == first[1] or abs(first[0] - first[1]) <= 2  # type: ignore[operator]
+
+
+def test_some_of_these_brake_and_some_do_not() -> None:
+    """That the comparison compares something: a cut-in 8 m ahead at 15 m/s, the ego at 20 m/s, and one that is far."""
+    near, far = (braked(20.0, (x, 3.2, -0.1, 15.0, 0.0, 0.0), 30)[1] for x in (13.0, 300.0))
+    assert min(near) < 15.0
+    assert min(far) == 20.0
+
+
+@given(st.floats(0.1, 40.0), st.floats(-5.0, 100.0), st.floats(0.0, 40.0), st.floats(-9.0, 3.0))
+def test_the_braking_that_is_needed_is_the_controller_s(speed: float, gap: float, leader: float, slower: float) -> None:
+    found = _needed(*(np.array([q]) for q in (speed, gap, leader, slower)))
+    if gap <= 0.0 or gap > 1e-3:
+        assert found[0] == pytest.approx(needed_braking(speed, gap, leader, slower))
+
+
+def test_what_braking_takes_is_the_regulation_s() -> None:
+    since = np.linspace(0.0, 4.0, 41)
+    assert _speed_lost(since) == pytest.approx([speed_lost(float(t)) for t in since])
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "heading", "touch"),
+    [(4.9, 1.9, 0.0, True), (5.1, 0.0, 0.0, False), (0.0, 2.1, 0.0, False), (3.4, 3.4, math.pi / 2, True),
+     (3.6, 0.0, math.pi / 2, False), (4.0, 2.6, math.pi / 4, True), (4.6, 3.2, math.pi / 4, False)],
+)  # fmt: skip
+def test_boxes_overlap(x: float, y: float, heading: float, touch: bool) -> None:
+    """Cars of 5 m by 2 m; across, they reach 2.5 + 1 m along and 1 + 2.5 m sideways; at 45 degrees the other's corner
+    comes (2.5 + 1) / sqrt(2) = 2.47 m near."""
+    found = _overlap(np.array([x]), np.array([y]), np.array([heading]), (5.0, 2.0), (np.array([5.0]), np.array([2.0])))
+    assert found.tolist() == [touch]

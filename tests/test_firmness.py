@@ -1,0 +1,85 @@
+"""Proposals weighed together with their neighbours: a fake scorer whose good place is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from random import Random
+
+import pytest
+
+from sumo_adv.agents.expert import AVOIDABLE, FIRMED, Expert
+from sumo_adv.agents.firmness import FIRM, NEAR, NEIGHBOURS, firm, firmed, varied
+from sumo_adv.datatypes import EgoCourse, Planner, Proposal
+from sumo_adv.planning.source import make_planner
+
+HEAD = "def endpoint(bv, ego, road, parameters, acc, horizon):\n    return {}\n"
+WIDE = make_planner("Shift", "wide", 'PARAMETERS = {"gap": (0.0, -50.0, 50.0, "m", "where")}\n\n' + HEAD, "seed")
+SHARP = make_planner("Shift", "sharp", 'PARAMETERS = {"gap": (0.0, -50.0, 50.0, "m", "there")}\n\n' + HEAD, "seed")
+NOTHING = make_planner("Shift", "fixed", "PARAMETERS = {}\n\n" + HEAD, "seed")
+
+
+class Road:
+    """The wide planner hits from -50 m to 50 m, the sharp one only at 0 m sharp; a miss scores 3."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        self.asked += len(proposals)
+        return [replace(p, score=self._one(p), predicted={"hit": True}) for p in proposals]
+
+    def _one(self, p: Proposal) -> float:
+        if p.planner is WIDE:
+            return 0.4
+        return 0.0 if abs(p.parameters["gap"]) < 1e-3 else 3.0
+
+
+def proposal(planner: Planner, score: float, gap: float = 0.0) -> Proposal:
+    numbers = {"gap": gap} if planner.parameters else {}
+    return Proposal("bv", "Shift", planner, numbers, 0.0, 0.0, score=score, predicted={"hit": True})
+
+
+def test_one_whose_neighbours_miss_loses_to_one_whose_neighbours_hit() -> None:
+    """Sharp: alone 0, with five neighbours that miss (counted as 1.5) a mean of 7.5 / 6 = 1.25, half of it is 0.625."""
+    sharp, wide = proposal(SHARP, 0.0), proposal(WIDE, 0.4)
+    found = firmed([sharp, wide], Road().score, Random(1))
+    assert len(found) == 2 * (1 + NEIGHBOURS) == 12
+    assert found[0].score == pytest.approx(0.625)
+    assert found[6].score == pytest.approx(0.4)
+    assert [p.predicted[FIRM] for p in found[:2]] == [0.0, 3.0]  # what each was alone
+    assert found[1].score == pytest.approx(0.5 * 3.0 + 0.5 * 1.25)
+    assert all(firm(p) for p in found)
+    assert all(p.predicted["hit"] for p in found)
+
+
+def test_a_neighbour_is_near() -> None:
+    """0.04 of the range of 100 m are 4 m; five of them are 20 m."""
+    draw = Random(2)
+    gaps = [varied(proposal(WIDE, 0.4), draw, NEAR).parameters["gap"] for _ in range(300)]
+    assert max(map(abs, gaps)) < 20.0
+    assert 3.0 < sum(map(abs, gaps)) / 300 / 0.798 < 5.0  # the mean of |x| is 0.798 standard deviations
+    assert varied(proposal(WIDE, 0.4), draw).predicted == {}
+
+
+def test_the_expert_asks_neighbours_of_the_best_until_the_best_is_firm() -> None:
+    road = Road()
+    pool = [proposal(SHARP, 0.0), proposal(WIDE, 0.4), *(proposal(WIDE, 0.5, gap=float(k)) for k in range(20))]
+    found = Expert(road, proposals=10, seed=1).firmed(pool)
+    assert road.asked == FIRMED * NEIGHBOURS == 40
+    assert len(found) == 22 + 40
+    assert found[0].planner is WIDE
+    assert firm(found[0])
+    again = Expert(road, proposals=10, seed=1).firmed(found)  # nothing new is asked
+    assert (road.asked, again) == (40, found)
+
+
+def test_nothing_is_asked_where_there_is_nothing_to_choose() -> None:
+    road = Road()
+    expert = Expert(road, proposals=10, seed=1)
+    unavoidable = [proposal(WIDE, AVOIDABLE), proposal(WIDE, 3.0)]
+    fixed = [proposal(NOTHING, 0.0), proposal(WIDE, 0.4)]  # without numbers there are no neighbours
+    assert expert.firmed([]) == []
+    assert expert.firmed(unavoidable) == unavoidable
+    assert expert.firmed(fixed) == fixed
+    assert road.asked == 0
