@@ -11,8 +11,8 @@ import pytest
 from shapely import box
 from situation_samples import car, situation, target
 
-from sumo_adv.datatypes import Boxes, Floats, Planner, Proposal, Role, Track
-from sumo_adv.episode.scoring import GRAZES, NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
+from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, Track
+from sumo_adv.episode.scoring import BEYOND, GRAZES, NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
 from sumo_adv.geometry import make_path
 from sumo_adv.planning.predict import Rollouts
 from sumo_adv.situation import Situation
@@ -21,6 +21,7 @@ from sumo_adv.world.network import Drivable
 STEPS, DT = 60, 0.1
 TIME: Floats = DT * np.arange(float(STEPS))
 PLANNER = Planner("any", "plain", "", (), "seed")
+PROPOSAL = Proposal("bv", "any", PLANNER, {}, 0.0, 0.0)
 State = tuple[Floats, Floats, Floats, Floats]
 
 
@@ -47,7 +48,7 @@ def judged(ego: State, bv: State, others: Sequence[Track] = (), road: tuple[floa
     """The one rollout of these motions on a road between two offsets [m]."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    (found,) = judge_all(scene(bv, others), [Proposal("bv", "any", PLANNER, {}, 0.0, 0.0)], rollouts, drivable)
+    (found,) = judge_all(scene(bv, others), [PROPOSAL], rollouts, drivable, Limits())
     return found
 
 
@@ -173,3 +174,14 @@ def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
     graze, firm = (judged(ego, motion(140.0, aside, 5.0), road=(-4.8, 4.8)) for aside in (1.9, 1.6))
     assert (graze["hit"], firm["hit"]) == (True, True)
     assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
+
+
+def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts() -> None:
+    """At 15 m/s a turn of 0.3 rad/s has 4.5 m/s2 sideways, half a m/s2 more than the limit; of 0.2 rad/s it has 3."""
+    for rate, beyond in ((0.3, True), (0.2, False)):
+        x, y, heading, speed = motion(60.0, DRIFTS, 15.0)
+        heading = heading + rate * np.minimum(TIME, 0.5)
+        found = judged(motion(0.0, 0.0, 30.0), (x, y, heading, speed))
+        assert found["hit"]
+        assert found["beyond"] == beyond
+        assert (found["score"] == BEYOND) == beyond

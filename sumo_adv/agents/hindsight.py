@@ -18,7 +18,7 @@ Key = tuple[str, float]  # BV, delay
 
 SURPRISE = 0.5  # share of what is left of a prediction's weight that goes to what was seen, each time
 WORST = 2.5  # a score above it (a miss by far, a rear-end) counts as this
-HOPELESS = ("off_road", "third_party", "failed")
+HOPELESS = ("off_road", "beyond", "third_party", "failed")
 
 
 class Hindsight:

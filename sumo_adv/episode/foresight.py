@@ -61,7 +61,7 @@ class Foresight:
                 replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situation, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
-        results = judge_all(situation, proposals, rollouts, self._drivable)
+        results = judge_all(situation, proposals, rollouts, self._drivable, settings.limits.limits())
         failed = {p.planner.hash for p in proposals} & set(self.failures)
         return [
             replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})

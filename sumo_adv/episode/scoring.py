@@ -11,17 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Proposal
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
 from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
 from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.feasibility import CRAWL, CURVATURE_SLACK, LATERAL_SLACK
 from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
-NONE, MISS, OFF_ROAD, THIRD, REAR = 1.2, 1.5, 3.0, 4.0, 5.0
+NONE, MISS, OFF_ROAD, BEYOND, THIRD, REAR = 1.2, 1.5, 3.0, 3.0, 4.0, 5.0
 WARNED, ENOUGH = 0.3, 2.0  # taken off ``NONE`` for so many s of warning: what nearly could have been avoided
 DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
 BY_MANOEUVRE = (0.8, 0.4, 0.25, 0.12)  # score by the last of them at which one still helps
@@ -33,7 +34,7 @@ LEAST_STEPS = 3
 
 
 def judge_all(
-    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable
+    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
 ) -> list[dict[str, Any]]:
     """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, and the score."""
     n, steps = rollouts.ego[0].shape
@@ -47,11 +48,12 @@ def judge_all(
     last = np.minimum(contact, steps - 1)
     third = _third_party(situation, proposals, adversary, last)
     off_road = _off_road(adversary, last, drivable)
+    beyond = _beyond(adversary, last, limits, situation.dt)
     rear = hit & _rear(ego, adversary, last)
     least, nearest = _least(ego, adversary, last)
-    good = np.flatnonzero(hit & ~third & ~off_road & ~rear & (contact >= LEAST_STEPS))
+    good = np.flatnonzero(hit & ~third & ~off_road & ~beyond & ~rear & (contact >= LEAST_STEPS))
     score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
-    score = np.where(off_road, OFF_ROAD, score)
+    score = np.where(off_road, OFF_ROAD, np.where(beyond, BEYOND, score))
     score = np.where(third, THIRD, np.where(rear, REAR, score))
     careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
     if len(good):
@@ -64,6 +66,7 @@ def judge_all(
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
             "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
             "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
+            "beyond": bool(beyond[k]),
             "time": float(last[k] * situation.dt), "warning": float((last[k] - hazard[k]) * situation.dt),
         }
         for k in range(n)
@@ -150,6 +153,17 @@ def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
             b = aside * (np.asarray(adversary.width) - 2 * INSET)
             out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
     return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
+
+
+def _beyond(adversary: Boxes, last: Any, limits: Limits, dt: float) -> Bools:
+    """Whether it turns harder than the gates allow."""
+    yaw_rate = np.abs(np.gradient(np.unwrap(adversary.heading, axis=1), dt, axis=1))
+    lateral, curvature = adversary.speed * yaw_rate, yaw_rate / np.maximum(adversary.speed, CRAWL)
+    total = np.hypot(np.gradient(adversary.speed, dt, axis=1), lateral)
+    bad = lateral > limits.lateral + LATERAL_SLACK
+    bad |= curvature > limits.curvature + CURVATURE_SLACK
+    bad |= total > max(limits.braking, limits.acceleration, limits.lateral) + LATERAL_SLACK
+    return np.asarray((bad & (np.arange(bad.shape[1]) <= np.asarray(last)[:, None])).any(axis=1))
 
 
 def _avoidable(
