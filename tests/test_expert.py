@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from situation_samples import neighbour, situation
+from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.expert import Expert, ExpertGenerator
+from sumo_adv.agents.expert import Expert, ExpertGenerator, families
 from sumo_adv.agents.firmness import SPREAD
 from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.planning.source import make_planner
@@ -28,6 +28,16 @@ class Same:
 
     def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
+
+
+class Best:
+    """A brake avoids every proposal: nothing more is drawn."""
+
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        return [replace(p, score=0.05, predicted={"alone": 0.05}) for p in proposals]
+
+
+NEW = "Ramp Merge Rush"
 
 
 def proposal(planner: Planner = SHIFT, gap: float = 2.0, drift: float = 3.0) -> Proposal:
@@ -91,6 +101,65 @@ def test_evidence_of_a_planner_is_added_to_its_price_alone() -> None:
     tried_often, untried = (LibraryEntry(p.label, "", ("neighbour",), (p,)) for p in (SHIFT, other))
     ranked = knowing.analyze({0.0: situation([neighbour()])}, [tried_often, untried])
     assert [i.label for i in ranked] == ["Other", "Shift"]
+
+
+def test_a_later_contact_costs_a_little() -> None:
+    """0.02 a second; nothing where there is no contact that counts."""
+    assert expert().price(replace(proposal(), predicted={"time": 5.0})) == pytest.approx(0.3 + 0.1)
+    assert expert().price(replace(proposal(), score=2.0, predicted={"time": 5.0})) == 2.0
+
+
+# ---- ways to attack
+
+
+def shifts(count: int, mode: str = "side") -> tuple[Planner, ...]:
+    return tuple(make_planner("Shift", mode, f"{TABLE}# version {k}\n{ENDPOINT}", "seed") for k in range(count))
+
+
+def test_of_each_mode_the_two_versions_that_come_first_are_drawn_from() -> None:
+    sides, others = shifts(4), shifts(1, "weave")
+    entry = LibraryEntry("Shift", "", ("neighbour",), (sides[2], *others, sides[0], sides[1], sides[3]))
+    ways = families({0.0: situation([neighbour()])}, [entry])
+    assert [w.planner for w in ways] == [sides[2], *others, sides[0]]
+
+
+def test_what_is_drawn_does_not_hang_on_the_library_s_order() -> None:
+    sides = shifts(2)
+    pools = []
+    for planners in (sides, sides[::-1]):
+        some = Expert(Same(), proposals=9, seed=1)
+        some.predict({0.0: situation([neighbour()])}, [LibraryEntry("Shift", "", ("neighbour",), planners)])
+        pools.append(some.pool)
+    assert pools[0] == pools[1]
+
+
+def test_a_library_that_has_grown_adds_to_the_pool() -> None:
+    """A half of ten for what is new; what was predicted stays."""
+    at = {0.0: situation([neighbour()])}
+    old = LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))
+    new = LibraryEntry("New", "", ("neighbour",), (replace(SHIFT, label="New"),), "generated")
+    some = Expert(Best(), proposals=10, seed=1)
+    some.predict(at, [old])
+    before = list(some.pool)
+    assert len(before) == 10
+    some.widen(at, [old, new])
+    assert some.pool[:10] == before
+    assert [p.label for p in some.pool[10:]] == ["New"] * 5
+    some.widen(at, [old, new])
+    assert len(some.pool) == 15
+
+
+@pytest.mark.parametrize(("good", "first"), [(0, 0), (1, 1), (4, 1), (5, None)])
+def test_where_few_are_avoidable_intents_are_composed_and_where_none_is_they_come_first(
+    good: int, first: int | None
+) -> None:
+    other = crossing()
+    way = replace(other.ways[0], conflict=replace(other.ways[0].conflict, kind="merging"))  # type: ignore[type-var]
+    at = {0.0: situation([replace(other, ways=(way,))])}
+    some = expert()
+    some.pool = [replace(proposal(gap=0.1 * k), score=0.3 if k < good else 1.2) for k in range(10)]
+    labels = [i.label for i in some.ranking(at, [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))])]
+    assert labels == (["Shift"] if first is None else (["Shift", NEW] if first else [NEW, "Shift"]))
 
 
 # ---- planners for new intents

@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from sumo_adv.agents.expert import AVOIDABLE, FIRMED, Expert
-from sumo_adv.agents.firmness import FIRM, NEAR, NEIGHBOURS, firm, firmed, varied
+from sumo_adv.agents.firmness import ALONE, NEAR, NEIGHBOURS, alone, drawn, firm, firmed, varied
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal
 from sumo_adv.planning.source import make_planner
 
@@ -47,9 +47,10 @@ def test_one_whose_neighbours_miss_loses_to_one_whose_neighbours_hit() -> None:
     assert len(found) == 2 * (1 + NEIGHBOURS) == 12
     assert found[0].score == pytest.approx(0.625)
     assert found[6].score == pytest.approx(0.4)
-    assert [p.predicted[FIRM] for p in found[:2]] == [0.0, 3.0]  # what each was alone
+    assert [alone(p) for p in found[:2]] == [0.0, 3.0]  # what each was alone
     assert found[1].score == pytest.approx(0.5 * 3.0 + 0.5 * 1.25)
     assert all(firm(p) for p in found)
+    assert [p.predicted[ALONE] for p in drawn(found)] == [0.0, 0.4]  # neighbours are not counted as drawn
     assert all(p.predicted["hit"] for p in found)
 
 
@@ -68,8 +69,9 @@ def test_the_expert_asks_neighbours_of_the_best_until_the_best_is_firm() -> None
     found = Expert(road, proposals=10, seed=1).firmed(pool)
     assert road.asked == FIRMED * NEIGHBOURS == 40
     assert len(found) == 22 + 40
-    assert found[0].planner is WIDE
-    assert firm(found[0])
+    best = min(found, key=lambda p: p.score)
+    assert best.planner is WIDE
+    assert firm(best)
     again = Expert(road, proposals=10, seed=1).firmed(found)  # nothing new is asked
     assert (road.asked, again) == (40, found)
 
@@ -79,7 +81,31 @@ def test_nothing_is_asked_where_there_is_nothing_to_choose() -> None:
     expert = Expert(road, proposals=10, seed=1)
     unavoidable = [proposal(WIDE, AVOIDABLE), proposal(WIDE, 3.0)]
     fixed = [proposal(NOTHING, 0.0), proposal(WIDE, 0.4)]  # without numbers there are no neighbours
+    known = [replace(proposal(WIDE, 0.0), by="memory"), proposal(WIDE, 0.4)]  # it worked before
     assert expert.firmed([]) == []
     assert expert.firmed(unavoidable) == unavoidable
     assert expert.firmed(fixed) == fixed
+    assert expert.firmed(known) == known
     assert road.asked == 0
+
+
+def test_of_equals_a_firm_one_is_taken() -> None:
+    """All wide ones score 0.4: after one round the first is firm, and nothing more is asked."""
+    road = Road()
+    pool = [proposal(WIDE, 0.4, gap=float(k)) for k in range(30)]
+    found = Expert(road, proposals=10, seed=1).firmed(pool)
+    assert road.asked == FIRMED * NEIGHBOURS
+    assert firm(min(found, key=lambda p: p.score))
+
+
+def test_another_order_of_choice_is_made_firm_as_well() -> None:
+    road = Road()
+    pool = [proposal(WIDE, 0.4), proposal(WIDE, 0.6, gap=10.0)]
+    found = Expert(road, proposals=10, seed=1).firmed(pool, lambda some: max(some, key=lambda p: p.score))
+    assert all(firm(p) for p in found)
+    assert road.asked == 2 * NEIGHBOURS
+
+
+def test_what_the_tuner_varies_is_the_tuner_s() -> None:
+    near = firmed([replace(proposal(WIDE, 0.4), by="memory")], Road().score, Random(1))
+    assert [p.by for p in near] == ["memory", *["tuner"] * NEIGHBOURS]

@@ -99,3 +99,13 @@ def test_what_is_hopeless_whatever_the_ego_does_is_left_as_it_is(why: dict[str, 
     assert found[0] is pool[0]
     assert scores(found) == pytest.approx([3.0, 0.6])
     assert scorer.asked[0][0] == pool[1:]
+
+
+def test_what_was_firm_starts_from_its_own_score_and_is_to_be_firmed_again() -> None:
+    """Alone 0.0, with its neighbours 0.6; against the ego that was seen 1.0: the mean of 0.0 and 1.0."""
+    hindsight = Hindsight(BySpeed())
+    pool = [proposal(0.6, alone=0.0)]
+    key = hindsight.surprised(pool[0], SLOW)
+    once = hindsight.weigh(pool, key)
+    assert once[0].score == pytest.approx(0.5)
+    assert once[0].predicted == {"min_ttc": 0.0, "before": 0.0, "seen": 1.0}

@@ -315,7 +315,7 @@ def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> N
                 speeds.append(simulation.read().raw["ego"][3])
             steps = [a - b for a, b in itertools.pairwise(speeds)]
             assert max(steps) <= 0.9 + 1e-6
-            assert max(steps) > (0.89 if not asked else 0.0)
+            assert max(steps) > (0.89 if not asked else 0.5)  # more than its own 0.45
             assert simulation.model("ego")["deceleration"] == own == pytest.approx(4.5)
             simulation.set_speed("ego", None)
             simulation.step()

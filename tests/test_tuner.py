@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
+from sumo_adv.agents.firmness import drawn
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
 from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.foresight import _batches
@@ -153,34 +154,36 @@ def test_tries_cost_so_another_family_has_its_turn():
     expert = Expert(NeverHits(), proposals=1, seed=1)
     planner_a, planner_b = near.planners[0], far.planners[0]
     bv = next(iter(situation.targets))
-    expert.pool = [Proposal(bv, "Near", planner_a, {}, 0.0, 0.0, score=0.01 * k) for k in range(4)]
-    expert.pool.append(Proposal(bv, "Other", planner_b, {}, 0.0, 0.0, score=TRIED_PRICE + 0.015))
+    expert.pool = [Proposal(bv, "Near", planner_a, {}, 0.0, 0.0, by="memory", score=0.01 * k) for k in range(4)]
+    expert.pool.append(Proposal(bv, "Other", planner_b, {}, 0.0, 0.0, by="memory", score=TRIED_PRICE + 0.015))
     tuner = Tuner(expert, [], share=8)
     # 0.00 first; then 0.01 + 0.12 against 0.135: Near again (0.13); third turn goes to the least tried family
     assert [p.label for p in tried(tuner, 3)] == ["Near", "Near", "Other"]
 
 
 @pytest.mark.parametrize(
-    ("scores", "at_first", "drawn"),
+    ("scores", "at_first", "then", "next_time"),
     [
-        ([(1, 4.0)], 90, 30 + 12 * 60),  # nothing reaches it: on until 720 are drawn
-        ([(1, 1.2)], 90, 30 + 12 * 60),  # nor would a collision that nobody could avoid do
-        ([(200, 1.2), (1, 0.5)], 90, 30 + 3 * 60),  # the third round brings something avoidable, and that was a lot
-        ([(1, 0.5)], 90, 30 + 2 * 60),  # something is avoidable at once: 120 more
-        ([(40, 0.5), (1, 0.05)], 90, 30 + 1 * 60),  # a brake would do after the first round
-        ([(1, 0.05)], 30, 30),  # a brake would do already
+        ([(1, 4.0)], 90, 30 + 12 * 60, 60),  # nothing reaches it: on until 720 are drawn, and 60 more an attempt
+        ([(1, 1.2)], 90, 30 + 12 * 60, 60),  # nor would a collision that nobody could avoid do
+        ([(1, 0.5)], 90, 30 + 2 * 60, 0),  # something is avoidable at once: 120 more
+        ([(40, 0.5), (1, 0.05)], 90, 30 + 1 * 60, 0),  # a brake would do after the first round
+        ([(1, 0.05)], 30, 30, 0),  # a brake would do already
     ],
 )
-def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, drawn):
-    """30 are wanted: the analysis draws up to three times as many, the tuner goes on from there."""
-    scorer = InTurn(*scores)
-    tuner = tuner_of(scorer)
-    assert scorer.asked == at_first
-    assert tuner.next() is not None
-    assert scorer.asked == drawn
-    assert len(tuner.pool) == drawn - 1
-    tuner.next()
-    assert scorer.asked == drawn  # and not again for the next one
+def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, next_time):
+    """30 are wanted: the analysis draws up to three times as many, the tuner goes on from there; neighbours of the best
+    ones are not counted."""
+    tuner, taken = tuner_of(InTurn(*scores)), []
+
+    def count():
+        return len(drawn([*tuner.pool, *taken]))
+
+    assert count() == at_first
+    taken.append(tuner.next())
+    assert count() == then
+    taken.append(tuner.next())
+    assert count() == then + next_time
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
@@ -190,7 +193,7 @@ def test_half_of_what_is_redrawn_is_near_the_best_ones():
     best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.3) for p in tuner.pool[:10]]
     tuner.pool[:10] = best
     tuner.next()
-    last_round = tuner.pool[89 : 89 + 60]  # one of the 90 is taken
+    last_round = tuner.pool[-60:]
     gaps = [p.parameters["gap"] for p in last_round]
     assert np.mean(gaps[30:]) < -2.2
     assert np.mean(gaps[:30]) > -1.0

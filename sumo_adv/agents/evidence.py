@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from sumo_adv.agents.expert import REACHES
+from sumo_adv.agents.firmness import alone, drawn
 from sumo_adv.agents.prompts import tame
 from sumo_adv.agents.scene import Names
 from sumo_adv.datatypes import LibraryEntry, Proposal
@@ -21,7 +22,7 @@ def evidence_words(
     """A line for each BV and behaviour in the ``pool`` of predicted proposals, the ways of carrying each behaviour
     out, and what the bank remembers (``remembered``: label -> words)."""
     groups: dict[tuple[str, str], list[Proposal]] = {}
-    for p in pool:
+    for p in drawn(pool):
         if p.bv in names.aliases:
             groups.setdefault((names.aliases[p.bv], p.label), []).append(p)
     lines = [HEADING, *(_line(alias, label, members) for (alias, label), members in sorted(groups.items()))]
@@ -35,13 +36,17 @@ def evidence_words(
 
 def _line(alias: str, label: str, members: Sequence[Proposal]) -> str:
     told = [p.predicted for p in members if "hit" in p.predicted]
-    hits = [p for p in members if p.predicted.get("hit") and p.score < REACHES]
+    hits = [p for p in members if p.predicted.get("hit") and alone(p) < REACHES]
     if not told:
         return f"- {alias}, {tame(label)}: its planners failed."
     if not hits:
         least = min(told, key=lambda r: (r["min_ttc"], r["gap"]))
         spoilt = sum(bool(r["hit"]) for r in told)
-        why = f", {spoilt} hit but spoilt (from behind, a third vehicle or off the road)" if spoilt else ""
+        why = (
+            f", {spoilt} hit but spoilt (from behind, a third vehicle, off the road or turning too hard)"
+            if spoilt
+            else ""
+        )
         near = f"least TTC {least['min_ttc']:.1f} s" if least["min_ttc"] < 10 else f"nearest {least['gap']:.1f} m"
         return f"- {alias}, {tame(label)}: none of {len(members)} candidates collides properly{why}; {near}."
     careful = sum(bool(p.predicted["careful"]) for p in hits)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import random
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from sumo_adv.agents.firmness import firm, firmed, varied
+from sumo_adv.agents.firmness import alone, drawn, firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
@@ -24,6 +25,7 @@ BRAKES = 0.1  # a score below is one that a careful driver who only brakes could
 REDRAW = 60  # proposals drawn at once where the first were not good
 FOR_BRAKES = 120  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
 MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` more for each attempt
+VERSIONS = 2  # of a mode that are drawn from
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 3  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
@@ -75,15 +77,26 @@ def _drawn(parameter: Parameter, draw: random.Random) -> float:
 def families(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
 ) -> list[Family]:
-    """All that applies: by delay, most dangerous BV first, by label; whatever order evidence gave the library."""
+    """All that applies: by delay, most dangerous BV first, in the library's order; of each mode the ``VERSIONS`` that
+    come first there."""
     found = []
     for delay in sorted(situations):
         for target in situations[delay].target_list():
             words = set(target.applies())
-            for entry in sorted(library, key=lambda e: e.label):
+            for entry in library:
                 if words & set(entry.applies) and (not allowed or entry.label in allowed):
-                    planners = sorted(entry.planners, key=lambda p: (p.mode, p.hash))
-                    found += [Family(delay, target, entry, planner) for planner in planners]
+                    found += [Family(delay, target, entry, planner) for planner in _first_versions(entry.planners)]
+    return found
+
+
+def _first_versions(planners: Sequence[Planner]) -> list[Planner]:
+    """At most ``VERSIONS`` planners of a mode: versions that were learnt must not crowd out the other modes."""
+    count: Counter[str] = Counter()
+    found = []
+    for planner in planners:
+        count[planner.mode] += 1
+        if count[planner.mode] <= VERSIONS:
+            found.append(planner)
     return found
 
 
@@ -129,37 +142,45 @@ class Expert:
             self.pool += self.more(ways, sorted(self.pool, key=self.price))
         self.pool = self.firmed(self.pool)
 
-    def firmed(self, pool: Sequence[Proposal]) -> list[Proposal]:
-        """The pool with the best ones weighed together with their neighbours, and these."""
-        pool = sorted(pool, key=self.price)
-        for _ in range(ROUNDS):
-            if not pool or firm(pool[0]) or pool[0].score >= AVOIDABLE:
+    def firmed(
+        self, pool: Sequence[Proposal], choose: Callable[[Sequence[Proposal]], Proposal] | None = None
+    ) -> list[Proposal]:
+        """The pool with the best ones weighed together with their neighbours, and these, until what would be chosen
+        (the one with the least price, if not said otherwise) is firm."""
+        found = list(pool)
+        for _ in range(ROUNDS if found else 0):
+            first = choose(found) if choose is not None else min(found, key=self.price)
+            if firm(first) or first.score >= AVOIDABLE:
                 break
-            best = [p for p in pool if p.score < AVOIDABLE and not firm(p)][:FIRMED]
-            chosen = {id(p) for p in best}
+            loose = [p for p in found if p is not first and not firm(p) and p.score < AVOIDABLE]
+            best = [first, *sorted(loose, key=self.price)[: FIRMED - 1]]
+            taken = {id(p) for p in best}
             weighed = firmed(best, lambda near: self.hindsight.weigh(self._scorer.score(near)), self._draw)
-            pool = sorted([p for p in pool if id(p) not in chosen] + weighed, key=self.price)
-        return pool
+            found = weighed + [p for p in found if id(p) not in taken]  # of equals a firm one comes first
+        return found
 
     def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
         """The intents of the pool, most dangerous first; where few proposals reach it avoidably, new ones come last,
         and first where none does."""
         ranked = self._ranked(library)
-        good = sum(p.score < AVOIDABLE for p in self.pool)
+        good = sum(alone(p) < AVOIDABLE for p in drawn(self.pool))
         if good >= FEW or self._allowed:
             return ranked
         composed = compose(situations, library)
         return ranked + composed if good else composed + ranked
 
     def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
-        """``count`` scored proposals, round robin; the first of each family with its author's numbers."""
+        """``count`` scored proposals, round robin; the first of each family with its author's numbers.
+
+        In an order that does not hang on what was learnt, and so the same numbers are drawn."""
         if not ways:
             return []
-        drawn = [
+        ways = sorted(ways, key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
+        found = [
             ways[k % len(ways)].proposal(None if defaults and k < len(ways) else self._draw)
             for k in range(max(count, len(ways) if defaults else 0))
         ]
-        return self.hindsight.weigh(self._scorer.score(drawn))
+        return self.hindsight.weigh(self._scorer.score(found))
 
     def price(self, p: Proposal) -> float:
         """The predicted score, what evidence of its planner adds to it, and how late the contact comes."""
@@ -180,8 +201,8 @@ class Expert:
         """``count`` scored proposals whose numbers are near those of the given ones, in turn."""
         if not proposals:
             return []
-        drawn = [varied(proposals[k % len(proposals)], self._draw) for k in range(count)]
-        return self.hindsight.weigh(self._scorer.score(drawn))
+        found = [varied(proposals[k % len(proposals)], self._draw) for k in range(count)]
+        return self.hindsight.weigh(self._scorer.score(found))
 
     def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         groups: dict[tuple[str, str], list[Proposal]] = {}
@@ -191,20 +212,21 @@ class Expert:
 
         def order(item: tuple[tuple[str, str], list[Proposal]]) -> tuple[float, float, str, str]:
             key, members = item
-            return (min(map(self.price, members)), -_share(members), *key)
+            return (min(map(self.price, members)), -_share(drawn(members)), *key)
 
         return [_intent(group, described[key[1]]) for key, group in sorted(groups.items(), key=order)]
 
 
 def _share(members: Sequence[Proposal]) -> float:
-    return sum(p.score < REACHES for p in members) / len(members)
+    return sum(alone(p) < REACHES for p in members) / len(members)
 
 
 def _intent(members: Sequence[Proposal], description: str) -> Intent:
     best = min(members, key=lambda p: p.score)
+    members = drawn(members)
     share = _share(members)
     risk = "high" if best.score < AVOIDABLE else ("medium" if best.score < REACHES else "low")
-    valid = sum(p.score < AVOIDABLE for p in members)
+    valid = sum(alone(p) < AVOIDABLE for p in members)
     reason = (
         f"predicted: {share:.0%} of {len(members)} candidates collide, {valid} of them avoidably; "
         f"least TTC {min(float(p.predicted.get('min_ttc', 10.0)) for p in members):.2f} s"

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from sumo_adv.agents.firmness import ALONE
 from sumo_adv.agents.protocols import Scorer
 from sumo_adv.datatypes import EgoCourse, Proposal
 
@@ -43,8 +44,9 @@ class Hindsight:
             return found
         courses = [self._seen[found[k].bv, found[k].delay][0] for k in rows]
         for k, again in zip(rows, self._scorer.score([found[k] for k in rows], courses), strict=True):
-            weight, before = self._seen[again.bv, again.delay][1], found[k].predicted
-            first = float(before.get("before", found[k].score))
+            weight, before = self._seen[again.bv, again.delay][1], dict(found[k].predicted)
+            first = float(before.get("before", before.pop(ALONE, found[k].score)))
+            before.pop(ALONE, None)  # its neighbours are to be asked again
             score = (1.0 - weight) * min(first, WORST) + weight * min(again.score, WORST)
             found[k] = replace(found[k], score=score, predicted={**before, "before": first, "seen": again.score})
         return found

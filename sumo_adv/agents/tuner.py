@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert, Family
+from sumo_adv.agents.firmness import alone, drawn
 from sumo_adv.datatypes import EgoCourse, Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
@@ -36,7 +37,7 @@ class Tuner:
         self._ways = list(ways)
         self._share = share
         self.pool = list(expert.pool)
-        self._drawn = len(self.pool)
+        self._drawn = len(drawn(self.pool))
         self._tries: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[str] = Counter()
         self._count = 0
@@ -66,7 +67,7 @@ class Tuner:
         if not open_:
             return None
         closed = [p for p in self.pool if self._by_planner[p.planner.hash] >= self._share]
-        open_ = self._expert.firmed(open_)
+        open_ = self._expert.firmed(open_, self._chosen)
         self.pool = closed + open_
         return self._take(self._chosen(open_))
 
@@ -79,7 +80,7 @@ class Tuner:
 
     def heard(self, tried: Proposal, course: EgoCourse, valid: bool) -> None:
         """How the ego went in an attempt; where that was predicted otherwise, the pool is weighed anew."""
-        if (tried.score < AVOIDABLE) != valid:
+        if (alone(tried) < AVOIDABLE) != valid:
             hindsight = self._expert.hindsight
             self.pool = hindsight.weigh(self.pool, hindsight.surprised(tried, course))
 

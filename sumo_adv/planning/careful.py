@@ -2,7 +2,8 @@
 
 The rules are those of ``world/egos/hazard.py`` and ``careful.py`` (UN R157), for the adversary alone: when it alarms
 the driver, and how the driver then brakes. There the path is the engine's and boxes stand in the world; here stations
-and offsets stand for both, which is the same on a straight road and nearly so on a bend.
+and offsets stand for both, which is the same on a straight road and nearly so on a bend. Left out: what the driver saw
+before the attack began, and of a vehicle that crosses without coming nearer its box's TTC (whether they meet decides).
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ MEMORY = 0.5  # s without a hazard until the driver is at ease again
 OWN_BRAKING, GENTLE, STOPPING_SHORT, ALARM_BRAKING = 4.5, 1.5, 3.0, 3.0  # m/s2
 HALF_LANE = 1.6  # m
 CLOSE_HEADWAY, HEADWAY, SOON, SIGHT = 0.5, 2.0, 1.5, 4.0  # s
-HISTORY = 5  # steps over which yaw rates are measured
+HISTORY = 0.5  # s over which yaw rates are measured
 LOOK_STEP = 0.2  # s between the moments at which a meeting is looked for
 ALIKE, FACING = np.pi / 4, 3 * np.pi / 4
 
 
 class View(NamedTuple):
-    """The adversaries as the drivers see them, ``(n,)``: m, rad, m/s; the ego's speed and acceleration."""
+    """The adversaries as the drivers see them, ``(n,)``: m, rad, m/s; the ego's speed and acceleration (m/s2)."""
 
     ahead: Bools
     away: Floats  # m, along the path between centres
@@ -50,7 +51,7 @@ class CarefulDrivers:
 
     def __init__(self, ego: tuple[float, float], length: Floats, width: Floats, dt: float) -> None:
         self._ego, self._length, self._width, self._dt = ego, length, width, dt
-        n = len(length)
+        n, self._history = len(length), max(1, round(HISTORY / dt))
         self._seen: list[tuple[Floats, Floats, Floats]] = []  # offset, heading, speed of the last steps
         self._drift = np.zeros(n)
         self.alarmed = np.zeros(n, bool)
@@ -83,7 +84,7 @@ class CarefulDrivers:
         first = self._seen[0][1] if self._seen else h
         turned = np.remainder(h - first + np.pi, 2 * np.pi) - np.pi
         span = max(len(self._seen), 1) * self._dt
-        self._seen = [*self._seen, (d, h, speed)][-HISTORY:]
+        self._seen = [*self._seen, (d, h, speed)][-self._history :]
         return View(
             s > at, s - at, d, h, s - at - along - self._ego[0] / 2, np.abs(d) - across - self._ego[1] / 2,
             np.abs(d) - across, speed, speed * np.cos(h), -side * (d - before) / self._dt, -side * speed * np.sin(h),

@@ -305,16 +305,23 @@ class Simulation:
     def set_speed(self, vehicle: str, speed: float | None) -> None:
         """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.
 
-        It brakes at most as hard as in an emergency: a speed that is asked for is clipped to the type's ``decel``, and
-        in the modes that do not clip SUMO's safe speed takes it to a standstill within a step."""
+        It brakes at most as hard as in an emergency: SUMO clips at the ``decel``, which is the emergency's as long as a
+        speed is asked for (also for what SUMO holds for safe); without clipping, its safe speed stops within a step.
+        """
         v = self._sumo.vehicle
-        v.setDecel(vehicle, self._deceleration(vehicle) if speed is None else v.getEmergencyDecel(vehicle))
+        braking = self._deceleration(vehicle) if speed is None else v.getEmergencyDecel(vehicle)
+        if v.getDecel(vehicle) != braking:
+            v.setDecel(vehicle, braking)
         v.setSpeedMode(vehicle, SUMO_SPEED_MODE)
         v.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
 
     def _deceleration(self, vehicle: str) -> float:
-        """The ``decel`` [m/s2] of its type, whatever it was changed to for the vehicle itself."""
-        return float(self._sumo.vehicletype.getDecel(self._sumo.vehicle.getTypeID(vehicle).split("@")[0]))
+        """Its ``decel`` [m/s2] while no speed is asked for."""
+        v = self._sumo.vehicle
+        now = float(v.getDecel(vehicle))
+        if now != v.getEmergencyDecel(vehicle):
+            return now
+        return float(self._sumo.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
 
     def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
         """Ask SUMO's driver to change to the lane of that index."""

@@ -66,7 +66,7 @@ class LaneSpeed:
     """SUMO keeps the lane: go to ``lane`` (index from the right; None = stay), be at ``speed`` [m/s] after the step.
 
     SUMO goes slower than asked where it must (safe distance, red light). The ego can brake harder than the vType's
-    ``decel``, up to its ``emergencyDecel``.
+    ``decel``, up to its ``emergencyDecel``; so does SUMO for what it holds for safe, as long as a speed is asked for.
     """
 
     lane: int | None
