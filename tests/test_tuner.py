@@ -164,15 +164,15 @@ def test_tries_cost_so_another_family_has_its_turn():
 @pytest.mark.parametrize(
     ("scores", "at_first", "then", "next_time"),
     [
-        ([(1, 4.0)], 90, 30 + 12 * 60, 60),  # nothing reaches it: on until 720 are drawn, and 60 more an attempt
-        ([(1, 1.2)], 90, 30 + 12 * 60, 60),  # nor would a collision that nobody could avoid do
-        ([(1, 0.5)], 90, 30 + 2 * 60, 0),  # something is avoidable at once: 120 more
+        ([(1, 4.0)], 210, 30 + 12 * 60, 60),  # nothing reaches it: on until 720 are drawn, and 60 more an attempt
+        ([(1, 1.2)], 210, 30 + 12 * 60, 60),  # nor would a collision that nobody could avoid do
+        ([(1, 0.5)], 150, 30 + 2 * 60, 0),  # something is avoidable at once: 120 more
         ([(40, 0.5), (1, 0.05)], 90, 30 + 1 * 60, 0),  # a brake would do after the first round
         ([(1, 0.05)], 30, 30, 0),  # a brake would do already
     ],
 )
 def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, next_time):
-    """30 are wanted: the analysis draws up to three times as many, the tuner goes on from there; neighbours of the best
+    """30 are wanted: the analysis draws up to six times as many, the tuner goes on from there; neighbours of the best
     ones are not counted."""
     tuner, taken = tuner_of(InTurn(*scores)), []
 
