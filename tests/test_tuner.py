@@ -189,8 +189,8 @@ def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brak
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
     """Of the gaps from -3 to 4 m those of the ten best are all -3 m: with a spread of 0.12 * 7 = 0.84 m, cut off at the
     bound, variations lie at -2.7 m in the mean, evenly drawn ones at 0.5 m."""
-    tuner = tuner_of(InTurn((1, 0.5)))
-    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.3) for p in tuner.pool[:10]]
+    tuner = tuner_of(InTurn((1, 1.2)))
+    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in tuner.pool[:10]]
     tuner.pool[:10] = best
     tuner.next()
     last_round = tuner.pool[-60:]
