@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from sumo_adv import __version__
+from sumo_adv.agents.expert import NAME as EXPERT
 from sumo_adv.agents.expert import applies_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.cast import Cast
@@ -154,7 +155,10 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
 
 
 def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
-    """Write one piece of evidence; True if it is a success."""
+    """Write one piece of evidence; True if it is a success.
+
+    An intent that the expert composed comes with all its modes: they are the bank's own, for another movement, and
+    where the bank has the intent none is composed any more."""
     evidence = _evidence(episode, attempt)
     entry = next(e for e in entries if e.label == attempt.proposal.label)
     planner = attempt.proposal.planner
@@ -162,6 +166,9 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     if not evidence.success and not known:
         return False
     record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
+    adapted = [p for p in entry.planners if p.origin == EXPERT and p.hash != planner.hash]
+    if evidence.success and record is not None and adapted:
+        bank.add(record, adapted)
     bank.record(evidence, intent=record, planner=None if known else planner)
     return evidence.success
 
