@@ -63,18 +63,23 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     refused(program("memory", "add", "trail.py", "--label", "trailing along", *use), "already, as the mode 'trail'")
     refused(program("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), "Say which: memory merge")
     merged = told(program("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json"))
-    assert merged == {"merged": "Trailing Along", "into": "Straight Lane Shift", "modes": ["side", "trail", "weave"]}
+    assert merged == {
+        "merged": "Trailing Along",
+        "into": "Straight Lane Shift",
+        "modes": ["side", "tail", "trail", "weave"],
+    }
     retired = told(program("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
-    assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["side", "weave"]}
+    assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["side", "tail", "weave"]}
     found = told(program("memory", "find", "Trailing along", *use, "--json"))
     assert found["hit"] == "Straight Lane Shift"
     assert found["band"] is False
     counts = told(program("memory", "stats", *use, "--json"))
-    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 18, 0)
+    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 21, 0)
     assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
     shown = told(program("memory", "show", "Straight Lane Shift", *use, "--json"))
     assert [(p["mode"], p["origin"], p["status"]) for p in shown["planners"]] == [
-        ("side", "seed", "active"), ("trail", "person", "retired"), ("weave", "seed", "active"),
+        ("side", "seed", "active"), ("tail", "seed", "active"), ("trail", "person", "retired"),
+        ("weave", "seed", "active"),
     ]  # fmt: skip
 
 
@@ -166,7 +171,7 @@ def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:
             for planner in bank.planners(record.label)
         }
     assert set(results.values()) == {None}
-    assert len(results) == 17
+    assert len(results) == 20
 
 
 HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]

@@ -174,7 +174,7 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(tmp_path: Path) -> None
 def real(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Path:
     """A run in which the second attempt counts."""
     done = Program(tmp_path_factory.mktemp("real"), caches)(
-        "run", "priority_left_turn_oncoming", "--until", "valid", "--learn", "off", "--out", "out"
+        "run", "motorway_cut_in_left", "--seed", "2", "--until", "valid", "--learn", "off", "--out", "out"
     )
     assert done.status == 0, done.err
     assert done.outcome["best"] > 0
