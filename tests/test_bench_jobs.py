@@ -12,7 +12,7 @@ import pytest
 from cli_samples import ROOT
 
 from sumo_adv.benchmark.banks import bank_of, known_place
-from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, make_jobs, slug
+from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, example_path, examples_of, make_jobs, slug
 from sumo_adv.benchmark.methods import ABLATIONS, FIXED_LIBRARY, REFERENCE, Method, method_of
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.errors import UsageError
@@ -27,7 +27,11 @@ def nobody(*_: Any) -> Iterator[None]:
     yield None
 
 
-PARTS = Parts(lambda path, record: None, nobody, lambda episode: {}, lambda path, episode: None)  # type: ignore[arg-type, return-value]
+def unused(path: Path, episode: Any) -> None:
+    return None
+
+
+PARTS = Parts(lambda path, record: None, nobody, lambda episode: {}, unused, unused)  # type: ignore[arg-type, return-value]
 
 
 def test_rows_that_change_nothing_of_the_simulation_share_it_and_those_that_learn_are_chains() -> None:
@@ -39,6 +43,16 @@ def test_rows_that_change_nothing_of_the_simulation_share_it_and_those_that_lear
         [("one", 0), ("two", 1), ("three", 2)]
     ] * 2
     assert {job.seed for job in free} == {7}
+
+
+def test_examples_are_the_first_of_two_kinds_of_each_group() -> None:
+    kinds = {
+        "a": ("leader", "straight"), "b": ("leader", "straight"), "c": ("oncoming", "straight"),
+        "d": ("follower", "straight"), "e": ("lights", "intersection"),
+    }  # fmt: skip
+    cases = [Case(name, Path(f"{name}.toml"), None, kind, group) for name, (kind, group) in kinds.items()]
+    assert examples_of(cases) == {"a", "c", "e"}
+    assert example_path(Path("out"), "my:Ego", "a", "expert").name == f"example-{slug('my:Ego')}-expert-a.png"
 
 
 def test_a_row_in_words() -> None:

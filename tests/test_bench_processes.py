@@ -64,7 +64,7 @@ def job(folder: Path, name: str, *rows: str, place: int | None = None) -> Job:
 
 
 def bench(folder: Path, told: Told, deadline: float = 900.0) -> Bench:
-    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, nobody, outcome, keep))
+    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, nobody, outcome, keep, keep))
     return Bench(setup, 2, told, deadline)
 
 

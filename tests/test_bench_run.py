@@ -54,6 +54,19 @@ def test_a_table_is_made_of_cells_and_says_what_it_means(whole: tuple[Program, D
     assert "| `llm-f` | 2 | 0.00 (0.00–0.66) |" in done.out  # Wilson's interval of 0 of 2
 
 
+def test_attacks_on_examples_are_drawn_and_others_are_not(whole: tuple[Program, Done]) -> None:
+    """Both encounters are a suite's first; nobody attacks in ``raw``, and ``llm-f`` has nothing for the T junction."""
+    figures = whole[0].folder / "out" / "figures"
+    drawn = {p.name for p in figures.glob("example-*.png")}
+    attacked = {
+        f"example-idm-{row}-{case}.png" for case in ("motorway_cut_in_left", "t_junction_left_from_stem")
+        for row in ROWS if cell(figures.parent, case, row)["best"] is not None
+    }  # fmt: skip
+    assert drawn == attacked and len(drawn) >= 4
+    assert "example-idm-llm-f-t_junction_left_from_stem.png" not in drawn
+    assert all((figures / name).read_bytes().startswith(b"\x89PNG") for name in drawn)
+
+
 def test_every_row_attacks_the_same_encounter(whole: tuple[Program, Done]) -> None:
     out = whole[0].folder / "out"
     for case in ("motorway_cut_in_left", "t_junction_left_from_stem"):

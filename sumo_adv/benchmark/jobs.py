@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sumo_adv.benchmark.methods import Method, method_of
-from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.nouns import GROUPS, Case
 
 if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.world.inputs import RunInput
 
 FILE_SIGNS = re.compile(r"[^A-Za-z0-9._=+-]+")
+KINDS_SHOWN = 2  # of each group, as examples
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +29,13 @@ class Parts:
     cast_of: Callable[..., AbstractContextManager[Any]]
     full_outcome: Callable[[Episode], dict[str, Any]]  # what outcome.json holds
     keep_run: Callable[[Path, Episode], None]  # the folder of a run
+    draw_example: Callable[[Path, Episode], None]  # a picture of the encounter without and with the attack
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What every process of a bench needs. ``bank``: the library, only read; ``settings``: of all rows, as data."""
+    """What every process of a bench needs. ``bank``: the library, only read; ``settings``: of all rows, as data;
+    ``examples``: cases of which each row's attack is drawn."""
 
     folder: Path
     suite: str
@@ -40,6 +43,7 @@ class Setup:
     settings: Mapping[str, Any]
     parts: Parts
     keep_runs: bool = False
+    examples: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +63,23 @@ class Job:
 def cell_path(folder: Path, ego: str, case: str, row: str) -> Path:
     """Where a cell lies in the bench's folder."""
     return folder / "cells" / slug(ego) / slug(case) / f"{slug(row)}.json"
+
+
+def example_path(folder: Path, ego: str, case: str, row: str) -> Path:
+    """Where the picture of an attack lies in the bench's folder."""
+    return folder / "figures" / f"example-{slug(ego)}-{slug(row)}-{slug(case)}.png"
+
+
+def examples_of(cases: Sequence[Case]) -> frozenset[str]:
+    """The cases that are drawn: of each group the first of each of its first kinds."""
+    found: list[str] = []
+    for group in GROUPS:
+        first: dict[str, str] = {}
+        for case in cases:
+            if case.group == group:
+                first.setdefault(case.kind, case.name)
+        found += list(first.values())[:KINDS_SHOWN]
+    return frozenset(found)
 
 
 def slug(text: str) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.benchmark.bench import Bench, Watcher, read_cells
-from sumo_adv.benchmark.jobs import Parts, Setup, make_jobs
+from sumo_adv.benchmark.jobs import Parts, Setup, examples_of, make_jobs
 from sumo_adv.benchmark.methods import method_of
 from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.rows.registry import make_row
@@ -68,7 +68,7 @@ def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
         _keep_plan(plan, means.folder)
         setup = Setup(
             means.folder.absolute(), asked.suite.name, asked.bank.absolute(), asked.settings, means.parts,
-            means.keep_runs,
+            means.keep_runs, examples_of(asked.suite.cases),
         )  # fmt: skip
         free, chains = make_jobs(asked.suite.cases, asked.egos, asked.rows, asked.seed)
         Bench(setup, means.workers, watcher).run(free, chains)

@@ -13,7 +13,7 @@ from typing import Any
 
 from sumo_adv.benchmark.arena import Arena
 from sumo_adv.benchmark.banks import bank_of
-from sumo_adv.benchmark.jobs import Job, Setup, cell_path, slug
+from sumo_adv.benchmark.jobs import Job, Setup, cell_path, example_path, slug
 from sumo_adv.benchmark.methods import RAW, method_of
 from sumo_adv.benchmark.motion import motion_of, unattacked
 from sumo_adv.benchmark.nouns import Cell
@@ -107,6 +107,8 @@ class Bencher:
         cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
         if self._setup.keep_runs and episode.found is not None:
             self._setup.parts.keep_run(self._run_folder(job, row), episode)
+        if job.case.name in self._setup.examples and episode.best is not None:
+            self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
         return cell | {
             "timing": timing,
             "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,

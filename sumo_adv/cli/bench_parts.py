@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from sumo_adv.benchmark.jobs import Parts
 from sumo_adv.cli.models import cast_of
 from sumo_adv.cli.records import load
 from sumo_adv.episode.episode import Episode
+from sumo_adv.files import sentences
 from sumo_adv.report.folder import raw_figures, staged, write_run
 from sumo_adv.report.outcome import outcome
 from sumo_adv.report.verdicts import figures, judge_best
@@ -28,6 +30,19 @@ def keep_run(target: Path, episode: Episode) -> None:
         folder.keep(force=True)
 
 
+def draw_example(target: Path, episode: Episode) -> None:
+    """The encounter without and with the attack, as ``figure`` draws a run. Raises UsageError."""
+    from sumo_adv.report.figures.paper import draw_paper, save
+    from sumo_adv.report.figures.story import read_story
+
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch, sentences(target):
+        with staged(Path(scratch) / "run", force=False) as folder:
+            write_run(folder, episode, figure=False)
+            folder.keep(force=False)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        save(draw_paper(read_story(folder.target)), target, "png")
+
+
 def bench_parts() -> Parts:
     """All of them."""
-    return Parts(load, cast_of, full_outcome, keep_run)
+    return Parts(load, cast_of, full_outcome, keep_run, draw_example)
