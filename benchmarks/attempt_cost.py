@@ -23,9 +23,10 @@ from sumo_adv.agents.expert import Expert
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.foresight import Foresight, Sessions
+from sumo_adv.episode.foresight import Foresight
 from sumo_adv.episode.knowledge import read_library
 from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
@@ -88,7 +89,7 @@ def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
 def calls(sandbox: Sandbox, found: Found, proposal: Proposal, runs: int) -> list[str]:
     """Lines on a session, a call, and a call in a batch."""
     situation = found.situations[proposal.delay]
-    ground = Ground(situation, [proposal.bv])
+    ground = Ground([situation], [proposal.bv])
     start = ground.begin()
     nothing = start.s * 0.0
     ego = (nothing, nothing, nothing + situation.ego.speed, nothing + situation.ego.acceleration)
@@ -96,7 +97,7 @@ def calls(sandbox: Sandbox, found: Found, proposal: Proposal, runs: int) -> list
     opened, single, batched = [], [], []
     for _ in range(runs):
         began = time.perf_counter()
-        with Sessions(sandbox, situation, [proposal.planner], 0) as sessions:
+        with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
             opened.append(time.perf_counter() - began)
             single.append(seconds(lambda: sessions.one(proposal, told)))
             many = [proposal] * BATCH

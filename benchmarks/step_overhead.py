@@ -25,7 +25,7 @@ from typing import Any
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
-from sumo_adv.episode.foresight import Sessions
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import Found, Task
 from sumo_adv.episode.worker import Worker
 from sumo_adv.planning.ground import road_of
@@ -193,8 +193,7 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
         found = engine.request("seek")
         if not isinstance(found, Found):
             raise SystemExit(f"The benchmark's own encounter was not found: {found.reason}")
-        situation = found.situations[0.0]
-        with Sessions(sandbox, situation, [planner], 0) as sessions:
+        with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
 
             def window() -> tuple[float, int, int, str]:
                 remote = case.planner == "sandbox"

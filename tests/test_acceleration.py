@@ -16,7 +16,7 @@ from test_bank_build import parse
 
 from sumo_adv.datatypes import Limits, Proposal, acceleration_at, acceleration_of, plain_acceleration
 from sumo_adv.episode.attack import Adversary
-from sumo_adv.episode.foresight import Sessions
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.evidence_csv import read_evidence, write_evidence
@@ -79,7 +79,7 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
     sit = situation([neighbour()])
     proposal = Proposal("bv", "Tells", planner, {}, KNOTS, 0.0)
     heard: list[float] = []
-    with Sandbox() as sandbox, Sessions(sandbox, sit, [planner], 0) as sessions:
+    with Sandbox() as sandbox, Sessions(sandbox, Roads({0.0: sit}), [proposal], 0) as sessions:
         adversary = Adversary(sit, "bv", Limits())
         alone = []
         for time in (0.0, 2.0, 4.0):
@@ -92,7 +92,7 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
             heard.append(answers[0].endpoint.speed)
             return answers
 
-        predict(sit, [proposal], ask, limits=Limits(), steps=50, replan=20)  # type: ignore[arg-type]
+        predict({0.0: sit}, [proposal], ask, limits=Limits(), steps=50, replan=20)  # type: ignore[arg-type]
     assert alone == heard == [12.0, 8.0, 4.0]
 
 

@@ -16,6 +16,7 @@ from situation_samples import KRAUSS, leader, situation
 
 from sumo_adv.datatypes import EgoCourse, Floats
 from sumo_adv.planning.drivers import Blocked, PredictedEgos, _seconds
+from sumo_adv.planning.scenes import Scenes
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
@@ -44,7 +45,7 @@ def drive(
 
 
 def egos_of(sit: Situation) -> PredictedEgos:
-    return PredictedEgos(sit, np.array([5.0]), np.array([2.0]))
+    return PredictedEgos(Scenes([sit]), np.array([5.0]), np.array([2.0]))
 
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], Blocked]:
@@ -183,7 +184,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     course = EgoCourse(np.array([0.0, 0.9, 1.6, 2.0]), speed)
     other = EgoCourse(2.0 * course.s, 2.0 * speed)
     both = np.array([1.0, 1.0])
-    egos = PredictedEgos(crossroads(30.0), 5.0 * both, 2.0 * both, [course, other])
+    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), 5.0 * both, 2.0 * both, [course, other])
     here = Blocked(*(q * both for q in (3.0, 0.0, 0.0, 5.0, 25.0, 34.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)

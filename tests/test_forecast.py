@@ -14,7 +14,7 @@ from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
 from sumo_adv.planning.drivers import PredictedEgos, seen_edges
-from sumo_adv.planning.forecast import arrivals, profile_at, stations
+from sumo_adv.planning.forecast import arrivals, stations
 from sumo_adv.planning.predict import (
     Answer,
     Ask,
@@ -24,6 +24,7 @@ from sumo_adv.planning.predict import (
     predict,
     world_endpoint,
 )
+from sumo_adv.planning.scenes import Scenes, profile_at
 from sumo_adv.situation import NO_ARRIVAL, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
@@ -44,20 +45,20 @@ def test_the_profile_is_read_between_its_samples_and_goes_on_beyond_them() -> No
 
 def test_an_ego_on_its_profile_is_forecast_by_it_shifted_to_where_it_is() -> None:
     braking = replace(SIT, profile_s=SIT.profile_s, profile_v=np.linspace(10.0, 5.0, 51))
-    s, v = stations(braking, 2.0, one(20.4), one(8.3), one(0.0), one(0.0, 1.0))
+    s, v = stations(Scenes([braking]), 2.0, one(20.4), one(8.3), one(0.0), one(0.0, 1.0))
     assert s[0] == pytest.approx([20.4, 30.4])  # 0.4 m ahead of its profile, and so it stays
     assert v[0] == pytest.approx([8.0, 7.0])
 
 
 def test_a_disturbed_ego_keeps_its_acceleration_for_half_a_second_and_then_its_speed() -> None:
-    s, v = stations(SIT, 2.0, one(20.0, 17.0), one(5.0, 10.0), one(-4.0, 0.0), one(0.0, 0.5, 1.0))
+    s, v = stations(Scenes([SIT] * 2), 2.0, one(20.0, 17.0), one(5.0, 10.0), one(-4.0, 0.0), one(0.0, 0.5, 1.0))
     assert s[0] == pytest.approx([20.0, 22.0, 23.5])  # 5 -> 3 m/s on 2 m, then 1.5 m
     assert v[0] == pytest.approx([5.0, 3.0, 3.0])
     assert s[1] == pytest.approx([17.0, 22.0, 27.0])  # 3 m behind its profile: not on it
 
 
 def test_a_braking_ego_never_rolls_back() -> None:
-    s, v = stations(SIT, 2.0, one(5.0), one(1.0), one(-8.0), one(0.5, 3.0))
+    s, v = stations(Scenes([SIT]), 2.0, one(5.0), one(1.0), one(-8.0), one(0.5, 3.0))
     assert (v == 0.0).all()
     assert (np.diff(s[0]) == 0.0).all()
 
@@ -65,7 +66,7 @@ def test_a_braking_ego_never_rolls_back() -> None:
 def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a_standing_ego() -> None:
     s = one(20.0, 20.0, 20.0, 20.0, 20.0)
     v = one(10.0, 10.0, 0.0, 5.0, 10.0)
-    found = arrivals(SIT, 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), one(50.0, 17.0, 50.0, 30.0, math.inf))
+    found = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), one(50.0, 17.0, 50.0, 30.0, math.inf))
     assert found == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
 
 
@@ -90,7 +91,7 @@ def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tupl
         return [None if a is None else Answer(world_endpoint(sit, a)) for a in given]
 
     fixed: Ask = ask
-    return predict(sit, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), heard
+    return predict({0.0: sit}, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), heard
 
 
 def end(x: float, y: float, speed: float, time: float = 5.0) -> dict[str, float]:
@@ -162,7 +163,7 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
     sit = situation([leader(gap=15.0)], model=KRAUSS)
     one = np.ones(2)
-    egos = PredictedEgos(sit, 5.0 * one, 1.8 * one)
+    egos = PredictedEgos(Scenes([sit] * 2), 5.0 * one, 1.8 * one)
     before = np.array([0.0, 2.3])
     for k, d in ((0, before), (1, 2.3 * one)):
         egos.step(0.1 * k, (20.0 * one, d, 0.0 * one), 10.0 * one)
@@ -200,7 +201,7 @@ def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
         assert ego.shape == adversary.shape == (4, 2)
         return np.array([ego[0, 0] >= 7.0 - 1e-9, False])  # 0.7 s at 10 m/s
 
-    found = predict(SIT, proposals(2), ask, limits=Limits(), steps=30, replan=5, touch=touch)
+    found = predict({0.0: SIT}, proposals(2), ask, limits=Limits(), steps=30, replan=5, touch=touch)
     assert asked == [[0, 1], [0, 1], [1], [1], [1], [1]]
     first, second = found.adversary[3]
     assert first[:10] == pytest.approx(second[:10])

@@ -32,7 +32,7 @@ def straight_on(motion: Motion) -> Goal:
 
 
 def tell(sit: Situation, name: str = "bv", motion: Motion | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-    ground = Ground(sit, [name])
+    ground = Ground([sit], [name])
     return ground.tell(motion or ground.begin(), 0.0, AT_START, [None])[0]  # type: ignore[arg-type]
 
 
@@ -72,7 +72,7 @@ def test_words_for_what_may_be_tried() -> None:
 
 
 def test_at_the_trigger_everybody_is_where_the_situation_says() -> None:
-    ground = Ground(situation([neighbour()]), ["bv", "bv"])
+    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     s, d, h = ground.relative(motion)
     assert (s.tolist(), d.tolist(), h.tolist()) == ([20.0] * 2, pytest.approx([3.2] * 2), [0.0] * 2)
@@ -87,14 +87,14 @@ def test_at_the_trigger_everybody_is_where_the_situation_says() -> None:
 def test_an_oncoming_car_comes_towards_the_ego() -> None:
     back = line((100.0, 3.2), (-100.0, 3.2))
     oncoming = target(car("bv", 100.0, 3.2, math.pi, 12.0), "oncoming", [(back, "none", math.inf)], EGO_PATH)
-    ground = Ground(situation([oncoming]), ["bv"])
+    ground = Ground([situation([oncoming])], ["bv"])
     s, d, h = ground.relative(ground.begin()._replace(s=one(30.0), d=one(1.0)))
     assert (s[0], abs(h[0])) == pytest.approx((70.0, math.pi))
     assert d[0] == pytest.approx(2.2)  # a metre to its left, which is towards the ego
 
 
 def test_an_endpoint_becomes_a_goal_on_the_way() -> None:
-    ground = Ground(situation([neighbour()]), ["bv", "bv"])
+    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     goal = ground.aim(motion, [Endpoint(60.25, 0.5, 0.0, 9.0, 2.5), None], straight_on(motion))
     assert [q[0] for q in goal] == pytest.approx([40.25, -2.7, 9.0, 2.5])
@@ -102,7 +102,7 @@ def test_an_endpoint_becomes_a_goal_on_the_way() -> None:
 
 
 def test_an_endpoint_round_the_corner_chooses_the_turn_while_both_ways_are_one() -> None:
-    ground = Ground(situation([crossing()]), ["bv"])
+    ground = Ground([situation([crossing()])], ["bv"])
     motion = ground.begin()
     west = Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)
     ground.aim(motion, [west], straight_on(motion))
@@ -115,7 +115,7 @@ def test_an_endpoint_round_the_corner_chooses_the_turn_while_both_ways_are_one()
 
 
 def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
-    ground = Ground(situation([crossing()]), ["bv", "bv"])
+    ground = Ground([situation([crossing()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     ends = [Endpoint(30.0, 20.0, math.pi / 2, 9.0, 5.0), Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)]
     goal = ground.aim(motion, ends, straight_on(motion))
@@ -128,7 +128,7 @@ def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
 
 def test_vehicles_of_different_ways_share_one_ground() -> None:
     other = replace(neighbour(x=50.0), state=car("other", 50.0, 3.2, speed=12.0))
-    ground = Ground(situation([crossing(), other]), ["other", "bv", "other"])
+    ground = Ground([situation([crossing(), other])] * 3, ["other", "bv", "other"])
     x, y, _ = pose(Batch, ground.begin(), ground.rows)
     assert x == pytest.approx([50.0, 30.0, 50.0])
     assert y == pytest.approx([3.2, -25.0, 3.2])
@@ -144,7 +144,7 @@ def at_station(ground: Ground, s: float, v: float = 8.0) -> Motion:
 def test_one_on_a_crossing_blocks_a_metre_before_the_place_until_its_rear_has_left_it() -> None:
     """Its junction begins after 15 m, the ways meet after 25 m (at 30 m of the ego's path), so the junction is taken to
     end after 35 m; the car is 5 m long."""
-    ground = Ground(situation([crossing()]), ["bv"])
+    ground = Ground([situation([crossing()])], ["bv"])
     before = ground.blocked(at_station(ground, 0.0))
     assert (before.begins[0], before.speed[0], before.meets[0]) == (math.inf, 0.0, pytest.approx(30.0))
     assert (before.before[0], before.behind[0]) == pytest.approx((22.5, 37.5))
@@ -165,7 +165,7 @@ def test_one_that_merges_blocks_what_it_is_ahead_by_and_moves_on() -> None:
     """A ramp of 67.1 m joins at station 60; its junction begins after 55 m."""
     ramp = line((0.0, -30.0), (60.0, 0.0), (250.0, 0.0))
     merging = target(car("bv", 0.0, -30.0, 0.46), "merging", [(ramp, "straight", 55.0)], EGO_PATH)
-    ground = Ground(situation([merging]), ["bv"])
+    ground = Ground([situation([merging])], ["bv"])
     conflict = merging.ways[0].conflict
     assert conflict is not None and conflict.kind == "merging"
     assert (conflict.bv_s, conflict.ego_s) == pytest.approx((67.1, 60.0), abs=1.0)
@@ -180,13 +180,13 @@ def test_one_that_merges_blocks_what_it_is_ahead_by_and_moves_on() -> None:
 
 
 def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
-    ground = Ground(situation([neighbour()]), ["bv"])
+    ground = Ground([situation([neighbour()])], ["bv"])
     found = ground.blocked(at_station(ground, 50.0, 12.0))
     assert (found.begins[0], found.speed[0], found.meets[0]) == (math.inf, 0.0, math.inf)
 
 
 def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
-    ground = Ground(situation([crossing()]), ["bv", "bv"])
+    ground = Ground([situation([crossing()])] * 2, ["bv", "bv"])
     ground.rows.row = np.array([0, 1])  # the second one turns left before the ego's path
     motion = ground.begin()._replace(s=one(20.0, 20.0))
     assert ground.blocked(motion).begins.tolist() == [pytest.approx(29.0), math.inf]
@@ -212,7 +212,7 @@ def test_a_planner_is_told_places_in_the_egos_frame() -> None:
 
 def test_a_lane_change_under_way_is_told_with_its_end_and_the_seconds_left() -> None:
     sit = situation([neighbour()])
-    motion = Ground(sit, ["bv"]).begin()
+    motion = Ground([sit], ["bv"]).begin()
     moving = motion._replace(
         d=one(-1.0), dd=one(-1.2), slope=one(-0.1), clock=one(1.0), span=one(3.0), target=one(-3.2)
     )

@@ -21,8 +21,8 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
 from sumo_adv.episode.attack import Adversary
 from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.foresight import Sessions
 from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
@@ -41,6 +41,7 @@ LIMITS = Limits()
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 ROAD = line((0.0, 0.0), (500.0, 0.0))
 SIT = situation([neighbour()], model={**KRAUSS, "kind": "replay"})  # the BV at x = 20 m, y = 3.2 m with 12 m/s
+HERE = Roads({0.0: SIT})
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +193,7 @@ def lead(
 ) -> tuple[Led, Any, dict[str, str]]:
     """The adversary of an attempt without SUMO against an ego that keeps 10 m/s, and the prediction of the same."""
     proposal = Proposal("bv", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
-    with Sessions(sandbox, SIT, [planner], 0) as sessions:
+    with Sessions(sandbox, HERE, [proposal], 0) as sessions:
 
         def ask(told: Told) -> Answer | str:
             try:
@@ -210,7 +211,8 @@ def lead(
             rows.append((p.x, p.y, p.heading, p.speed, adversary.motion.a))
         both = [proposal, proposal]
         rollouts = predict(
-            SIT, both, lambda k, told: sessions.ask(both, k, told), limits=LIMITS, steps=steps + 1, replan=every
+            HERE.situations, both, lambda k, told: sessions.ask(both, k, told), limits=LIMITS, steps=steps + 1,
+            replan=every,
         )  # fmt: skip
         return Led(np.array(rows), adversary.message, failure), rollouts, sessions.failures
 
@@ -282,7 +284,7 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
     planner = lane_change()
     proposal = Proposal("bv", "x", planner, {**planner.defaults(), "beyond": -4.8}, 0.0, 0.0)
     for edge, refused in ((-0.97, True), (-9.0, False)):
-        with Sessions(sandbox, SIT, [planner], 0, drivable=Drivable(box(-50.0, edge, 500.0, 9.0))) as sessions:
+        with Sessions(sandbox, HERE, [proposal], 0, drivable=Drivable(box(-50.0, edge, 500.0, 9.0))) as sessions:
             adversary = Adversary(SIT, "bv", LIMITS)
             assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0), partial(sessions.one, proposal)) is None
         assert ("trajectory() leaves the road 2.0 s later" in adversary.message) == refused

@@ -99,7 +99,7 @@ class Adversary:
 
     def __init__(self, situation: Situation, name: str, limits: Limits) -> None:
         self.situation, self.name, self.limits = situation, name, limits
-        self.ground = Ground(situation, [name])
+        self.ground = Ground([situation], [name])
         many = self.ground.begin()
         self.motion = one_of(many, 0)
         self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from sumo_adv.datatypes import Proposal
-from sumo_adv.episode.foresight import Sessions
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.errors import SandboxError
 from sumo_adv.planning.predict import Answer
@@ -23,11 +23,10 @@ class Brain:
     def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of the proposals, in order; they run at the same time where the engine can fork."""
         opened: list[tuple[Proposal, Sessions]] = []
+        roads = Roads(self._found.situations)
         try:
             for proposal in proposals:
-                situation = self._found.situations[proposal.delay]
-                planners = [] if proposal.course is not None else [proposal.planner]  # a course asks nobody
-                sessions = Sessions(self._sandbox, situation, planners, self._seed, drivable=self._found.drivable)
+                sessions = Sessions(self._sandbox, roads, [proposal], self._seed, drivable=self._found.drivable)
                 opened.append((proposal, sessions.__enter__()))
 
             def answer(question: tuple[int, Any]) -> Answer | str:

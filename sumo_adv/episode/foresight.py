@@ -7,22 +7,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import EgoCourse, Planner, Proposal, acceleration_at
+from sumo_adv.datatypes import EgoCourse, Proposal
 from sumo_adv.episode.scoring import judge_all, touch_of
-from sumo_adv.errors import PlannerLimitError, SandboxError
-from sumo_adv.planning.follow import off_road
-from sumo_adv.planning.ground import road_of
-from sumo_adv.planning.predict import Answer, Told, predict, world_endpoint
-from sumo_adv.planning.sandbox import Call, Sandbox
+from sumo_adv.episode.sessions import Roads, Sessions
+from sumo_adv.planning.predict import Rollouts, part, predict
+from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
 FAILED = 9.0  # score where the planner failed
 TOGETHER = 12  # planners with a sandbox session open at once
-TRAJECTORY_SECONDS = 20.0  # s all calls of one planner's own trajectory() may take in the predictions of one batch
 
 
 class Foresight:
@@ -32,7 +27,7 @@ class Foresight:
         self._sandbox = sandbox
         self._settings = settings
         self._drivable = drivable
-        self._situations = situations
+        self._situations, self._roads = situations, Roads(situations)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
 
@@ -40,28 +35,27 @@ class Foresight:
         """The same proposals with ``score`` and ``predicted`` filled in; ``seen``: against egos that drive so."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
-        for delay, hashes in _batches(proposals):
-            rows = [k for k, p in enumerate(proposals) if p.delay == delay and p.planner.hash in hashes]
+        for hashes in _batches(proposals):
+            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes]
             egos = None if seen is None else [seen[k] for k in rows]
-            for k, p in zip(rows, self._together(delay, [proposals[k] for k in rows], egos), strict=True):
+            for k, p in zip(rows, self._together([proposals[k] for k in rows], egos), strict=True):
                 scored[k] = p
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
-    def _together(self, delay: float, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
-        situation, settings = self._situations[delay], self._settings
-        planners = [p.planner for p in proposals]
+    def _together(self, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
+        situations, settings = self._situations, self._settings
         with Sessions(
-            self._sandbox, situation, planners, settings.seed, self.failures, drivable=self._drivable
+            self._sandbox, self._roads, proposals, settings.seed, self.failures, drivable=self._drivable
         ) as sessions:
             rollouts = predict(
-                situation, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
+                situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situation, proposals),
+                replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situations, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
-        results = judge_all(situation, proposals, rollouts, self._drivable, settings.limits.limits())
+        results = self._judged(proposals, rollouts)
         failed = {p.planner.hash for p in proposals} & set(self.failures)
         return [
             replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})
@@ -70,105 +64,19 @@ class Foresight:
             for p, r in zip(proposals, results, strict=True)
         ]
 
+    def _judged(self, proposals: Sequence[Proposal], rollouts: Rollouts) -> list[dict[str, Any]]:
+        """What each rollout comes to; those of one moment are judged at once."""
+        found: dict[int, dict[str, Any]] = {}
+        limits = self._settings.limits.limits()
+        for delay in dict.fromkeys(p.delay for p in proposals):
+            rows = [k for k, p in enumerate(proposals) if p.delay == delay]
+            mine = [proposals[k] for k in rows]
+            judged = judge_all(self._situations[delay], mine, part(rollouts, rows), self._drivable, limits)
+            found |= dict(zip(rows, judged, strict=True))
+        return [found[k] for k in range(len(proposals))]
 
-def _batches(proposals: Sequence[Proposal]) -> list[tuple[float, set[str]]]:
-    """What is predicted together: one delay, and at most ``TOGETHER`` planners, each in a session of its own."""
-    found = []
-    for delay in sorted({p.delay for p in proposals}):
-        hashes = list(dict.fromkeys(p.planner.hash for p in proposals if p.delay == delay))
-        found += [(delay, set(hashes[k : k + TOGETHER])) for k in range(0, len(hashes), TOGETHER)]
-    return found
 
-
-class Sessions:
-    """One sandbox session for each planner of a batch."""
-
-    def __init__(
-        self,
-        sandbox: Sandbox,
-        situation: Situation,
-        planners: Sequence[Planner],
-        seed: int,
-        failed: Mapping[str, str] | None = None,
-        *,
-        drivable: Drivable | None = None,
-    ) -> None:
-        self._situation, self._drivable = situation, drivable
-        self._spent: dict[str, float] = {}  # planner hash -> s in its trajectory()
-        self._roads = {n: road_of(situation, n) for n in situation.targets}
-        self._sandbox, self._seed = sandbox, seed
-        self._open: dict[str, Any] = {}
-        self.failures: dict[str, str] = dict(failed or {})  # planner hash -> sentence; those are not asked again
-        self._planners = {p.hash: p for p in planners if p.hash not in self.failures}
-
-    def __enter__(self) -> Sessions:
-        for name, planner in self._planners.items():
-            try:
-                self._open[name] = self._sandbox.session(planner, self._roads, seed=self._seed).__enter__()
-            except SandboxError as error:
-                self.failures[name] = str(error)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for session in self._open.values():
-            session.__exit__(None, None, None)
-
-    def one(self, proposal: Proposal, told: Told) -> Answer:
-        """The answer to one question. Raises SandboxError."""
-        name = proposal.planner.hash
-        if name in self.failures:
-            raise SandboxError(self.failures[name])
-        end: dict[str, float] = self._open[name].endpoint(*self._call(proposal, told))
-        return self._answer(proposal, told, end)
-
-    def _call(self, proposal: Proposal, told: Told) -> Call:
-        acceleration = acceleration_at(proposal.acceleration, told[0]["time"])
-        return proposal.bv, *told, proposal.parameters, acceleration, self._situation.horizon
-
-    def _answer(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
-        """An endpoint in the world, with the planner's own trajectory to it if it defines one and it is on the road."""
-        situation, session = self._situation, self._open[proposal.planner.hash]
-        endpoint = world_endpoint(situation, end)
-        if not session.has_trajectory:
-            return Answer(endpoint)
-        own = session.trajectory(proposal.bv, told[0], end, situation.dt)
-        states = np.array([(*situation.frame.to_world(x, y, h), v) for x, y, h, v in own])
-        bv = situation.targets[proposal.bv].state
-        if self._drivable is not None:
-            leaves = off_road(states, bv.length, bv.width, situation.dt, self._drivable)
-            if leaves is not None:
-                what = f"trajectory() leaves the road {leaves:.1f} s later, and the built-in one was driven"
-                return Answer(endpoint, None, what)
-        return Answer(endpoint, states)
-
-    def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
-        """Answers for the proposals ``rows``; None where the planner failed, and for the others."""
-        answers: list[Answer | None] = [None] * len(told)
-        for name, session in self._open.items():
-            mine = [k for k in rows if proposals[k].planner.hash == name]
-            if not mine or name in self.failures:
-                continue
-            try:
-                found = session.endpoints([self._call(proposals[k], told[k]) for k in mine])
-            except SandboxError as error:
-                self.failures[name] = str(error)
-                continue
-            for k, answer in zip(mine, found, strict=True):
-                try:
-                    if isinstance(answer, SandboxError):
-                        raise answer
-                    answers[k] = self._timed(proposals[k], told[k], answer)
-                except SandboxError as error:
-                    self.failures.setdefault(name, str(error))
-        return answers
-
-    def _timed(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
-        """``_answer`` within what all predictions of a batch may take. Raises SandboxError."""
-        name = proposal.planner.hash
-        if self._spent.get(name, 0.0) > TRAJECTORY_SECONDS:
-            who = f"Planner {proposal.label}/{proposal.planner.mode}"
-            raise PlannerLimitError(f"{who}: trajectory() is too slow for predictions: make it faster.")
-        began = time.perf_counter()
-        answer = self._answer(proposal, told, end)
-        self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - began
-        return answer
+def _batches(proposals: Sequence[Proposal]) -> list[set[str]]:
+    """What is predicted together: at most ``TOGETHER`` planners, each in a session of its own."""
+    hashes = list(dict.fromkeys(p.planner.hash for p in proposals))
+    return [set(hashes[k : k + TOGETHER]) for k in range(0, len(hashes), TOGETHER)]

@@ -6,7 +6,7 @@ have avoided it, and with what to spare; no hit, an infeasible one, a third part
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -73,13 +73,14 @@ def judge_all(
     ]  # fmt: skip
 
 
-def touch_of(situation: Situation, proposals: Sequence[Proposal]) -> Touch:
+def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
     """Whether the ego and the BVs of these proposals touch."""
-    length = np.array([situation.targets[p.bv].state.length for p in proposals])
-    width = np.array([situation.targets[p.bv].state.width for p in proposals])
+    states = [situations[p.delay].targets[p.bv].state for p in proposals]
+    length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
+    mine = next(iter(situations.values())).ego
 
     def touch(ego: Floats, adversary: Floats) -> Bools:
-        one = Boxes(ego[0], ego[1], ego[2], ego[3], situation.ego.length, situation.ego.width)
+        one = Boxes(ego[0], ego[1], ego[2], ego[3], mine.length, mine.width)
         return touching(one, Boxes(adversary[0], adversary[1], adversary[2], adversary[3], length, width))
 
     return touch

@@ -15,8 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, EgoCourse, Floats
 from sumo_adv.planning.careful import CarefulDrivers
-from sumo_adv.planning.forecast import profile_at
-from sumo_adv.situation import Situation
+from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
 WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
@@ -54,22 +53,24 @@ class PredictedEgos:
     ``seen``: egos that drive as they were seen to in an attempt, whatever the adversary does.
     """
 
-    def __init__(
-        self, situation: Situation, length: Floats, width: Floats, seen: Sequence[EgoCourse] | None = None
-    ) -> None:
+    def __init__(self, scenes: Scenes, length: Floats, width: Floats, seen: Sequence[EgoCourse] | None = None) -> None:
         self._seen = None if seen is None else (np.stack([c.s for c in seen]), np.stack([c.v for c in seen]))
-        self.situation, self._length, self._width = situation, length, width
+        self.scenes, self._length, self._width = scenes, length, width
         n = len(length)
-        self.model: Mapping[str, Any] = situation.ego_model
-        self.s = np.full(n, situation.profile_s[0])
-        self.v = np.full(n, situation.profile_v[0])
-        self.a = np.full(n, situation.profile_a[0])
+        self.model: Mapping[str, Any] = scenes.driver
+        self.s, self.v, self.a = (
+            scenes.each(lambda s, name=name: getattr(s, name)[0]) for name in ("profile_s", "profile_v", "profile_a")
+        )  # fmt: skip
         self.disturbed = np.zeros(n, bool)
         self._was_inside = np.zeros(n, bool)
-        self._edges = seen_edges(situation.lane_width, situation.ego.width)
-        mine = (situation.ego.length, situation.ego.width)
+        mine = (scenes.ego.length, scenes.ego.width)
+        self._lane = scenes.each(lambda s: s.lane_width)
+        self._left, self._right = (
+            scenes.each(lambda s, k=k: seen_edges(s.lane_width, s.ego.width)[k]) for k in range(2)
+        )  # fmt: skip
+        self._line = scenes.each(lambda s: s.gives_way_at)
         careful = self.model["kind"] == "careful"
-        self._careful = CarefulDrivers(mine, length, width, situation.dt) if careful else None
+        self._careful = CarefulDrivers(mine, length, width, scenes.dt) if careful else None
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -77,23 +78,23 @@ class PredictedEgos:
     ) -> None:  # fmt: skip
         """One step against adversaries at station, offset, heading (ego path's frame, box centres); ``blocked``: who is
         in the way on a junction (``Ground.blocked``)."""
-        sit, dt = self.situation, self.situation.dt
+        dt, mine = self.scenes.dt, self.scenes.ego.length
         if self._seen is not None:
             k = min(round(now / dt) + 1, self._seen[0].shape[1] - 1)
             v = self._seen[1][:, k]
             self.s, self.a, self.v = self._seen[0][:, k], (v - self.v) / dt, v
             return
-        next_s, next_v = (float(q[0]) for q in profile_at(sit, np.array([now + dt])))
+        next_s, next_v = self.scenes.profile_now(now + dt)
         if self.model["kind"] == "replay":
-            self.s, self.a, self.v = self.s * 0 + next_s, self.s * 0 + (next_v - self.v) / dt, self.s * 0 + next_v
+            self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
             return
         (s, d, h), length = adversary, self._length
         front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
-        ahead = front_s > self.s + sit.ego.length / 2
+        ahead = front_s > self.s + mine / 2
         leads = self._in_lane(front_d) & ahead & ~across
-        gap = s - self.s - (length + sit.ego.length) / 2
-        pace = np.maximum(np.interp(self.s, sit.profile_s, sit.profile_v), next_v)
+        gap = s - self.s - (length + mine) / 2
+        pace = np.maximum(self.scenes.pace(self.s), next_v)
         free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
         bound = np.where(leads, self._following(gap, speed), np.inf)
         if self._careful is not None:
@@ -110,9 +111,8 @@ class PredictedEgos:
     def _in_lane(self, front_d: Floats) -> Bools:
         """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines; or, once
         it has been there (SUMO then keeps it in both lanes), its side is within the strips that the ego takes up."""
-        inside = np.abs(front_d) < self.situation.lane_width / 2
-        (left, right), half = self._edges, self._width / 2
-        partly = (front_d - half < left) & (front_d + half > -right)
+        inside, half = np.abs(front_d) < self._lane / 2, self._width / 2
+        partly = (front_d - half < self._left) & (front_d + half > -self._right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly)
 
@@ -121,10 +121,9 @@ class PredictedEgos:
         the lane to the left it brakes as for a leader, but gently. Other drivers (``passes_right``) do not."""
         if self.model.get("passes_right", False):
             return np.full(len(self.s), np.inf)
-        lane = self.situation.lane_width
-        beside = (front_d >= lane / 2) & (front_d < 1.5 * lane)
+        beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
         slower = beside & ahead & (speed < self.v) & (self.v > JAM)
-        gently = self.v - self.model["deceleration"] * self.situation.dt
+        gently = self.v - self.model["deceleration"] * self.scenes.dt
         return np.where(slower, np.maximum(self._following(gap, speed), gently), np.inf)
 
     def _yielding(self, blocked: Blocked | None, speed: Floats) -> Floats:
@@ -132,12 +131,12 @@ class PredictedEgos:
         two has to yield; where it has to give way itself it waits at the line."""
         if blocked is None:
             return np.full(len(self.s), np.inf)
-        half = self.situation.ego.length / 2
+        half = self.scenes.ego.length / 2
         gap = blocked.begins - self.s - half
         held = (gap > -blocked.beside) & np.isfinite(gap)
         bound = np.where(held, self._following(np.minimum(gap, FAR), blocked.speed), np.inf)
-        room = self.situation.gives_way_at - self.s - half
-        waits = self._waits(blocked, speed, room) if np.isfinite(self.situation.gives_way_at) else np.zeros(1, bool)
+        room = np.where(np.isfinite(self._line), self._line - self.s - half, -FAR)
+        waits = self._waits(blocked, speed, room)
         if not waits.any():
             return bound
         line = self._following(np.maximum(room, 0.0) + self.model["min_gap"] - STOPS_BEFORE, speed * 0.0)
@@ -146,7 +145,7 @@ class PredictedEgos:
     def _waits(self, blocked: Blocked, speed: Floats, room: Floats) -> Bools:
         """Whether it gives way ``room`` metres before its line: it can still stop there, and would be on the junction
         together with the adversary, who is expected to speed up (SUMO's ``MSLink::blockedByFoe``)."""
-        a, half, left = self.model["acceleration"], self.situation.ego.length / 2, blocked.meets - self.s
+        a, half, left = self.model["acceleration"], self.scenes.ego.length / 2, blocked.meets - self.s
         stops = (room > -0.5) & (room > self.v * self.v / (2 * self.model["deceleration"]) - STOPS_BEFORE)
         comes = _seconds(blocked.before, speed, FOE_ACCELERATION)
         gone = _seconds(blocked.behind, speed, FOE_ACCELERATION)
@@ -156,7 +155,7 @@ class PredictedEgos:
 
     def _following(self, gap: Floats, leader: Floats) -> Floats:
         """The speed [m/s] the driver wants behind a leader at a bumper gap [m]."""
-        m, dt = self.model, self.situation.dt
+        m, dt = self.model, self.scenes.dt
         b, tau = m["deceleration"], m["tau"]
         if m["kind"] == "krauss":
             room = gap - m["min_gap"]  # less than none: it brakes harder than for a leader that is near

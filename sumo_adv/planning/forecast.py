@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.situation import NO_ARRIVAL, Situation
+from sumo_adv.planning.scenes import Scenes
+from sumo_adv.situation import NO_ARRIVAL
 
 ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: closer than this the ego still follows its profile
 HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration so long, then its speed
@@ -17,21 +18,9 @@ LOOK = np.arange(0.0, 9.0)  # s: where planners are told the ego's predicted pat
 ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
 
 
-def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
-    """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
-    s, v = situation.profile_s, situation.profile_v
-    last = len(s) - 1
-    u = np.minimum(np.maximum(time / situation.dt, 0.0), last)
-    i = np.minimum(u.astype(np.intp), last - 1)
-    w = u - i
-    beyond = np.maximum(time - last * situation.dt, 0.0)
-    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
-
-
-def stations(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
+def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
     """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
-    ps, pv = profile_at(situation, np.asarray([now]))
-    fs, fv = profile_at(situation, now + look)
+    (ps, pv), (fs, fv) = scenes.profile_now(now), scenes.profile(now + look)
     held = np.minimum(look, HELD_ACCELERATION)
     speed = np.maximum(v[:, None] + a[:, None] * held, 0.0)
     free = s[:, None] + (v[:, None] + speed) / 2 * held + speed * (look - held)
@@ -39,9 +28,9 @@ def stations(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, 
     return np.where(on, fs + (s - ps)[:, None], free), np.where(on, fv, speed)
 
 
-def arrivals(situation: Situation, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
+def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
     """Seconds until egos (n,) are at ``conflict_s`` (n,); negative once past, ``NO_ARRIVAL`` if not foreseen."""
-    way, _ = stations(situation, now, s, v, a, ARRIVAL_LOOK)
+    way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
     reached = way >= conflict_s[:, None]
     i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
     rows = np.arange(len(s))

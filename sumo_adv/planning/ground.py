@@ -16,6 +16,7 @@ from sumo_adv.geometry import PATH_STEP, wrap_all
 from sumo_adv.planning.drivers import Blocked
 from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
+from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
 
@@ -26,17 +27,16 @@ IN_THE_WAY = 1.0  # m before and behind the place where ways cross: half the wid
 
 
 class Ground:
-    """``n`` vehicles (``names``: BV ids, repeats allowed) on the ways of a situation."""
+    """``n`` vehicles (``names``: BV ids, repeats allowed) on their ways, each in a situation of one encounter."""
 
-    def __init__(self, situation: Situation, names: Sequence[str]) -> None:
-        self.situation = situation
-        self.targets: list[Target] = [situation.targets[n] for n in names]
-        unique = list(dict.fromkeys(names))
-        lines = [w for n in unique for w in situation.targets[n].ways]
-        first = dict(zip(unique, np.cumsum([0] + [len(situation.targets[n].ways) for n in unique])[:-1], strict=True))
-        self.lines = lines
-        self._base = np.array([first[n] for n in names])
-        self._count = np.array([len(situation.targets[n].ways) for n in names])
+    def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
+        self.scenes = Scenes(situations)
+        self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
+        unique = list({id(t): t for t in self.targets}.values())
+        first = dict(zip(map(id, unique), np.cumsum([0] + [len(t.ways) for t in unique]).tolist(), strict=False))
+        self.lines = lines = [w for t in unique for w in t.ways]
+        self._base = np.array([first[id(t)] for t in self.targets])
+        self._count = np.array([len(t.ways) for t in self.targets])
         self.rows = PathRows([w.path for w in lines], self._base.copy())
         longest = max(len(w.path.x) for w in lines)
         self._ego = np.stack(
@@ -73,7 +73,7 @@ class Ground:
         """
         entry, meets, ego, merging = self._junctions[self.rows.row].T
         half, alone = self.length / 2, 1.0 - merging
-        late = merging * motion.v * self.situation.dt  # SUMO's drivers see who comes to a merge a step later
+        late = merging * motion.v * self.scenes.dt  # SUMO's drivers see who comes to a merge a step later
         there = (motion.s + half - late > entry) & (motion.s - half * alone < meets + IN_THE_WAY * alone)
         begins = np.where(merging > 0, ego - (meets - motion.s) - half, ego - IN_THE_WAY)
         return Blocked(
@@ -140,7 +140,7 @@ class Ground:
             PlannerResultError: too few states, or they go where this way does not.
         """
         x, y, h = pose(Batch, motion, self.rows)
-        dt = self.situation.dt
+        dt = self.scenes.dt
         line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
         return Follower(line, self.lines[int(self.rows.row[k])].path)
 
@@ -154,17 +154,17 @@ class Ground:
         last: Sequence[Mapping[str, float] | None],
     ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
         """``(bv, ego)`` for each vehicle. ``ego``: station, offset [m], speed, acceleration of the egos, each (n,)."""
-        sit = self.situation
+        scenes = self.scenes
         es, ed, ev, ea = ego
-        x, y, h = sit.frame.points_to_local(*pose(Batch, motion, self.rows))
+        x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
         rs, rd, rh = self.relative(motion)
-        ahead_s, ahead_v = stations(sit, now, es, ev, ea, LOOK)
-        px, py, ph = sit.frame.points_to_local(*sit.ego_path.at(ahead_s, ed[:, None]))
+        ahead_s, ahead_v = stations(scenes, now, es, ev, ea, LOOK)
+        px, py, ph = scenes.to_local(*scenes.ego_at(ahead_s, ed[:, None]))
         table = np.empty((*px.shape, 5))
         for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
             table[:, :, column] = values
         path = table.tolist()
-        road_h = wrap_all(sit.ego_path.at(rs)[2] - sit.frame.heading)
+        road_h = wrap_all(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
         meet = self._arrivals(now, es, ev, ea)
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.maximum(motion.span - motion.clock, 0.0) * (np.abs(motion.target - motion.d) > 0.05)
@@ -178,7 +178,7 @@ class Ground:
             bv |= {"length": target.state.length, "width": target.state.width, "time": now, "last": last[k]}
             e = {
                 "x": path[k][0][1], "y": path[k][0][2], "heading": path[k][0][3], "speed": float(ev[k]),
-                "acceleration": float(ea[k]), "length": sit.ego.length, "width": sit.ego.width,
+                "acceleration": float(ea[k]), "length": scenes.ego.length, "width": scenes.ego.width,
                 "path": path[k], "arrivals": meet[k],
             }  # fmt: skip
             told.append((bv, e))
@@ -195,7 +195,7 @@ class Ground:
             if not np.isfinite(at).any():
                 times = [NO_ARRIVAL] * len(at)
             else:
-                times = arrivals(self.situation, now, s, v, a, np.asarray(at)).tolist()
+                times = arrivals(self.scenes, now, s, v, a, np.asarray(at)).tolist()
             for j, t in enumerate(self.targets):
                 if k < len(t.ways):
                     found[j].append(times[j])

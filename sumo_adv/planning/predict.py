@@ -47,8 +47,14 @@ class Rollouts:
     disturbed: Bools
 
 
+def part(rollouts: Rollouts, rows: Any) -> Rollouts:
+    """Some of the rows."""
+    ego, adversary = (tuple(q[rows] for q in motion) for motion in (rollouts.ego, rollouts.adversary))
+    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows])
+
+
 def predict(
-    situation: Situation,
+    situations: Mapping[float, Situation],
     proposals: Sequence[Proposal],
     ask: Ask,
     *,
@@ -60,13 +66,15 @@ def predict(
 ) -> Rollouts:
     """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
 
+    ``situations``: by delay [s], the moment at which a proposal's attack begins.
+
     ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
     egos drive so. Those that touched follow what they had planned, as in an attempt.
     """
-    n, dt = len(proposals), situation.dt
-    ground = Ground(situation, [p.bv for p in proposals])
-    width = np.array([situation.targets[p.bv].state.width for p in proposals])
-    motion, egos = ground.begin(), PredictedEgos(situation, ground.length, width, seen)
+    ground = Ground([situations[p.delay] for p in proposals], [p.bv for p in proposals])
+    n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
+    width = np.array([t.state.width for t in ground.targets])
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.length, width, seen)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
@@ -78,7 +86,7 @@ def predict(
             rows = np.flatnonzero(~over).tolist()
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
-        ego[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
+        ego[:, :, k] = (*scenes.ego_at(egos.s), egos.v)
         if touch is not None:
             over |= touch(ego[:, :, k], adversary[:, :, k])
         egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
@@ -96,7 +104,7 @@ def _replan(
     answers = ask(rows, told)
     for k in rows:
         answer = answers[k]
-        last[k] = None if answer is None else local_endpoint(ground.situation, answer.endpoint)
+        last[k] = None if answer is None else local_endpoint(ground.scenes.of[k], answer.endpoint)
     goal = ground.aim(motion, [None if a is None else a.endpoint for a in answers], goal)
     before = motion
     motion = _steer(ground, motion, goal, [k for k in followers if answers[k] is not None])
@@ -126,7 +134,7 @@ def _advance(ground: Ground, motion: Motion, goal: Goal, followers: dict[int, Fo
         motion = _steer(ground, motion, goal, over)
         for k in over:
             del followers[k]
-    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.situation.dt)
+    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.scenes.dt)
     if not followers:
         return moved
     ones = [f.advance(one_of(motion, k), ground.road(k), limits, float(ground.cap[k])) for k, f in followers.items()]

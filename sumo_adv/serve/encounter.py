@@ -15,8 +15,8 @@ from sumo_adv.episode.attack import Driven, attack, leader
 from sumo_adv.episode.brain import answer_of
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.encounter import Candidate
-from sumo_adv.episode.foresight import Sessions
 from sumo_adv.episode.outlook import outlook
+from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.survey import MOST_SHIFT, area_of, survey, surveys
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.episode.verdict import gate_verdict
@@ -130,10 +130,8 @@ class LiveAttempts:
         self._events.tell(
             "attack", time=session.now, adversary=proposal.bv, intent=proposal.label, mode=proposal.planner.mode,
         )  # fmt: skip
-        settings = self._settings
-        with Sessions(
-            self._sandbox, situation, [proposal.planner], settings.seed, drivable=self._scene.found.drivable
-        ) as planners:
+        settings, roads = self._settings, Roads({proposal.delay: situation})
+        with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
             return attack(
                 session, leader(situation, proposal, settings.limits.limits()),
                 lambda told: answer_of(proposal, planners, told), steps=settings.steps(settings.duration),

@@ -114,11 +114,11 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     targets = situation.target_list()
     names = [t.state.id for t in targets for _ in range(DRAWN)]
     plan = _plans(targets, rng)
-    ground = Ground(situation, names)
+    ground = Ground([situation] * len(names), names)
     ground.rows.row = ground.rows.row + plan.way
     steps, dt, limits = settings.steps(settings.duration), situation.dt, settings.limits.limits()
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(situation, ground.length, width)
+    motion, egos = ground.begin(), PredictedEgos(ground.scenes, ground.length, width)
     poses, model = np.empty((4, len(names), steps)), np.empty((4, len(names), steps))
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)

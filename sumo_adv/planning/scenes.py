@@ -1,0 +1,110 @@
+"""The situations that many vehicles are in, row by row: what differs between the moments of one encounter, as arrays.
+
+Attacks that begin at different moments after the trigger are predicted together; each has its own frame, its own path
+and profile of the ego, its own lane.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.geometry import PATH_STEP, Path, wrap_all
+from sumo_adv.situation import Situation
+
+
+class Scenes:
+    """A situation for each of ``n`` vehicles, all of one encounter: the ego, its driver and the step are the same."""
+
+    def __init__(self, situations: Sequence[Situation]) -> None:
+        self.of = list(situations)
+        each = list({id(s): s for s in situations}.values())
+        place = {id(s): k for k, s in enumerate(each)}
+        self._each, self._row = each, np.array([place[id(s)] for s in situations], np.intp)
+        self._rows = [np.flatnonzero(self._row == k) for k in range(len(each))]
+        self._paths = _Paths([s.ego_path for s in each])
+        frames = [s.frame for s in each]
+        self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
+        self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in each]
+        self.dt, self.ego, self.driver = each[0].dt, each[0].ego, each[0].ego_model
+
+    def each(self, value: Any) -> Floats:
+        """``value(situation)`` for each vehicle, ``(n,)``."""
+        return np.array([value(s) for s in self._each], float)[self._row]
+
+    def profile(self, time: Floats) -> tuple[Floats, Floats]:
+        """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
+        read = [profile_at(s, time) for s in self._each]
+        return np.stack([s for s, _ in read])[self._row], np.stack([v for _, v in read])[self._row]
+
+    def profile_now(self, time: float) -> tuple[Floats, Floats]:
+        """The same at one time, ``(n,)``."""
+        read = np.array([_profile_then(s, v, time, self.dt) for s, v in self._profiles])[self._row]
+        return read[:, 0], read[:, 1]
+
+    def pace(self, station: Floats) -> Floats:
+        """The unattacked egos' speeds [m/s] at stations (n,)."""
+        found = np.empty(len(station))
+        for one, rows in zip(self._each, self._rows, strict=True):
+            found[rows] = np.interp(station[rows], one.profile_s, one.profile_v)
+        return found
+
+    def ego_at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """x, y, heading at stations and offsets [m] of the egos' paths, ``(n,)`` or ``(n, k)``."""
+        return self._paths.at(_fit(self._row, s), s, d)
+
+    def to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
+        """World poses, ``(n,)`` or ``(n, k)``, to the frames of the egos at their triggers."""
+        x0, y0, c, s, h = (_fit(q, x) for q in self._frame[self._row].T)
+        dx, dy = x - x0, y - y0
+        return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - h)
+
+
+class _Paths:
+    """Look-ups on several paths at once, as :meth:`sumo_adv.geometry.Path.at` makes them on one."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        longest = max(len(p.x) for p in paths)
+        tables = [[np.pad(a, (0, longest - len(a)), "edge") for a in (p.x, p.y, p.heading)] for p in paths]
+        self._x, self._y, self._heading = (np.stack([t[k] for t in tables]) for k in range(3))
+        self._last = np.array([len(p.x) - 1 for p in paths])
+
+    def at(self, path: Any, s: Floats, d: Floats | float) -> tuple[Floats, Floats, Floats]:
+        """x, y, heading; straight on beyond both ends."""
+        last = self._last[path]
+        u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
+        i = np.minimum(u.astype(np.intp), last - 1)
+        w = u - i
+        x, y, heading = (t[path, i] * (1 - w) + t[path, i + 1] * w for t in (self._x, self._y, self._heading))
+        beyond, cos, sin = s - u * PATH_STEP, np.cos(heading), np.sin(heading)
+        return x + beyond * cos - d * sin, y + beyond * sin + d * cos, heading
+
+
+def _fit(values: Any, like: Floats) -> Any:
+    """Values of the rows ``(n,)`` in a shape that goes with ``(n,)`` or ``(n, k)``."""
+    return values if np.ndim(like) == 1 else values[:, None]
+
+
+def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
+    """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
+    s, v = situation.profile_s, situation.profile_v
+    last = len(s) - 1
+    u = np.minimum(np.maximum(time / situation.dt, 0.0), last)
+    i = np.minimum(u.astype(np.intp), last - 1)
+    w = u - i
+    beyond = np.maximum(time - last * situation.dt, 0.0)
+    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
+
+
+def _profile_then(s: Sequence[float], v: Sequence[float], time: float, dt: float) -> tuple[float, float]:
+    """``profile_at`` one time, in floats."""
+    last = len(s) - 1
+    u = min(max(time / dt, 0.0), last)
+    i = min(int(u), last - 1)
+    w = u - i
+    beyond = max(time - last * dt, 0.0)
+    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
