@@ -28,6 +28,7 @@ MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` mor
 VERSIONS = 2  # of a mode that are drawn from
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 6  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
+CLEAR = 0.15  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
 NEAREST = 10  # of the best ones whose numbers are varied
 FIRMED = 8  # of the best ones whose neighbours are predicted at once,
@@ -48,6 +49,8 @@ NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
         "right",
     ),
 }
+
+COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +131,10 @@ class Expert:
         return self.ranking(situations, library)
 
     def predict(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
-        """Fill the pool: every way that applies, drawn and scored; more where nothing of it is good."""
+        """Fill the pool: every way that applies, drawn and scored; more where nothing of it is good. What the expert
+        composed itself waits until it is wanted (``ranking``), also where the bank has it by now."""
         self.pool = []
-        self.widen(situations, library)
+        self.widen(situations, [e for e in library if e.label not in COMPOSED])
 
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
@@ -183,9 +187,11 @@ class Expert:
         return self.hindsight.weigh(self._scorer.score(found))
 
     def price(self, p: Proposal) -> float:
-        """The predicted score, what evidence of its planner adds to it, and how late the contact comes."""
+        """The predicted score, what evidence of its planner adds to it, how late the contact comes, and whether a brake
+        would do."""
         late = LATE * float(p.predicted.get("time", 0.0)) if p.score < REACHES else 0.0
-        return p.score + self._bias.get(p.planner.hash, 0.0) + late
+        brakes = CLEAR if alone(p) < BRAKES else 0.0
+        return p.score + self._bias.get(p.planner.hash, 0.0) + late - brakes
 
     def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
         """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing, and
@@ -235,14 +241,16 @@ def _intent(members: Sequence[Proposal], description: str) -> Intent:
 
 
 def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-    """New intents for relations that no entry of the library covers."""
-    covered = {word for entry in library for word in entry.applies}
+    """New intents for relations that no entry of the library covers, but for one that was composed before."""
+    known = {entry.label for entry in library}
+    covered = {word for entry in library if entry.label not in COMPOSED for word in entry.applies}
     found = []
     for target in situations[min(situations)].target_list():
         for word, (label, description, _) in NEW_INTENTS.items():
             if word in target.applies() and word not in covered:
                 reason = "no intent of the library can reach the ego from where this vehicle is"
-                found.append(Intent(target.state.id, label, description, "medium", 0.0, reason, "generated"))
+                source = "memory" if label in known else "generated"
+                found.append(Intent(target.state.id, label, description, "medium", 0.0, reason, source))
     return found
 
 

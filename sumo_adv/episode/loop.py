@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.expert import REACHES, Expert
+from sumo_adv.agents.expert import COMPOSED, REACHES, Expert
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne
@@ -225,8 +225,9 @@ def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequenc
         entries = retrieve(episode, cast, met.found.first, library, bank)
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
-    if entries != library:
-        met.expert.widen(situations, entries)
+    wanted = {i.label for i in episode.intents}
+    if entries != library or wanted & COMPOSED:
+        met.expert.widen(situations, [e for e in entries if e.label not in COMPOSED - wanted])
     return entries
 
 
