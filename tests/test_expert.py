@@ -10,9 +10,10 @@ import pytest
 from situation_samples import crossing, neighbour, situation
 
 from sumo_adv.agents.expert import Expert, ExpertGenerator, families
-from sumo_adv.agents.firmness import SPREAD
+from sumo_adv.agents.firmness import ALONE, SPREAD
 from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.planning.source import make_planner
+from sumo_adv.situation import Target
 
 ENDPOINT = """
 
@@ -42,6 +43,12 @@ NEW = "Ramp Merge Rush"
 
 def proposal(planner: Planner = SHIFT, gap: float = 2.0, drift: float = 3.0) -> Proposal:
     return Proposal("bv", planner.label, planner, {"gap": gap, "drift": drift}, -6.0, 1.5, score=0.3)
+
+
+def merging() -> Target:
+    other = crossing()
+    way = replace(other.ways[0], conflict=replace(other.ways[0].conflict, kind="merging"))  # type: ignore[type-var]
+    return replace(other, ways=(way,))
 
 
 def expert(seed: int = 1) -> Expert:
@@ -109,6 +116,14 @@ def test_a_later_contact_costs_a_little() -> None:
     assert expert().price(replace(proposal(), score=2.0, predicted={"time": 5.0})) == 2.0
 
 
+def test_what_a_brake_would_avoid_comes_before_what_is_a_little_firmer() -> None:
+    """0.15 off where the proposal alone scores below 0.1, whatever its neighbours make of it: 0.2 before 0.12."""
+    braked = replace(proposal(), score=0.2, predicted={ALONE: 0.08})
+    steered = replace(proposal(), score=0.12, predicted={ALONE: 0.12})
+    assert expert().price(braked) == pytest.approx(0.05) and expert().price(steered) == 0.12
+    assert expert().price(replace(proposal(), score=0.08)) == pytest.approx(-0.07)
+
+
 # ---- ways to attack
 
 
@@ -149,13 +164,25 @@ def test_a_library_that_has_grown_adds_to_the_pool() -> None:
     assert len(some.pool) == 15
 
 
+def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_has_it() -> None:
+    """A merging vehicle, and a bank that has learnt the rush from a ramp: it is ranked, and drawn only then."""
+    at = {0.0: situation([merging()])}
+    learnt = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW),), "generated")
+    some = Expert(Best(), proposals=10, seed=1)
+    some.predict(at, [learnt])
+    assert some.pool == []
+    ranked = some.ranking(at, [learnt])
+    assert [(i.label, i.source) for i in ranked] == [(NEW, "memory")]
+    assert [(i.label, i.source) for i in some.ranking(at, [])] == [(NEW, "generated")]
+    some.widen(at, [learnt])
+    assert {p.label for p in some.pool} == {NEW}
+
+
 @pytest.mark.parametrize(("good", "first"), [(0, 0), (1, 1), (4, 1), (5, None)])
 def test_where_few_are_avoidable_intents_are_composed_and_where_none_is_they_come_first(
     good: int, first: int | None
 ) -> None:
-    other = crossing()
-    way = replace(other.ways[0], conflict=replace(other.ways[0].conflict, kind="merging"))  # type: ignore[type-var]
-    at = {0.0: situation([replace(other, ways=(way,))])}
+    at = {0.0: situation([merging()])}
     some = expert()
     some.pool = [replace(proposal(gap=0.1 * k), score=0.3 if k < good else 1.2) for k in range(10)]
     labels = [i.label for i in some.ranking(at, [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))])]
