@@ -83,3 +83,12 @@ def test_womd_prints_totals_and_targets(program: Program) -> None:
         assert re.search(rf"^{name} +{value}$", said, re.MULTILINE), said
     assert "met    connectivity: 1 >= 0.995" in said and "met    within_0.5" in said
     assert "nothing to do" in printed(program, "womd.py")
+
+
+def test_where_the_seconds_of_an_encounter_go(program: Program) -> None:
+    header, _, *rows = printed(program, "profile_encounter.py", "--suite", "smoke", "--every", "6").splitlines()
+    assert re.fullmatch(r"1 encounters of smoke against idm:" + NUMBER + " s each", header)
+    seconds = {row[:30].strip(): float(row[30:].split()[0]) for row in rows}
+    assert len(seconds) == 9 and seconds["attempts in SUMO"] > 0.0
+    asked, whole = seconds["planners asked"], seconds["predictions, all"]
+    assert 0.0 < asked < whole
