@@ -266,6 +266,8 @@ def replay_episode(
         raise UsageError(
             f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
         )
+    if proposal.bv not in found.situations[proposal.delay].targets:
+        raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
     result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)

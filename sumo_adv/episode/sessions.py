@@ -29,8 +29,8 @@ class Roads:
         self._told: dict[str, dict[str, Any]] = {}
 
     def of(self, proposals: Iterable[Proposal]) -> dict[str, dict[str, Any]]:
-        """The roads of these, by :func:`road_key`."""
-        wanted = {road_key(p): p for p in proposals}
+        """The roads of these, by :func:`road_key`; of a BV that is none of the encounter's there is none."""
+        wanted = {road_key(p): p for p in proposals if p.bv in self.situations[p.delay].targets}
         for key in wanted.keys() - self._told.keys():
             self._told[key] = road_of(self.situations[wanted[key].delay], wanted[key].bv)
         return {key: self._told[key] for key in wanted}
