@@ -1,8 +1,8 @@
 """Where time goes in an encounter: the front's seconds by part, under Python's profiler.
 
 ``python benchmarks/profile_encounter.py [--suite suite81] [--every 9] [--ego idm]``: every ninth encounter with the
-built-in expert until a valid collision, nothing learnt; half a minute.  The profiler's own cost is in the seconds (the
-ratio of a run without it is printed), so read the shares.
+built-in expert until a valid collision, nothing learnt; one to three minutes.  The profiler's own cost is in the
+seconds (the ratio of a run without it is printed), so read the shares.
 """
 
 from __future__ import annotations

@@ -176,6 +176,8 @@ def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_h
     assert [(i.label, i.source) for i in some.ranking(at, [])] == [(NEW, "generated")]
     some.widen(at, [learnt])
     assert {p.label for p in some.pool} == {NEW}
+    asked = Expert(Best(), proposals=10, seed=1, allowed=(NEW,))  # a scenario that names it
+    assert [i.label for i in asked.analyze(at, [learnt])] == [NEW] and len(asked.pool) == 10
 
 
 @pytest.mark.parametrize(("good", "first"), [(0, 0), (1, 1), (4, 1), (5, None)])

@@ -51,6 +51,7 @@ NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
 }
 
 COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
+"""Labels of the intents that the expert composes itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,9 +133,10 @@ class Expert:
 
     def predict(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Fill the pool: every way that applies, drawn and scored; more where nothing of it is good. What the expert
-        composed itself waits until it is wanted (``ranking``), also where the bank has it by now."""
+        composed itself waits until it is wanted (``ranking``), also where the bank has it by now, unless it is asked
+        for by name."""
         self.pool = []
-        self.widen(situations, [e for e in library if e.label not in COMPOSED])
+        self.widen(situations, [e for e in library if e.label not in COMPOSED or e.label in self._allowed])
 
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
@@ -241,7 +243,8 @@ def _intent(members: Sequence[Proposal], description: str) -> Intent:
 
 
 def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-    """New intents for relations that no entry of the library covers, but for one that was composed before."""
+    """Intents of ``NEW_INTENTS`` for relations that nothing else of the library covers; those that the bank has learnt
+    by now have the source ``memory``."""
     known = {entry.label for entry in library}
     covered = {word for entry in library if entry.label not in COMPOSED for word in entry.applies}
     found = []

@@ -71,7 +71,7 @@ def example_path(folder: Path, ego: str, case: str, row: str) -> Path:
 
 
 def examples_of(cases: Sequence[Case]) -> frozenset[str]:
-    """The cases that are drawn: of each group the first of each of its first kinds."""
+    """The cases that are drawn: of each group the first of each of its first ``KINDS_SHOWN`` kinds."""
     found: list[str] = []
     for group in GROUPS:
         first: dict[str, str] = {}

@@ -8,6 +8,7 @@ import signal
 import tempfile
 import traceback
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +109,8 @@ class Bencher:
         if self._setup.keep_runs and episode.found is not None:
             self._setup.parts.keep_run(self._run_folder(job, row), episode)
         if job.case.name in self._setup.examples and episode.best is not None:
-            self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
+            with suppress(UsageError):  # what cannot be drawn is no failure of the row
+                self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
         return cell | {
             "timing": timing,
             "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,

@@ -158,7 +158,7 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     """Write one piece of evidence; True if it is a success.
 
     An intent that the expert composed comes with all its modes: they are the bank's own, for another movement, and
-    where the bank has the intent none is composed any more."""
+    where the bank has the intent none is generated any more."""
     evidence = _evidence(episode, attempt)
     entry = next(e for e in entries if e.label == attempt.proposal.label)
     planner = attempt.proposal.planner

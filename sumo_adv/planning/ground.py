@@ -7,6 +7,7 @@ told: the dictionaries ``bv``, ``ego`` and ``road`` in the frame of the ego's po
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ class Ground:
         self.scenes = Scenes(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
-        first = dict(zip(map(id, unique), np.cumsum([0] + [len(t.ways) for t in unique]).tolist(), strict=False))
+        first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))
         self.lines = lines = [w for t in unique for w in t.ways]
         self._base = np.array([first[id(t)] for t in self.targets])
         self._count = np.array([len(t.ways) for t in self.targets])
