@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import errno
 import os
+import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -65,3 +66,19 @@ def write_whole(target: Path, write: Callable[[Path], Any]) -> None:
 def write_text(target: Path, text: str) -> None:
     """A text file, whole or not at all. Raises OSError."""
     write_whole(target, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+@contextmanager
+def held(file: Path) -> Iterator[bool]:
+    """Whether nobody else holds ``file``, which is then held until the end, at the latest that of the process.
+
+    SQLite's lock, since every system has it; on a disk without locks nobody is seen. The file stays behind, empty.
+    Raises OSError."""
+    file.touch()
+    with closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)) as lock:
+        try:
+            lock.execute("BEGIN EXCLUSIVE")
+            alone = True
+        except sqlite3.OperationalError as error:
+            alone = error.sqlite_errorcode != sqlite3.SQLITE_BUSY
+        yield alone

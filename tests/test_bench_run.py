@@ -13,6 +13,7 @@ from cli_samples import ROOT, Done, Program
 
 from sumo_adv.cli.bench import _settings
 from sumo_adv.errors import UsageError
+from sumo_adv.files import held
 
 MOTORWAY, TEE = (f"scenarios/{n}.toml" for n in ("motorway_cut_in_left", "t_junction_left_from_stem"))
 SMALL = (
@@ -108,6 +109,17 @@ def test_a_folder_holds_the_cells_of_one_bench_only(whole: tuple[Program, Done])
     (program.folder / "mine" / "thesis.tex").write_text("")
     done = program(*SMALL, "--out", "mine")
     assert (done.status, "mine is not empty and not the folder of a bench" in done.err) == (2, True)
+
+
+def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, Done]) -> None:
+    program, _ = whole
+    before = {p: p.stat().st_mtime_ns for p in (program.folder / "out").rglob("*.json")}
+    with held(program.folder / "out" / "bench.lock") as alone:  # as another bench does
+        done = program(*SMALL, "--out", "out")
+    assert (alone, done.status) == (True, 2)
+    assert done.err == "sumo-adv: Another bench writes into out; wait for it, or give another --out.\n"
+    assert {p: p.stat().st_mtime_ns for p in (program.folder / "out").rglob("*.json")} == before
+    assert program(*SMALL, "--out", "out").status == 0  # once that is over
 
 
 @pytest.mark.parametrize(

@@ -15,12 +15,12 @@ from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences, write_text
+from sumo_adv.files import held, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.world.egos import make_ego
 
 SCHEMA = 1
-PLAN = "bench.json"
+PLAN, LOCK = "bench.json", "bench.lock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,8 @@ def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
     """The cells of a table, those that are missing run now; also those that other commands left in the folder.
 
     Raises:
-        UsageError: bad rows, egos or settings, or a folder that holds cells of something else; BankError.
+        UsageError: bad rows, egos or settings, a folder that holds cells of something else, or into which another
+            bench writes; BankError.
     """
     asked.check()
     plan = json.loads(json.dumps(manifest(asked, means)))
@@ -71,7 +72,10 @@ def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
             means.keep_runs, examples_of(asked.suite.cases),
         )  # fmt: skip
         free, chains = make_jobs(asked.suite.cases, asked.egos, asked.rows, asked.seed)
-        Bench(setup, means.workers, watcher).run(free, chains)
+        with held(means.folder / LOCK) as alone:
+            if not alone:
+                raise UsageError(f"Another bench writes into {means.folder}; wait for it, or give another --out.")
+            Bench(setup, means.workers, watcher).run(free, chains)
     return read_cells(means.folder)
 
 
