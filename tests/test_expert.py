@@ -138,6 +138,24 @@ def test_of_each_mode_the_two_versions_that_come_first_are_drawn_from() -> None:
     assert [w.planner for w in ways] == [sides[2], *others, sides[0]]
 
 
+def test_versions_that_were_learnt_are_told_from_the_authors_and_two_of_them_count() -> None:
+    """A planner adapted from another intent's is no version of it; a version whose author's planner is gone stands for
+    the mode."""
+    first = shifts(1)[0]
+    learnt = [make_planner("Shift", "side", f"{TABLE}# learnt {k}\n{ENDPOINT}", "expert", first.hash) for k in range(3)]
+    adapted = make_planner("Merge", "side", f"{TABLE}# adapted\n{ENDPOINT}", "expert", first.hash)
+    alone = replace(learnt[0], label="Alone", parent="0" * 64)
+    library = [
+        LibraryEntry("Shift", "", ("neighbour",), (*learnt, first)),
+        LibraryEntry("Merge", "", ("neighbour",), (adapted,)),
+        LibraryEntry("Alone", "", ("neighbour",), (alone,)),
+    ]
+    ways = families({0.0: situation([neighbour()])}, library)
+    assert [(w.planner, w.learnt) for w in ways] == [
+        (learnt[0], True), (learnt[1], True), (first, False), (adapted, False), (alone, False)
+    ]  # fmt: skip
+
+
 def test_what_is_drawn_does_not_hang_on_the_library_s_order() -> None:
     sides = shifts(2)
     pools = []

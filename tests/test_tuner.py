@@ -148,6 +148,36 @@ def test_a_planner_gets_at_most_its_share():
     assert tuner.exhausted() == [library[0].planners[0].hash]
 
 
+def learnt_version(library: list[LibraryEntry]) -> LibraryEntry:
+    """The entry with a version of its planner that was learnt: its gap is 1.5 m, not 2."""
+    first = library[0].planners[0]
+    again = make_planner(first.label, first.mode, SHIFT.replace("(2.0,", "(1.5,"), "expert", first.hash)
+    return replace(library[0], planners=(again, first))  # its evidence is better, so it comes first in the bank
+
+
+def test_what_was_learnt_is_one_proposal_more_and_takes_no_draws_from_others():
+    situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
+    before, after = (Expert(ByGap(), proposals=30, seed=7) for _ in range(2))
+    before.predict({0.0: situation}, library)
+    after.predict({0.0: situation}, [learnt_version(library)])
+    gaps = [[p.parameters["gap"] for p in drawn(e.pool)] for e in (before, after)]
+    assert sorted(gaps[1]) == sorted([*gaps[0], 1.5])
+
+
+def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one_its_own():
+    situation, known = straight_situation(), learnt_version([entry("Shift", ("neighbour",))])
+    expert = Expert(ByGap(), proposals=30, seed=7)
+    expert.analyze({0.0: situation}, [known])
+    tuner = Tuner(expert, families({0.0: situation}, [known]), share=3)
+    assert len(tried(tuner, 10)) == 3
+    most = tuner.exhausted()
+    assert most == [known.planners[1].hash]  # of 31 proposals 30 are the author's: nearest to 1 m are three of these
+    changed = make_planner("Shift", "side", SHIFT.replace("(2.0,", "(0.5,"), "expert", most[0])
+    way = families({0.0: situation}, [known])[0]
+    tuner.add([replace(way, planner=changed, learnt=False)], 20)
+    assert [p.planner.hash for p in tried(tuner, 10)] == [changed.hash] * 3
+
+
 def test_tries_cost_so_another_family_has_its_turn():
     situation = straight_situation()
     near, far = entry("Near", ("neighbour",)), entry("Other", ("neighbour",), SHIFT + "\n# another text\n")

@@ -25,7 +25,7 @@ BRAKES = 0.1  # a score below is one that a careful driver who only brakes could
 REDRAW = 60  # proposals drawn at once where the first were not good
 FOR_BRAKES = 120  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
 MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` more for each attempt
-VERSIONS = 2  # of a mode that are drawn from
+VERSIONS = 2  # of a mode that are drawn from, and as many that were learnt, which are asked with their own numbers only
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 6  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.15  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
@@ -56,12 +56,13 @@ COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """One way of attacking whose numbers are still open."""
+    """One way of attacking whose numbers are still open. ``learnt``: its planner is a version of one that is there."""
 
     delay: float
     target: Target
     entry: LibraryEntry
     planner: Planner
+    learnt: bool = False
 
     def proposal(self, draw: random.Random | None) -> Proposal:
         """With the author's numbers (no ``draw``) or drawn ones, uniform within their bounds."""
@@ -82,25 +83,30 @@ def families(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
 ) -> list[Family]:
     """All that applies: by delay, most dangerous BV first, in the library's order; of each mode the ``VERSIONS`` that
-    come first there."""
+    come first there, and of those that were learnt."""
+    versions = [(entry, _first_versions(entry, library)) for entry in library if not allowed or entry.label in allowed]
     found = []
     for delay in sorted(situations):
         for target in situations[delay].target_list():
             words = set(target.applies())
-            for entry in library:
-                if words & set(entry.applies) and (not allowed or entry.label in allowed):
-                    found += [Family(delay, target, entry, planner) for planner in _first_versions(entry.planners)]
+            for entry, planners in versions:
+                if words & set(entry.applies):
+                    found += [Family(delay, target, entry, planner, learnt) for planner, learnt in planners]
     return found
 
 
-def _first_versions(planners: Sequence[Planner]) -> list[Planner]:
-    """At most ``VERSIONS`` planners of a mode: versions that were learnt must not crowd out the other modes."""
-    count: Counter[str] = Counter()
+def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
+    """At most ``VERSIONS`` planners of a mode, and as many that were learnt from another one of the intent; one that was
+    learnt stands for its mode where no other does."""
+    elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
+    first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
+    count: Counter[tuple[str, bool]] = Counter()
     found = []
-    for planner in planners:
-        count[planner.mode] += 1
-        if count[planner.mode] <= VERSIONS:
-            found.append(planner)
+    for planner in entry.planners:
+        learnt = planner.mode in first and planner.parent is not None and planner.parent not in elsewhere
+        count[planner.mode, learnt] += 1
+        if count[planner.mode, learnt] <= VERSIONS:
+            found.append((planner, learnt))
     return found
 
 
@@ -178,15 +184,15 @@ class Expert:
     def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
         """``count`` scored proposals, round robin; the first of each family with its author's numbers.
 
-        In an order that does not hang on what was learnt, and so the same numbers are drawn."""
-        if not ways:
-            return []
-        ways = sorted(ways, key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
+        What was learnt comes on top, with the numbers it was learnt with: it takes no draws from others, and these are
+        the same as without it."""
+        drawn = sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
         found = [
-            ways[k % len(ways)].proposal(None if defaults and k < len(ways) else self._draw)
-            for k in range(max(count, len(ways) if defaults else 0))
+            drawn[k % len(drawn)].proposal(None if defaults and k < len(drawn) else self._draw)
+            for k in range(max(count, len(drawn) if defaults else 0) if drawn else 0)
         ]
-        return self.hindsight.weigh(self._scorer.score(found))
+        found += [w.proposal(None) for w in ways if w.learnt and defaults]
+        return self.hindsight.weigh(self._scorer.score(found)) if found else []
 
     def price(self, p: Proposal) -> float:
         """The predicted score, what evidence of its planner adds to it, how late the contact comes, and whether a brake

@@ -1,7 +1,8 @@
 """The inner loop of refinement: which proposal is tried next.
 
 By predicted score, with a growing price on what was tried already, every third time the best of the least tried family;
-when all that is promising is used up, new proposals are drawn.  At most ``share`` attempts a planner version.
+when all that is promising is used up, new proposals are drawn.  At most ``share`` attempts go to the versions of a mode
+that were there at first, and to each that is added.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert, Family
 from sumo_adv.agents.firmness import alone, drawn
-from sumo_adv.datatypes import EgoCourse, Proposal
+from sumo_adv.datatypes import EgoCourse, Planner, Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
 RANK_PRICE = 0.3  # score a place in a model's ranking costs: a good candidate further down comes after a fair one above
@@ -39,12 +40,14 @@ class Tuner:
         self.pool = list(expert.pool)
         self._drawn = len(drawn(self.pool))
         self._tries: Counter[tuple[str, str, str]] = Counter()
-        self._by_planner: Counter[str] = Counter()
+        self._by_planner: Counter[Planner] = Counter()
+        self._added: set[str] = set()  # planners' hashes
         self._count = 0
 
     def add(self, ways: Sequence[Family], count: int) -> None:
         """More ways to attack: a new or changed planner's."""
         self._ways += ways
+        self._added |= {w.planner.hash for w in ways}
         self.pool += self._expert.draw(ways, count)
 
     def first_of(self, bv: str, label: str) -> Proposal | None:
@@ -59,14 +62,16 @@ class Tuner:
         """The next proposal, or None when nothing is left to try."""
         open_ = self._open()
         while self._drawn < self._expert.wanted(open_, self._count):
-            ways = [w for w in self._ways if self._by_planner[w.planner.hash] < self._share]
+            over = self._over()
+            ways = [w for w in self._ways if self._sharing(w.planner) not in over]
             fresh = self._expert.more(ways, sorted(open_, key=self._price))
             self._drawn += max(len(fresh), 1)
             self.pool += fresh
             open_ = self._open()
         if not open_:
             return None
-        closed = [p for p in self.pool if self._by_planner[p.planner.hash] >= self._share]
+        over = self._over()
+        closed = [p for p in self.pool if self._sharing(p.planner) in over]
         open_ = self._expert.firmed(open_, self._chosen)
         self.pool = closed + open_
         return self._take(self._chosen(open_))
@@ -75,7 +80,7 @@ class Tuner:
         self.pool.remove(chosen)
         self._count += 1
         self._tries[chosen.family] += 1
-        self._by_planner[chosen.planner.hash] += 1
+        self._by_planner[chosen.planner] += 1
         return chosen
 
     def heard(self, tried: Proposal, course: EgoCourse, valid: bool) -> None:
@@ -85,11 +90,27 @@ class Tuner:
             self.pool = hindsight.weigh(self.pool, hindsight.surprised(tried, course))
 
     def exhausted(self) -> list[str]:
-        """Hashes of planners whose share is used up."""
-        return [name for name, tries in self._by_planner.items() if tries >= self._share]
+        """Hashes of planners whose share is used up; of versions that share one, that of the one tried most."""
+        over, most = self._over(), dict[str, str]()
+        for planner, _ in self._by_planner.most_common():
+            if self._sharing(planner) in over:
+                most.setdefault(self._sharing(planner), planner.hash)
+        return list(most.values())
 
     def _open(self) -> list[Proposal]:
-        return [p for p in self.pool if self._by_planner[p.planner.hash] < self._share]
+        over = self._over()
+        return [p for p in self.pool if self._sharing(p.planner) not in over]
+
+    def _over(self) -> set[str]:
+        """Shares that are used up."""
+        tries = Counter[str]()
+        for planner, count in self._by_planner.items():
+            tries[self._sharing(planner)] += count
+        return {share for share, count in tries.items() if count >= self._share}
+
+    def _sharing(self, planner: Planner) -> str:
+        """What all planners that have one share of attempts have in common."""
+        return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
 
     def _chosen(self, open_: Sequence[Proposal]) -> Proposal:
         if self._count % DIVERSE_EVERY == DIVERSE_EVERY - 1:
