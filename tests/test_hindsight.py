@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.agents.hindsight import Hindsight
-from sumo_adv.datatypes import EgoCourse, Planner, Proposal
+from sumo_adv.datatypes import EgoCourse, Parameter, Planner, Proposal
 
 PLANNER = Planner("any", "plain", "", (), "seed")
 SLOW = EgoCourse(np.array([0.0, 0.5]), np.array([5.0, 5.0]))
@@ -60,6 +60,19 @@ def test_weighing_twice_does_not_compound() -> None:
     assert once[0].predicted == {"min_ttc": 0.0, "before": 0.2, "seen": 1.0}
     assert hindsight.weigh(once, key) == once
     assert scores(once) == pytest.approx([0.6])
+
+
+def test_the_attempt_most_like_a_proposal_says_how_the_ego_goes() -> None:
+    """Offsets from -1 to 1 s: one attempt at 0 slowed the ego to 5 m/s, one at 0.8 to 3; 0.3 is nearer to the first,
+    0.5 to the second. Another mode has the last one seen."""
+    planner = replace(PLANNER, parameters=(Parameter("offset", 0.0, -1.0, 1.0, "s", "when"),))
+    other = replace(PLANNER, mode="other")
+    at = [replace(proposal(0.0), planner=planner, parameters={"offset": x}) for x in (0.0, 0.8, 0.3, 0.5)]
+    hindsight = Hindsight(BySpeed())
+    hindsight.surprised(at[1], SLOWER)
+    hindsight.surprised(at[0], SLOW)
+    found = hindsight.weigh([*at[2:], replace(proposal(0.0), planner=other)])
+    assert scores(found) == pytest.approx([0.75 * 1.0, 0.75 * 0.6, 0.75 * 1.0])
 
 
 def test_only_the_proposals_of_that_vehicle_and_moment_change() -> None:

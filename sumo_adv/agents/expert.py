@@ -96,8 +96,8 @@ def families(
 
 
 def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
-    """At most ``VERSIONS`` planners of a mode, and as many that were learnt from another one of the intent; one that was
-    learnt stands for its mode where no other does."""
+    """At most ``VERSIONS`` planners of a mode, and as many that were learnt from others of the intent; of these one
+    stands for its mode where no other does."""
     elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
     first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
     count: Counter[tuple[str, bool]] = Counter()

@@ -1,9 +1,9 @@
 """Proposals weighed anew by how the ego really went: what a prediction got wrong once it gets wrong again.
 
 After an attempt that came otherwise than predicted, the proposals of that vehicle and moment are also predicted against
-an ego that drives as it was seen to; their score becomes a mean of both predictions, with a weight that grows with
-every such surprise (in CAT, too, real rollouts take the place of predicted ones; Zhang et al. 2023, CoRL).  This is how
-an ego whose driver is unknown is learnt within an encounter.
+an ego that drives as it was seen to in the most similar attempt; their score becomes a mean of both predictions, with
+a weight that grows with every such surprise (in CAT, too, real rollouts take the place of predicted ones; Zhang et al.
+2023, CoRL).  This is how an ego whose driver is unknown is learnt within an encounter.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ class Hindsight:
 
     def __init__(self, scorer: Scorer) -> None:
         self._scorer = scorer
-        self._seen: dict[Key, tuple[EgoCourse, float]] = {}
+        self._seen: dict[Key, list[tuple[Proposal, EgoCourse]]] = {}
 
     def surprised(self, tried: Proposal, course: EgoCourse) -> Key:
         """Keep how the ego went in an attempt that was predicted otherwise; the key whose proposals that changes."""
         key = (tried.bv, tried.delay)
-        _, weight = self._seen.get(key, (course, 0.0))
-        self._seen[key] = course, weight + (1.0 - weight) * SURPRISE
+        self._seen.setdefault(key, []).append((tried, course))
         return key
 
     def weigh(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
@@ -42,9 +41,10 @@ class Hindsight:
         rows = [k for k, p in enumerate(found) if self._concerns(p, only)]
         if not rows:
             return found
-        courses = [self._seen[found[k].bv, found[k].delay][0] for k in rows]
+        courses = [_nearest(found[k], self._seen[found[k].bv, found[k].delay]) for k in rows]
         for k, again in zip(rows, self._scorer.score([found[k] for k in rows], courses), strict=True):
-            weight, before = self._seen[again.bv, again.delay][1], dict(found[k].predicted)
+            weight = 1.0 - (1.0 - SURPRISE) ** len(self._seen[again.bv, again.delay])
+            before = dict(found[k].predicted)
             first = float(before.get("before", before.pop(ALONE, found[k].score)))
             before.pop(ALONE, None)  # its neighbours are to be asked again
             score = (1.0 - weight) * min(first, WORST) + weight * min(again.score, WORST)
@@ -54,3 +54,19 @@ class Hindsight:
     def _concerns(self, p: Proposal, only: Key | None) -> bool:
         key = (p.bv, p.delay)
         return key in self._seen and only in (None, key) and not any(p.predicted.get(w) for w in HOPELESS)
+
+
+def _nearest(p: Proposal, seen: Sequence[tuple[Proposal, EgoCourse]]) -> EgoCourse:
+    """How the ego went in the attempt most like a proposal: of the same mode, with the nearest numbers, the later of
+    equals; the last one where none was of its mode."""
+    alike = [(tried, course) for tried, course in seen if tried.family == p.family]
+    if not alike:
+        return seen[-1][1]
+    return min(reversed(alike), key=lambda each: _apart(p, each[0]))[1]
+
+
+def _apart(p: Proposal, tried: Proposal) -> float:
+    """Squared distance of the numbers of two proposals, each in parts of its range."""
+    ranges = {q.name: max(q.high - q.low, 1e-9) for q in p.planner.parameters}
+    known = ranges.keys() & p.parameters.keys() & tried.parameters.keys()
+    return sum(((p.parameters[name] - tried.parameters[name]) / ranges[name]) ** 2 for name in sorted(known))
