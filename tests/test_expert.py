@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.expert import Expert, ExpertGenerator, families
+from sumo_adv.agents.expert import Expert, ExpertGenerator, compose, families
 from sumo_adv.agents.firmness import ALONE, SPREAD
 from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.planning.source import make_planner
@@ -185,7 +185,7 @@ def test_a_library_that_has_grown_adds_to_the_pool() -> None:
 def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_has_it() -> None:
     """A merging vehicle, and a bank that has learnt the rush from a ramp: it is ranked, and drawn only then."""
     at = {0.0: situation([merging()])}
-    learnt = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW),), "generated")
+    learnt = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW, origin="expert"),), "generated")
     some = Expert(Best(), proposals=10, seed=1)
     some.predict(at, [learnt])
     assert some.pool == []
@@ -196,6 +196,14 @@ def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_h
     assert {p.label for p in some.pool} == {NEW}
     asked = Expert(Best(), proposals=10, seed=1, allowed=(NEW,))  # a scenario that names it
     assert [i.label for i in asked.analyze(at, [learnt])] == [NEW] and len(asked.pool) == 10
+
+
+def test_an_intent_of_that_name_with_somebody_s_own_planner_is_drawn_from_at_once() -> None:
+    at = {0.0: situation([merging()])}
+    own = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW, origin="person"),))
+    some = Expert(Best(), proposals=10, seed=1)
+    assert [(i.label, i.source) for i in some.analyze(at, [own])] == [(NEW, "memory")]
+    assert len(some.pool) == 10 and compose(at, [own]) == []
 
 
 @pytest.mark.parametrize(("good", "first"), [(0, 0), (1, 1), (4, 1), (5, None)])

@@ -254,7 +254,8 @@ def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
     ranked = expert.analyze({0.0: situation}, library)
     assert ranked[0].label == "Ramp Merge Rush" and ranked[0].source == "generated"
     assert compose({0.0: situation}, [entry("Somebody's own", ("merging",))]) == []
-    learnt = compose({0.0: situation}, [entry("Ramp Merge Rush", ("merging",))])
+    rush = entry("Ramp Merge Rush", ("merging",))
+    learnt = compose({0.0: situation}, [replace(rush, planners=(replace(rush.planners[0], origin="expert"),))])
     assert [(i.label, i.source) for i in learnt] == [("Ramp Merge Rush", "memory")]
 
 

@@ -54,6 +54,11 @@ COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 """Labels of the intents that the expert composes itself."""
 
 
+def composed(entry: LibraryEntry) -> bool:
+    """Whether the expert composed it; not where somebody gave the intent a planner of their own."""
+    return entry.label in COMPOSED and all(p.origin == NAME for p in entry.planners)
+
+
 @dataclass(frozen=True, slots=True)
 class Family:
     """One way of attacking whose numbers are still open. ``learnt``: its planner is a version of one that is there."""
@@ -142,7 +147,7 @@ class Expert:
         composed itself waits until it is wanted (``ranking``), also where the bank has it by now, unless it is asked
         for by name."""
         self.pool = []
-        self.widen(situations, [e for e in library if e.label not in COMPOSED or e.label in self._allowed])
+        self.widen(situations, [e for e in library if not composed(e) or e.label in self._allowed])
 
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
@@ -178,8 +183,8 @@ class Expert:
         good = sum(alone(p) < AVOIDABLE for p in drawn(self.pool))
         if good >= FEW or self._allowed:
             return ranked
-        composed = compose(situations, library)
-        return ranked + composed if good else composed + ranked
+        new = compose(situations, library)
+        return ranked + new if good else new + ranked
 
     def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
         """``count`` scored proposals, round robin; the first of each family with its author's numbers.
@@ -252,7 +257,7 @@ def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntr
     """Intents of ``NEW_INTENTS`` for relations that nothing else of the library covers; those that the bank has learnt
     by now have the source ``memory``."""
     known = {entry.label for entry in library}
-    covered = {word for entry in library if entry.label not in COMPOSED for word in entry.applies}
+    covered = {word for entry in library if not composed(entry) for word in entry.applies}
     found = []
     for target in situations[min(situations)].target_list():
         for word, (label, description, _) in NEW_INTENTS.items():

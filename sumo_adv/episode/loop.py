@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.expert import COMPOSED, REACHES, Expert
+from sumo_adv.agents.expert import REACHES, Expert, composed
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne
@@ -226,8 +226,8 @@ def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequenc
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
     wanted = {i.label for i in episode.intents}
-    if entries != library or wanted & COMPOSED:
-        met.expert.widen(situations, [e for e in entries if e.label not in COMPOSED - wanted])
+    if entries != library or any(composed(e) and e.label in wanted for e in entries):
+        met.expert.widen(situations, [e for e in entries if not composed(e) or e.label in wanted])
     return entries
 
 
