@@ -271,10 +271,14 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class EgoCourse:
-    """How the ego went in an attempt: station on its path [m] and speed [m/s] by step from the takeover, ``(n,)``."""
+    """How the ego went in an attempt: station on its path [m] and speed [m/s] by step from the takeover, ``(n,)``.
+
+    ``seen``: so many steps of it were seen, the rest is at an even speed.
+    """
 
     s: Floats
     v: Floats
+    seen: int = 0
 
 
 @dataclass(frozen=True, slots=True)

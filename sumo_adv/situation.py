@@ -102,7 +102,7 @@ class Situation:
     profile_s: Floats
     profile_v: Floats
     profile_a: Floats
-    ego_model: Mapping[str, Any]  # kind, passes_right, acceleration, deceleration, tau, min_gap, speed
+    ego_model: Mapping[str, Any]  # kind, passes_right, unknown, acceleration, deceleration, tau, min_gap, speed
     targets: Mapping[str, Target]
     others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
     lane_width: float

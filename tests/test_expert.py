@@ -30,12 +30,18 @@ class Same:
     def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
 
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        return False
+
 
 class Best:
     """A brake avoids every proposal: nothing more is drawn."""
 
     def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
         return [replace(p, score=0.05, predicted={"alone": 0.05}) for p in proposals]
+
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        return False
 
 
 NEW = "Ramp Merge Rush"
@@ -122,6 +128,34 @@ def test_what_a_brake_would_avoid_comes_before_what_is_a_little_firmer() -> None
     steered = replace(proposal(), score=0.12, predicted={ALONE: 0.12})
     assert expert().price(braked) == pytest.approx(0.05) and expert().price(steered) == 0.12
     assert expert().price(replace(proposal(), score=0.08)) == pytest.approx(-0.07)
+
+
+class Changed(Same):
+    """The ego is thought to be another driver after the first attempt: everything scores 0.9 then."""
+
+    def __init__(self) -> None:
+        self.attempts = 0
+
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+        return [replace(p, score=0.9 if self.attempts else 0.5, predicted={"hit": True}) for p in proposals]
+
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        self.attempts += 1
+        return self.attempts == 1
+
+
+def test_where_the_ego_is_thought_to_be_another_driver_all_is_predicted_again_but_what_is_remembered() -> None:
+    some = Expert(Changed(), proposals=9, seed=1)
+    pool = [
+        proposal(gap=1.0),
+        replace(proposal(gap=2.0), predicted={"neighbour": True, "alone": 0.1}),
+        replace(proposal(gap=3.0), by="memory", score=0.0),
+    ]
+    course = EgoCourse(np.zeros(9), np.zeros(9), 9)
+    after = some.heard(pool, pool[0], course)
+    assert [p.score for p in after] == [0.9, 0.9, 0.0]
+    assert [p.predicted for p in after] == [{"hit": True}, {"hit": True, "neighbour": True}, {}]
+    assert some.heard(after, pool[0], course) == after  # nothing changed
 
 
 # ---- ways to attack

@@ -29,6 +29,9 @@ class Road:
         self.asked += len(proposals)
         return [replace(p, score=self._one(p), predicted={"hit": True}) for p in proposals]
 
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        return False
+
     def _one(self, p: Proposal) -> float:
         if p.planner is WIDE:
             return 0.4

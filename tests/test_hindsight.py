@@ -28,6 +28,9 @@ class BySpeed:
         self.asked.append((list(proposals), list(seen)))
         return [replace(p, score=float(c.v[-1]) / 5.0) for p, c in zip(proposals, seen, strict=True)]
 
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        return False
+
 
 def proposal(score: float, bv: str = "bv", delay: float = 0.0, **predicted: Any) -> Proposal:
     return Proposal(bv, "any", PLANNER, {}, 0.0, delay, score=score, predicted={"min_ttc": 0.0, **predicted})

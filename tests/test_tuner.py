@@ -62,6 +62,9 @@ class ByGap:
             for p in proposals
         ]  # fmt: skip
 
+    def heard(self, tried, course):
+        return False
+
 
 class NeverHits(ByGap):
     """Predicts that nothing reaches the ego."""
@@ -88,6 +91,9 @@ class InTurn:
         return [
             replace(p, score=self.scores[min(k, len(self.scores) - 1)]) for k, p in zip(places, proposals, strict=True)
         ]
+
+    def heard(self, tried, course):
+        return False
 
 
 def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> Tuner:

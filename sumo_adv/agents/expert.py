@@ -10,12 +10,12 @@ import random
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from sumo_adv.agents.firmness import alone, drawn, firm, firmed, varied
+from sumo_adv.agents.firmness import OF, alone, drawn, firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner, Proposal
+from sumo_adv.datatypes import Attempt, EgoCourse, Intent, LibraryEntry, Parameter, Planner, Proposal
 from sumo_adv.situation import Situation, Target
 
 NAME = "expert"
@@ -198,6 +198,18 @@ class Expert:
         ]
         found += [w.proposal(None) for w in ways if w.learnt and defaults]
         return self.hindsight.weigh(self._scorer.score(found)) if found else []
+
+    def heard(self, pool: Sequence[Proposal], tried: Proposal, course: EgoCourse) -> list[Proposal]:
+        """The pool after an attempt in which the ego went so: predicted again where its driver is now thought to be
+        another one. What worked in a like scene keeps its place."""
+        if not self._scorer.heard(tried, course):
+            return list(pool)
+        rows = [k for k, p in enumerate(pool) if p.by != "memory"]
+        found = list(pool)
+        for k, again in zip(rows, self.hindsight.weigh(self._scorer.score([pool[k] for k in rows])), strict=True):
+            mark = {OF: True} if pool[k].predicted.get(OF) else {}
+            found[k] = replace(again, predicted={**again.predicted, **mark})
+        return found
 
     def price(self, p: Proposal) -> float:
         """The predicted score, what evidence of its planner adds to it, how late the contact comes, and whether a brake

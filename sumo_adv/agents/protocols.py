@@ -16,6 +16,10 @@ class Scorer(Protocol):
         """The same proposals with ``score`` and ``predicted``; ``seen``: against egos that drive so."""
         ...
 
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        """How the ego went in an attempt; whether it is predicted otherwise from now on."""
+        ...
+
 
 class Analyzer(Protocol):
     """The paper's g: which vehicle could do what to be most dangerous."""

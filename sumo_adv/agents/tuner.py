@@ -85,6 +85,7 @@ class Tuner:
 
     def heard(self, tried: Proposal, course: EgoCourse, valid: bool) -> None:
         """How the ego went in an attempt; where that was predicted otherwise, the pool is weighed anew."""
+        self.pool = self._expert.heard(self.pool, tried, course)
         if (alone(tried) < AVOIDABLE) != valid:
             hindsight = self._expert.hindsight
             self.pool = hindsight.weigh(self.pool, hindsight.surprised(tried, course))

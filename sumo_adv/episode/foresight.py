@@ -9,6 +9,7 @@ from typing import Any
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import EgoCourse, Proposal
+from sumo_adv.episode.belief import Belief, apart
 from sumo_adv.episode.scoring import judge_all, touch_of
 from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.planning.predict import Rollouts, part, predict
@@ -28,6 +29,7 @@ class Foresight:
         self._settings = settings
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
+        self._belief = Belief(next(iter(situations.values())).ego_model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
 
@@ -44,8 +46,39 @@ class Foresight:
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
+    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+        """How the ego went in an attempt; whether its driver is thought to be another one from now on, so that what was
+        predicted is to be predicted again."""
+        if not self._belief.open or tried.course is not None:
+            return False
+        began, situation = time.perf_counter(), self._situations[tried.delay]
+        seen = situation.ego_path.at(course.s, 0.0)
+        errors = []
+        for model in self._belief.models:
+            ego = self._rolled({tried.delay: replace(situation, ego_model=model)}, [tried], None).ego
+            errors.append(apart((seen[0], seen[1]), (ego[0][0], ego[1][0]), course))
+        changed = self._belief.hear(errors)
+        if changed:
+            model = self._belief.model
+            self._situations = {k: replace(s, ego_model=model) for k, s in self._situations.items()}
+        self.seconds += time.perf_counter() - began
+        return changed
+
     def _together(self, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
-        situations, settings = self._situations, self._settings
+        rollouts = self._rolled(self._situations, proposals, seen)
+        results = self._judged(proposals, rollouts)
+        failed = {p.planner.hash for p in proposals} & set(self.failures)
+        return [
+            replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})
+            if p.planner.hash in failed
+            else replace(p, score=r["score"], predicted=r)
+            for p, r in zip(proposals, results, strict=True)
+        ]
+
+    def _rolled(
+        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None
+    ) -> Rollouts:
+        settings = self._settings
         with Sessions(
             self._sandbox, self._roads, proposals, settings.seed, self.failures, drivable=self._drivable
         ) as sessions:
@@ -55,14 +88,7 @@ class Foresight:
                 replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situations, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
-        results = self._judged(proposals, rollouts)
-        failed = {p.planner.hash for p in proposals} & set(self.failures)
-        return [
-            replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})
-            if p.planner.hash in failed
-            else replace(p, score=r["score"], predicted=r)
-            for p, r in zip(proposals, results, strict=True)
-        ]
+        return rollouts
 
     def _judged(self, proposals: Sequence[Proposal], rollouts: Rollouts) -> list[dict[str, Any]]:
         """What each rollout comes to; those of one moment are judged at once."""

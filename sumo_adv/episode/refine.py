@@ -93,7 +93,7 @@ def ego_course(result: AttemptResult, found: Found, delay: float, settings: Sett
     steps, dt = settings.steps(settings.duration), settings.step_length
     over = np.maximum(np.arange(steps + 1) - (len(stations) - 1), 0) * dt
     k = np.minimum(np.arange(steps + 1), len(stations) - 1)
-    return EgoCourse(np.array(stations)[k] + over * float(track.speed[-1]), track.speed[k])
+    return EgoCourse(np.array(stations)[k] + over * float(track.speed[-1]), track.speed[k], len(stations))
 
 
 class Attempts(Protocol):

@@ -199,7 +199,8 @@ class Worker:
         assert drive.ego is not None
         name = drive.controller.name
         known = name in ("krauss", "idm", "eidm", "careful", "replay")
-        return {"kind": name if known else "idm", "passes_right": not known, **drive.simulation.model(drive.ego)}
+        numbers = drive.simulation.model(drive.ego)
+        return {"kind": name if known else "idm", "passes_right": not known, "unknown": not known, **numbers}
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

@@ -47,10 +47,13 @@ class View(NamedTuple):
 
 
 class CarefulDrivers:
-    """One careful driver against each adversary of a length and width [m], ``(n,)``; ``ego``: length and width [m]."""
+    """One careful driver against each adversary of a length and width [m], ``(n,)``; ``ego``: length and width [m];
+    ``reaction``: s until it brakes."""
 
-    def __init__(self, ego: tuple[float, float], length: Floats, width: Floats, dt: float) -> None:
-        self._ego, self._length, self._width, self._dt = ego, length, width, dt
+    def __init__(
+        self, ego: tuple[float, float], length: Floats, width: Floats, dt: float, reaction: float = REACTION
+    ) -> None:
+        self._ego, self._length, self._width, self._dt, self._reaction = ego, length, width, dt, reaction
         n, self._history = len(length), max(1, round(HISTORY / dt))
         self._seen: list[tuple[Floats, Floats, Floats]] = []  # offset, heading, speed of the last steps
         self._drift = np.zeros(n)
@@ -70,7 +73,7 @@ class CarefulDrivers:
         ease = ~self.alarmed & (now - self._last > MEMORY)
         self._shown = np.where(ease, np.inf, np.where(self.alarmed, np.minimum(self._shown, now), self._shown))
         since = np.where(np.isfinite(self._shown), now - self._shown, 0.0)
-        lost = _speed_lost(since + self._dt) - _speed_lost(since)
+        lost = _speed_lost(since + self._dt - self._reaction) - _speed_lost(since - self._reaction)
         return np.where(self.alarmed & (lost > 1e-9), np.maximum(view.ego_speed - lost, 0.0), np.inf)
 
     def _view(
@@ -171,7 +174,7 @@ def _too_near(view: View, reaction: float, gentle: float) -> Bools:
 
 
 def _speed_lost(since: Floats) -> Floats:
-    """What braking has taken [m/s] so long after the hazard showed [s]."""
-    pressed = np.maximum(since - REACTION, 0.0)
+    """What braking has taken [m/s] so long after it began [s]."""
+    pressed = np.maximum(since, 0.0)
     rising = np.minimum(pressed, RAMP)
     return FULL_BRAKING * (rising**2 / (2.0 * RAMP) + pressed - rising)

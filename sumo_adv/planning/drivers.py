@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, EgoCourse, Floats
-from sumo_adv.planning.careful import CarefulDrivers
+from sumo_adv.planning.careful import REACTION, CarefulDrivers
 from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
@@ -70,7 +70,9 @@ class PredictedEgos:
         )  # fmt: skip
         self._line = scenes.each(lambda s: s.gives_way_at)
         careful = self.model["kind"] == "careful"
-        self._careful = CarefulDrivers(mine, length, width, scenes.dt) if careful else None
+        reaction = self.model.get("reaction", REACTION)
+        self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
+        self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -109,9 +111,10 @@ class PredictedEgos:
         self.v = v
 
     def _in_lane(self, front_d: Floats) -> Bools:
-        """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines; or, once
-        it has been there (SUMO then keeps it in both lanes), its side is within the strips that the ego takes up."""
-        inside, half = np.abs(front_d) < self._lane / 2, self._width / 2
+        """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines (another
+        driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),
+        its side is within the strips that the ego takes up."""
+        inside, half = np.abs(front_d) < self._sees, self._width / 2
         partly = (front_d - half < self._left) & (front_d + half > -self._right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly)

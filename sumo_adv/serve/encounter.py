@@ -59,7 +59,7 @@ def describe(
         return why
     simulation = session.simulation
     route = simulation.route(ego)[0]
-    model = {"kind": "idm", "passes_right": True, **simulation.model(ego)}
+    model = {"kind": "idm", "passes_right": True, "unknown": True, **simulation.model(ego)}
     signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
     situations = surveys(
         road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, signals=signals

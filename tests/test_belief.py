@@ -1,0 +1,88 @@
+"""What kind of driver an unknown ego is taken for, by how it went in attempts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from situation_samples import KRAUSS, neighbour, situation
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import EgoCourse, Limits, Proposal
+from sumo_adv.episode.belief import WIDE, Belief, apart, models_of
+from sumo_adv.episode.foresight import Foresight
+from sumo_adv.episode.sessions import Roads, Sessions
+from sumo_adv.planning.predict import predict
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.source import make_planner
+
+IDM = {**KRAUSS, "kind": "idm"}
+UNKNOWN = {**IDM, "unknown": True}
+SQUEEZE = """
+PARAMETERS = {}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    return {"x": bv["x"] + 10.0, "y": 2.2, "heading": 0.0, "speed": 5.0, "time": 2.0}
+"""
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    with Sandbox() as box:
+        yield box
+
+
+def everywhere(x: object, y: object) -> object:
+    return np.ones(np.shape(x), bool)
+
+
+def course(x: list[float], seen: int) -> EgoCourse:
+    return EgoCourse(np.array(x), np.zeros(len(x)), seen)
+
+
+def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
+    assert models_of({**IDM, "unknown": False}) == [{**IDM, "unknown": False}] and not Belief(IDM).open
+    assert [(m["kind"], m.get("sees"), m.get("reaction")) for m in models_of(UNKNOWN)] == [
+        ("idm", None, None), ("careful", None, 0.1), ("idm", WIDE, None), ("replay", None, None)
+    ]  # fmt: skip
+    assert len(models_of({**UNKNOWN, "kind": "replay"})) == 1  # a forecast at constant velocity was asked for
+
+
+def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
+    belief = Belief(UNKNOWN)
+    assert belief.hear([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
+    assert belief.hear([3.0, 2.0, 1.0, 4.0]) is True and belief.model["kind"] == "careful"  # 5, 4, 4, 8
+    assert belief.hear([0.0, 3.0, 1.5, 4.0]) is True and belief.model == UNKNOWN  # 5, 7, 5.5, 12
+    assert belief.hear([0.0, 0.0, 0.0, 0.0]) is False
+
+
+def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_most() -> None:
+    seen, predicted = (np.array([0.0, 3.0, 50.0, 9.0]), np.zeros(4)), (np.zeros(5), np.array([1.0, 4.0, 0.0, 0.0, 0.0]))
+    assert apart(seen, predicted, course([0.0] * 4, 2)) == pytest.approx((1.0 + 5.0) / 2)
+    assert apart(seen, predicted, course([0.0] * 4, 3)) == pytest.approx((1.0 + 5.0 + 10.0) / 3)
+
+
+def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_from_then_on(sandbox: Sandbox) -> None:
+    """A car 20 m ahead slows down to 5 m/s with its middle 2.2 m to the left: IDM's driver goes on with 10 m/s, since
+    its lane ends at 1.6 m; one that minds 2.5 m to either side brakes, and that was seen."""
+    tried = Proposal("bv", "Squeeze", make_planner("Squeeze", "side", SQUEEZE, "person"), {}, 0.0, 0.0)
+    wide, unknown = (situation([neighbour()], model=m) for m in ({**IDM, "sees": WIDE}, UNKNOWN))
+    with Sessions(sandbox, Roads({0.0: wide}), [tried], 0) as sessions:
+        real = predict(
+            {0.0: wide}, [tried], lambda rows, told: sessions.ask([tried], rows, told), limits=Limits(), steps=60,
+            replan=6,
+        )  # fmt: skip
+    went = EgoCourse(real.ego[0][0], real.ego[3][0], 60)  # its path is the x axis
+    assert went.v[-1] < 7.0
+
+    foresight, told = (
+        Foresight(sandbox, Settings(), everywhere, {0.0: s})  # type: ignore[arg-type]
+        for s in (unknown, wide)
+    )
+    before = foresight.score([tried])[0].predicted
+    assert foresight.heard(tried, went) is True and foresight.heard(tried, went) is False
+    after = foresight.score([tried])[0].predicted
+    assert after == told.score([tried])[0].predicted != before
+    assert told.heard(tried, went) is False  # that one is known
