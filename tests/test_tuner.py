@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, Family, compose, families
+from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, compose
 from sumo_adv.agents.firmness import drawn
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
+from sumo_adv.agents.ways import Family, families
 from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.foresight import _batches
 from sumo_adv.episode.knowledge import EVIDENCE, evidence_bias

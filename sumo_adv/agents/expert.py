@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import random
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from sumo_adv.agents.firmness import OF, alone, drawn, firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
+from sumo_adv.agents.ways import Family, families
 from sumo_adv.datatypes import Attempt, EgoCourse, Intent, LibraryEntry, Parameter, Planner, Proposal
-from sumo_adv.situation import Situation, Target
+from sumo_adv.situation import Situation
 
 NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
@@ -25,7 +25,6 @@ BRAKES = 0.1  # a score below is one that a careful driver who only brakes could
 REDRAW = 60  # proposals drawn at once where the first were not good
 FOR_BRAKES = 120  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
 MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` more for each attempt
-VERSIONS = 2  # of a mode that are drawn from, and as many that were learnt, which are asked with their own numbers only
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 6  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.15  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
@@ -33,7 +32,6 @@ LATE = 0.02  # what each second until a predicted contact costs: the later, the 
 NEAREST = 10  # of the best ones whose numbers are varied
 FIRMED = 8  # of the best ones whose neighbours are predicted at once,
 ROUNDS = 3  # and how often at most, until the best one is among them
-BRAKING_LABEL = "Emergency Braking"
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
 NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
@@ -57,62 +55,6 @@ COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 def composed(entry: LibraryEntry) -> bool:
     """Whether the expert composed it; not where somebody gave the intent a planner of their own."""
     return entry.label in COMPOSED and all(p.origin == NAME for p in entry.planners)
-
-
-@dataclass(frozen=True, slots=True)
-class Family:
-    """One way of attacking whose numbers are still open. ``learnt``: its planner is a version of one that is there."""
-
-    delay: float
-    target: Target
-    entry: LibraryEntry
-    planner: Planner
-    learnt: bool = False
-
-    def proposal(self, draw: random.Random | None) -> Proposal:
-        """With the author's numbers (no ``draw``) or drawn ones, uniform within their bounds."""
-        if draw is None:
-            numbers, braking = self.planner.defaults(), 7.5
-        else:
-            numbers = {p.name: _drawn(p, draw) for p in self.planner.parameters}
-            braking = draw.uniform(5.0, 8.0)
-        acceleration = -braking if self.entry.label == BRAKING_LABEL else 0.0
-        return Proposal(self.target.state.id, self.entry.label, self.planner, numbers, acceleration, self.delay)
-
-
-def _drawn(parameter: Parameter, draw: random.Random) -> float:
-    return round(draw.uniform(parameter.low, parameter.high), 4)
-
-
-def families(
-    situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
-) -> list[Family]:
-    """All that applies: by delay, most dangerous BV first, in the library's order; of each mode the ``VERSIONS`` that
-    come first there, and of those that were learnt."""
-    versions = [(entry, _first_versions(entry, library)) for entry in library if not allowed or entry.label in allowed]
-    found = []
-    for delay in sorted(situations):
-        for target in situations[delay].target_list():
-            words = set(target.applies())
-            for entry, planners in versions:
-                if words & set(entry.applies):
-                    found += [Family(delay, target, entry, planner, learnt) for planner, learnt in planners]
-    return found
-
-
-def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
-    """At most ``VERSIONS`` planners of a mode, and as many that were learnt from others of the intent; of these one
-    stands for its mode where no other does."""
-    elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
-    first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
-    count: Counter[tuple[str, bool]] = Counter()
-    found = []
-    for planner in entry.planners:
-        learnt = planner.mode in first and planner.parent is not None and planner.parent not in elsewhere
-        count[planner.mode, learnt] += 1
-        if count[planner.mode, learnt] <= VERSIONS:
-            found.append((planner, learnt))
-    return found
 
 
 class Expert:

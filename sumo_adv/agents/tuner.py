@@ -10,8 +10,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert, Family
+from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert
 from sumo_adv.agents.firmness import alone, drawn
+from sumo_adv.agents.ways import Family
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")

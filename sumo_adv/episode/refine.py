@@ -14,8 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
-from sumo_adv.agents.expert import Expert, Family, families
+from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.tuner import Tuner
+from sumo_adv.agents.ways import Family, families
 from sumo_adv.config import Settings, Until
 from sumo_adv.datatypes import Attempt, EgoCourse, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
 from sumo_adv.episode.cast import Cast

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sumo_adv.agents.expert import BRAKING_LABEL, Family, families
+from sumo_adv.agents.ways import BRAKING_LABEL, Family, families
 from sumo_adv.benchmark.nouns import Cell, Encounter
 from sumo_adv.datatypes import Attempt, Proposal
 

@@ -14,7 +14,7 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sumo_adv.agents.expert import Family, families
+from sumo_adv.agents.ways import Family, families
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Proposal
 
