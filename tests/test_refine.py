@@ -68,6 +68,14 @@ def test_what_was_before_a_later_takeover_does_not_belong_to_it() -> None:
     assert course.s[0] == pytest.approx(15.0)  # found() has the same path for both moments
 
 
+def test_the_trigger_itself_is_not_recorded_and_is_taken_from_what_was_foreseen() -> None:
+    """What an attempt records begins a step after the trigger, at 1 m: the course begins at 0 m all the same."""
+    course = ego_course(went({0.1 * k: (1.0 * k, 10.0) for k in range(1, 30)}), found(), 0.0, SETTINGS)
+    assert course is not None
+    assert course.s[:3] == pytest.approx([0.0, 1.0, 2.0]) and course.v[0] == 10.0
+    assert course.seen == 30
+
+
 def test_an_ego_that_is_gone_at_once_has_none() -> None:
     assert ego_course(went({0.0: (0.0, 10.0)}), found(), 0.0, SETTINGS) is None
     assert ego_course(went({}), found(), 0.0, SETTINGS) is None

@@ -87,14 +87,17 @@ def ego_course(result: AttemptResult, found: Found, delay: float, settings: Sett
     track = tracks[0].between(result.start, math.inf) if tracks else None
     if track is None or len(track.time) < 2:
         return None
-    path, station, stations = found.situations[delay].ego_path, 0.0, []
+    now, dt = found.situations[delay], settings.step_length
+    missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
+    path, station, stations = now.ego_path, 0.0, [float(now.profile_s[k]) for k in missing]
+    speeds = np.concatenate([now.profile_v[: len(missing)], track.speed])
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, _ = path.project(x, y, near=station, reach=REACH)
         stations.append(station)
-    steps, dt = settings.steps(settings.duration), settings.step_length
+    steps = settings.steps(settings.duration)
     over = np.maximum(np.arange(steps + 1) - (len(stations) - 1), 0) * dt
     k = np.minimum(np.arange(steps + 1), len(stations) - 1)
-    return EgoCourse(np.array(stations)[k] + over * float(track.speed[-1]), track.speed[k], len(stations))
+    return EgoCourse(np.array(stations)[k] + over * float(speeds[-1]), speeds[k], len(stations))
 
 
 class Attempts(Protocol):
