@@ -55,7 +55,8 @@ def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
     assert belief.hear([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
     assert belief.hear([3.0, 2.0, 1.0, 4.0]) is True and belief.model["kind"] == "careful"  # 5, 4, 4, 8
     assert belief.hear([0.0, 3.0, 1.5, 4.0]) is True and belief.model == UNKNOWN  # 5, 7, 5.5, 12
-    assert belief.hear([0.0, 0.0, 0.0, 0.0]) is False
+    assert belief.hear([0.6, 0.0, 0.0, 0.0]) is False  # 5.6, 7, 5.5, 12: not clearly
+    assert belief.hear([0.6, 0.0, 0.0, 0.0]) is True and belief.model.get("sees") == WIDE  # 6.2, 7, 5.5: less than 5.58
 
 
 def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_most() -> None:

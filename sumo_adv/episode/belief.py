@@ -15,6 +15,7 @@ from sumo_adv.datatypes import EgoCourse, Floats
 
 FAR = 10.0  # m: farther off is as wrong
 ALERT = 0.1  # s until an alert driver brakes for whoever comes its way
+CLEARLY = 0.9  # of the error of the model that is believed: from there on another one is
 WIDE = 2.5  # m to either side within which a wary driver has a vehicle ahead for its leader
 
 
@@ -37,10 +38,14 @@ class Belief:
         return self.models[self._current]
 
     def hear(self, errors: Sequence[float]) -> bool:
-        """Each model's error [m] in an attempt; whether another one is believed from now on."""
+        """Each model's error [m] in an attempt; whether another one is believed from now on. Only one that is clearly
+        nearer is, since all is predicted again then."""
         self._errors += errors
-        before, self._current = self._current, int(np.argmin(self._errors))
-        return before != self._current
+        nearest = int(np.argmin(self._errors))
+        if self._errors[nearest] >= CLEARLY * self._errors[self._current]:
+            return False
+        self._current = nearest
+        return True
 
 
 def models_of(model: Mapping[str, Any]) -> list[Mapping[str, Any]]:
