@@ -29,6 +29,7 @@ FEW = 5  # where so few proposals are avoidable, intents that the library lacks 
 AT_FIRST = 6  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.15  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
+AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
 NEAREST = 10  # of the best ones whose numbers are varied
 FIRMED = 8  # of the best ones whose neighbours are predicted at once,
 ROUNDS = 3  # and how often at most, until the best one is among them
@@ -142,12 +143,12 @@ class Expert:
         return self.hindsight.weigh(self._scorer.score(found)) if found else []
 
     def heard(self, pool: Sequence[Proposal], tried: Proposal, course: EgoCourse) -> list[Proposal]:
-        """The pool after an attempt in which the ego went so: predicted again where its driver is now thought to be
-        another one. What worked in a like scene keeps its place."""
+        """The pool after an attempt in which the ego went so: the ``AGAIN`` best predicted again where its driver is
+        now thought to be another one. What worked in a like scene keeps its place."""
         if not self._scorer.heard(tried, course):
             return list(pool)
-        rows = [k for k, p in enumerate(pool) if p.by != "memory"]
         found = list(pool)
+        rows = sorted((k for k, p in enumerate(found) if p.by != "memory"), key=lambda k: self.price(found[k]))[:AGAIN]
         for k, again in zip(rows, self.hindsight.weigh(self._scorer.score([pool[k] for k in rows])), strict=True):
             mark = {OF: True} if pool[k].predicted.get(OF) else {}
             found[k] = replace(again, predicted={**again.predicted, **mark})
