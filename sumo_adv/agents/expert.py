@@ -134,10 +134,10 @@ class Expert:
 
         What was learnt comes on top, with the numbers it was learnt with: it takes no draws from others, and these are
         the same as without it."""
-        drawn = sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
+        own = sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
         found = [
-            drawn[k % len(drawn)].proposal(None if defaults and k < len(drawn) else self._draw)
-            for k in range(max(count, len(drawn) if defaults else 0) if drawn else 0)
+            own[k % len(own)].proposal(None if defaults and k < len(own) else self._draw)
+            for k in range(max(count, len(own) if defaults else 0) if own else 0)
         ]
         found += [w.proposal(None) for w in ways if w.learnt and defaults]
         return self.hindsight.weigh(self._scorer.score(found)) if found else []

@@ -61,18 +61,16 @@ class Tuner:
 
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
-        open_ = self._open()
+        open_, closed = self._split()
         while self._drawn < self._expert.wanted(open_, self._count):
             over = self._over()
             ways = [w for w in self._ways if self._sharing(w.planner) not in over]
             fresh = self._expert.more(ways, sorted(open_, key=self._price))
             self._drawn += max(len(fresh), 1)
             self.pool += fresh
-            open_ = self._open()
+            open_, closed = self._split()
         if not open_:
             return None
-        over = self._over()
-        closed = [p for p in self.pool if self._sharing(p.planner) in over]
         open_ = self._expert.firmed(open_, self._chosen)
         self.pool = closed + open_
         return self._take(self._chosen(open_))
@@ -99,9 +97,14 @@ class Tuner:
                 most.setdefault(self._sharing(planner), planner.hash)
         return list(most.values())
 
-    def _open(self) -> list[Proposal]:
+    def _split(self) -> tuple[list[Proposal], list[Proposal]]:
+        """The pool: what may still be tried, and what has no attempts left."""
         over = self._over()
-        return [p for p in self.pool if self._sharing(p.planner) not in over]
+        closed = [self._sharing(p.planner) in over for p in self.pool]
+        return (
+            [p for p, shut in zip(self.pool, closed, strict=True) if not shut],
+            [p for p, shut in zip(self.pool, closed, strict=True) if shut],
+        )
 
     def _over(self) -> set[str]:
         """Shares that are used up."""
