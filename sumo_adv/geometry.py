@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,16 +13,8 @@ from sumo_adv.datatypes import Floats
 
 PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged (ALGORITHM, Planning)
-ROUNDING = (
-    2,
-    2,
-    3,
-    3,
-    4,
-    4,
-    6,
-    8,
-)  # passes of the average over a path with a bend that is too tight, each on top of the last
+# passes of the average over a path with a bend that is too tight, each on top of the last
+ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
 
 
 def wrap(angle: float) -> float:
@@ -80,14 +73,7 @@ class Path:
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
-        u = np.minimum(np.maximum(np.asarray(s, float) / PATH_STEP, 0.0), len(self.x) - 1.0)
-        i = np.minimum(u.astype(np.intp), len(self.x) - 2)
-        w = u - i
-        heading = self.heading[i] * (1 - w) + self.heading[i + 1] * w
-        beyond = s - u * PATH_STEP
-        x = self.x[i] * (1 - w) + self.x[i + 1] * w + beyond * np.cos(heading) - d * np.sin(heading)
-        y = self.y[i] * (1 - w) + self.y[i + 1] * w + beyond * np.sin(heading) + d * np.cos(heading)
-        return x, y, heading
+        return _place((self.x, self.y, self.heading), (), len(self.x) - 1, np.asarray(s, float), d)
 
     def project(self, x: float, y: float, near: float | None = None, reach: float = 15.0) -> tuple[float, float]:
         """Station and offset of a point. ``near``: search only within ``reach`` metres of that station."""
@@ -117,6 +103,32 @@ class Path:
             np.concatenate([self.heading, self.heading[-1] * fill]), np.concatenate([self.curvature, 0 * fill]),
             np.concatenate([self.speed, max(self.speed[-1], 50.0) * fill]),
         )  # fmt: skip
+
+
+class Paths:
+    """Several paths, looked up at once."""
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        longest = max(len(p.x) for p in paths)
+        tables = [[np.pad(a, (0, longest - len(a)), "edge") for a in (p.x, p.y, p.heading)] for p in paths]
+        self._tables = tuple(np.stack([t[k] for t in tables]) for k in range(3))
+        self._last = np.array([len(p.x) - 1 for p in paths])
+
+    def at(self, path: Any, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """x, y, heading at stations and offsets of the paths whose places are ``path``; see :meth:`Path.at`."""
+        return _place(self._tables, (path,), self._last[path], s, d)
+
+
+def _place(
+    tables: Any, path: tuple[Any, ...], last: Any, s: Floats, d: Floats | float
+) -> tuple[Floats, Floats, Floats]:
+    """x, y, heading at stations and offsets; ``path`` says which rows of ``tables`` are meant, if any."""
+    u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
+    i = np.minimum(u.astype(np.intp), last - 1)
+    w = u - i
+    x, y, heading = (t[*path, i] * (1 - w) + t[*path, i + 1] * w for t in tables)
+    beyond, cos, sin = s - u * PATH_STEP, np.cos(heading), np.sin(heading)
+    return x + beyond * cos - d * sin, y + beyond * sin + d * cos, heading
 
 
 def make_path(

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP, Path, wrap_all
+from sumo_adv.geometry import Paths, wrap_all
 from sumo_adv.situation import Situation
 
 
@@ -26,7 +26,7 @@ class Scenes:
         place = {id(s): k for k, s in enumerate(each)}
         self._each, self._row = each, np.array([place[id(s)] for s in situations], np.intp)
         self._rows = [np.flatnonzero(self._row == k) for k in range(len(each))]
-        self._paths = _Paths([s.ego_path for s in each])
+        self._paths = Paths([s.ego_path for s in each])
         frames = [s.frame for s in each]
         self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
         self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in each]
@@ -62,26 +62,6 @@ class Scenes:
         x0, y0, c, s, h = (_fit(q, x) for q in self._frame[self._row].T)
         dx, dy = x - x0, y - y0
         return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - h)
-
-
-class _Paths:
-    """Look-ups on several paths at once, as :meth:`sumo_adv.geometry.Path.at` makes them on one."""
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        longest = max(len(p.x) for p in paths)
-        tables = [[np.pad(a, (0, longest - len(a)), "edge") for a in (p.x, p.y, p.heading)] for p in paths]
-        self._x, self._y, self._heading = (np.stack([t[k] for t in tables]) for k in range(3))
-        self._last = np.array([len(p.x) - 1 for p in paths])
-
-    def at(self, path: Any, s: Floats, d: Floats | float) -> tuple[Floats, Floats, Floats]:
-        """x, y, heading; straight on beyond both ends."""
-        last = self._last[path]
-        u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
-        i = np.minimum(u.astype(np.intp), last - 1)
-        w = u - i
-        x, y, heading = (t[path, i] * (1 - w) + t[path, i + 1] * w for t in (self._x, self._y, self._heading))
-        beyond, cos, sin = s - u * PATH_STEP, np.cos(heading), np.sin(heading)
-        return x + beyond * cos - d * sin, y + beyond * sin + d * cos, heading
 
 
 def _fit(values: Any, like: Floats) -> Any:
