@@ -252,6 +252,19 @@ def test_where_few_are_avoidable_intents_are_composed_and_where_none_is_they_com
     assert labels == (["Shift"] if first is None else (["Shift", NEW] if first else [NEW, "Shift"]))
 
 
+def test_the_most_dangerous_intent_is_the_one_by_which_most_ways_collide_and_then_the_best() -> None:
+    """Of Cut 1 of 4 is predicted to collide, and by that firmly; of Shift 3 of 4, none of them well; of Push as many,
+    one of them a little better."""
+    some = expert()
+    scores = {"Cut": (0.0, 2.0, 3.0, 3.0), "Shift": (1.2, 1.2, 1.4, 2.0), "Push": (1.1, 1.2, 1.4, 2.0)}
+    planners = {label: make_planner(label, "side", TABLE + ENDPOINT, "seed") for label in scores}
+    some.pool = [replace(proposal(planners[name]), score=s) for name, many in scores.items() for s in many]
+    library = [LibraryEntry(name, "", ("neighbour",), (planner,)) for name, planner in planners.items()]
+    at = {0.0: situation([crossing()])}
+    assert [i.label for i in some.ranking(at, library)] == ["Push", "Shift", "Cut"]
+    assert some.ranking(at, library)[2].reason.startswith("predicted: 25% of 4 candidates collide, 1 of them avoidably")
+
+
 # ---- planners for new intents
 
 

@@ -1,7 +1,8 @@
 """The built-in expert: plays analyzer, generator and modifier by kinematic prediction. It is no language model.
 
 It draws proposals (BV, intent, mode, parameters, delay) round robin over all that apply, has each predicted against the
-ego's own driver's model, and ranks intents by their best score, then by their share of predicted collisions.
+ego's own driver's model, and ranks intents by their share of predicted collisions, then by their best score: the most
+dangerous intent is the one by which most ways lead to a collision. Which proposal is tried first is up to the tuner.
 """
 
 from __future__ import annotations
@@ -186,7 +187,7 @@ class Expert:
 
         def order(item: tuple[tuple[str, str], list[Proposal]]) -> tuple[float, float, str, str]:
             key, members = item
-            return (min(map(self.price, members)), -_share(drawn(members)), *key)
+            return (-_share(drawn(members)), min(map(self.price, members)), *key)
 
         return [_intent(group, described[key[1]]) for key, group in sorted(groups.items(), key=order)]
 
