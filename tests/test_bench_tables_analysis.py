@@ -74,14 +74,22 @@ def test_kappa_of_single_labels_is_cohens() -> None:
 
 
 def test_chance_ceiling_and_constant_stand_beside() -> None:
-    found = analyze([*expert(), *oracle()], cases(), title="Made")
-    assert score(found, CHANCE).accuracy.value == pytest.approx((1 / 2 + 1 + 1 / 2 + 1) / 4)
+    """The oracle labels a, b and c with the cut-in (one of two that apply) and d with the turn (the only one)."""
+    found = analyze([*expert(), *oracle()], cases({}), title="Made")
+    assert score(found, CHANCE).accuracy.value == pytest.approx((1 / 2 + 1 / 2 + 1 / 2 + 1) / 4)
     several = score(found, CHANCE).several
-    assert several is not None and (several.value, several.n) == (pytest.approx(2 / 3), 3)
+    assert several is not None and (several.value, several.n) == (pytest.approx(1 / 2), 3)
     assert score(found, CEILING).accuracy.value == 1  # the halves are alike
-    assert score(found, f"always {CUT}").accuracy.value == 0.5
+    assert score(found, f"always {CUT}").accuracy.value == 0.75
     mine = score(found, "expert").several
     assert mine is not None and (mine.value, mine.n) == (pytest.approx(2 / 3), 3)
+
+
+def test_the_oracle_counts_where_a_suite_s_own_labels_say_otherwise_and_a_note_tells_it() -> None:
+    """The suite's: a and b share the cut-in with the oracle, d the turn; c is a lane shift there."""
+    found = analyze([*expert(), *oracle()], cases(), title="Made")
+    assert score(found, CHANCE).accuracy.value == pytest.approx(0.625)
+    assert len(found.notes) == 1 and "in 3 of 4 encounters; the oracle's count" in found.notes[0]
 
 
 def test_without_labels_the_oracles_cell_says_them() -> None:
@@ -111,12 +119,27 @@ def test_models_are_compared_with_the_expert() -> None:
     assert score(found, "expert").difference is None
 
 
-def test_confusion_and_calibration() -> None:
+def test_confusion() -> None:
     strange = [*expert()[:3], answered("d", "expert", "Blind-side Merge", won=False)]
     found = part(analyze(strange, cases(), title="Made"))
     assert found.confusion["expert"] == {(CUT, CUT): 1, (SHIFT, SHIFT): 1, (SHIFT, CUT): 1, (TURN, "novel"): 1}
+    assert found.calibration == {}  # nothing was simulated
+
+
+def test_calibration_is_how_often_what_was_ranked_first_succeeds_for_the_oracle() -> None:
+    """Ranked first: the cut-in (4 of 4 collide) at high risk on a and at low on c, the shift (0 of 4) at high on b."""
+    found = part(analyze([*expert(), *oracle()], cases(), title="Made"))
     rates = {risk: (e.value, e.n) for risk, e in found.calibration["expert"].items()}
-    assert rates == {"low": (0, 1), "high": (pytest.approx(2 / 3), 3)}
+    assert rates == {"low": (1, 1), "high": (pytest.approx(1 / 2), 2)}
+    other = [{**c, "intents": [{**i, "bv": "2"} for i in c["intents"]]} for c in expert()]  # a vehicle never simulated
+    assert part(analyze([*other, *oracle()], cases(), title="Made")).calibration == {"expert": {}}
+
+
+def test_labels_that_min_ttc_alone_made_are_counted() -> None:
+    misses = cell("a", "oracle", attempt(CUT, min_ttc=2.0), attempt(SHIFT, min_ttc=5.0))
+    found = analyze([answered("a", "expert", CUT), misses], cases({}), title="Made")
+    assert part(found).by_time == 1 and score(found, "expert").accuracy.value == 1
+    assert "In 1 no simulation succeeds" in to_markdown(found)
 
 
 def test_a_miss_of_a_tie_is_spread_over_it() -> None:

@@ -5,8 +5,8 @@ is left of ``MOST`` simulations goes, with drawn numbers, to the intents that ha
 precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a success.
 ``oracle_labels`` reads from that the label an analyzer should have answered: the largest share of collisions that count
 (feasible and not rear-end, or valid), then the least mean of min TTC, ties as sets (ALGORITHM, "The most dangerous
-intent, as a label"). ``split_half`` is how well one half of the simulations answers for the other: no analyzer can be
-asked for more.
+intent, as a label"). ``split_half`` is how well one half of the simulations answers for the other: what an
+analyzer that simulated half as much would reach.
 Limits: it has more simulations than the other rows have attempts, so it is a bound, not a competitor; with tens of
 simulations a share is known to about 0.1; it knows of nothing but the library's behaviours.
 """
@@ -126,13 +126,14 @@ def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
     known = {label: members for label, members in groups.items() if members}
     if not known:
         return ()
-    share = {n: sum(_counts(a, criterion) for a in members) / len(members) for n, members in known.items()}
+    share = {n: sum(succeeds(a, criterion) for a in members) / len(members) for n, members in known.items()}
     near = [n for n in known if share[n] >= max(share.values()) - SAME_SHARE]
     mean = {n: sum(_time(a) for a in known[n]) / len(known[n]) for n in near}
     return tuple(n for n in near if mean[n] <= min(mean.values()) + SAME_TTC)
 
 
-def _counts(attempt: Mapping[str, Any], criterion: str) -> bool:
+def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
+    """Whether a simulation counts: a valid collision, or a feasible one that is not rear-end."""
     return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and _honest(attempt)
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.rows.fixed_intent import LABELS
-from sumo_adv.benchmark.rows.oracle import CRITERIA, oracle_labels, split_half
-from sumo_adv.benchmark.tables.cells import ORACLE, Key, counted, key, names, no_rear
+from sumo_adv.benchmark.rows.oracle import CRITERIA, oracle_labels, split_half, succeeds
+from sumo_adv.benchmark.tables.cells import ORACLE, Key, key, names
 from sumo_adv.benchmark.tables.compute import paired
 from sumo_adv.datatypes import Floats
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
@@ -46,7 +46,8 @@ class Score:
 @dataclass(frozen=True, slots=True)
 class Part:
     """One ego and criterion. ``confusion``: analyzer -> (label, answer) -> encounters, a tie's miss spread over it;
-    ``calibration``: analyzer -> risk -> rate of success."""
+    ``calibration``: analyzer -> risk -> the oracle's share of success by the vehicle and intent ranked first;
+    ``by_time``: encounters where no simulation of the oracle succeeded, so that min TTC alone made the label."""
 
     ego: str
     criterion: str
@@ -54,6 +55,7 @@ class Part:
     confusion: Mapping[str, Mapping[tuple[str, str], float]]
     calibration: Mapping[str, Mapping[str, Estimate]]
     unlabelled: int
+    by_time: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,8 @@ def analyze(
 ) -> Analysis:
     """The answers of the rows ``analyzers`` (left out: all whose cells rank intents) against the cases' labels.
 
-    Labels that a case has not are read off the cell of the row ``oracle``, which also tells what applies.
+    Labels are read off the cells of the row ``oracle``, which also tell what applies and how often what an analyzer
+    ranked first succeeds; where an encounter has none they are the case's own. People's annotations are a case's own.
     """
     rows = list(analyzers or names((c for c in cells if c.get("intents")), "row"))
     reference = reference or next(iter(rows), None)
@@ -88,32 +91,51 @@ def analyze(
             notes.append(f"There is no row oracle against {ego}: chance and the ceiling are not known.")
         for criterion in (*CRITERIA, ANNOTATED):
             truth = _truth(mine, cases, ego, criterion, oracle)
+            notes.append(_agreement(truth, _given(cases, ego, criterion), ego, criterion))
             if truth:
                 parts.append(_part(mine, rows, ego, criterion, truth, oracle, reference))
         if ego not in {part.ego for part in parts}:
             notes.append(f"Nothing is labelled for {ego}: add the row oracle.")
-    return Analysis(title, reference, tuple(parts), tuple(notes))
+    return Analysis(title, reference, tuple(parts), tuple(note for note in notes if note))
 
 
 def _truth(
     cells: Sequence[Cell], cases: Sequence[Case], ego: str, criterion: str, oracle: Mapping[Key, Cell]
 ) -> dict[Key, frozenset[str]]:
     """The labels of every encounter that has any."""
-    given = {c.name: c.labels.get(PEOPLE if criterion == ANNOTATED else ego, {}).get(criterion, ()) for c in cases}
     found: dict[Key, frozenset[str]] = {}
+    given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
-        labels = given.get(name[0]) or ()
-        if not labels and name in oracle and criterion in CRITERIA:
-            labels = oracle_labels(oracle[name])[criterion]
+        simulated = name in oracle and criterion in CRITERIA
+        labels = oracle_labels(oracle[name])[criterion] if simulated else given.get(name[0], ())
         if labels:
             found[name] = frozenset(labels)
     return found
+
+
+def _given(cases: Sequence[Case], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
+    """The cases' own labels; people's for what was annotated."""
+    who = PEOPLE if criterion == ANNOTATED else ego
+    return {c.name: tuple(c.labels.get(who, {}).get(criterion, ())) for c in cases}
+
+
+def _agreement(truth: Truth, given: Mapping[str, Sequence[str]], ego: str, criterion: str) -> str:
+    """How many of the suite's own labels have something in common with those that count, in a sentence."""
+    both = [(truth[name], given[name[0]]) for name in truth if given.get(name[0])]
+    alike = sum(bool(one.intersection(two)) for one, two in both)
+    if alike == len(both):
+        return ""
+    return (
+        f"Against {ego}, by {criterion}: the suite's own labels are of the library of their time and share a behaviour "
+        f"with the oracle's in {alike} of {len(both)} encounters; the oracle's count."
+    )
 
 
 def _part(
     cells: Sequence[Cell], rows: Sequence[str], ego: str, criterion: str, truth: Truth, oracle: Mapping[Key, Cell],
     reference: str | None,
 ) -> Part:  # fmt: skip
+    simulated = oracle if criterion in CRITERIA else {}
     applies = {name: sorted({a["intent"] for a in cell["attempts"]}) for name, cell in oracle.items() if name in truth}
     every = {key(c) for c in cells}
     by_row = {row: {key(c): c for c in cells if c["row"] == row and key(c) in truth} for row in rows}
@@ -124,8 +146,9 @@ def _part(
         scores += _references(criterion, truth, applies, oracle)
     return Part(
         ego, criterion, tuple(scores), {row: _confusion(mine, truth) for row, mine in by_row.items() if mine},
-        {row: _calibration(mine, criterion) for row, mine in by_row.items() if mine and criterion in CRITERIA},
+        {row: _calibration(mine, simulated, criterion) for row, mine in by_row.items() if simulated and mine},
         len(every - truth.keys()),
+        sum(not any(succeeds(a, criterion) for a in simulated[n]["attempts"]) for n in truth if n in simulated),
     )  # fmt: skip
 
 
@@ -226,12 +249,14 @@ def _known(label: str) -> str:
     return label if label in ANSWERS else NOVEL
 
 
-def _calibration(cells: Mapping[Key, Cell], criterion: str) -> dict[str, Estimate]:
-    """Rate of success by the risk that the analyzer gave its first intent."""
-    found: dict[str, list[bool]] = defaultdict(list)
-    for cell in cells.values():
-        verdict, intents = counted(cell), cell.get("intents") or ()
-        if intents:
-            won = no_rear(verdict) if criterion == "collision" else verdict.get("valid") is True
-            found[str(intents[0]["risk"])].append(won)
-    return {risk: wilson(sum(found[risk]), len(found[risk])) for risk in (*RISKS, *found) if risk in found}
+def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterion: str) -> dict[str, Estimate]:
+    """By the risk that the analyzer gave what it ranked first: the share of the oracle's simulations with that vehicle
+    and intent that succeed, over encounters that have any."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for name, cell in cells.items():
+        first = next(iter(cell.get("intents") or ()), None)
+        tried = (oracle.get(name) or {}).get("attempts") or ()
+        same = [a for a in tried if first and a["intent"] == first["label"] and first["bv"] in a["adversaries"]]
+        if first and same:
+            found[str(first["risk"])].append(sum(succeeds(a, criterion) for a in same) / len(same))
+    return {risk: bootstrap(found[risk]) for risk in dict.fromkeys((*RISKS, *found)) if risk in found}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.tables import paper
 from sumo_adv.benchmark.tables.analysis import ANSWERS, NO_ANSWER, Analysis, Part, Score
 from sumo_adv.benchmark.tables.markdown import grid, number, signed
@@ -38,6 +40,12 @@ def write_analysis(
     return write_texts(folder, texts)
 
 
+def labels_hash(suite: Suite) -> str:
+    """SHA-256 over the labels that a suite brings along."""
+    given = {case.name: case.labels for case in suite.cases if case.labels}
+    return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+
 def to_markdown(analysis: Analysis) -> str:
     """The analyzer table as text."""
     lines = [f"# {analysis.title}", "", HOW, ""]
@@ -53,6 +61,8 @@ def _part(part: Part, reference: str | None) -> list[str]:
     lines = [f"## Ego {part.ego}, by {part.criterion}", ""]
     if part.unlabelled:
         lines += [f"{part.unlabelled} encounters have no label and are left out.", ""]
+    if part.by_time:
+        lines += [f"In {part.by_time} no simulation succeeds: there the label is by min TTC alone.", ""]
     rows = [
         [s.who, str(s.accuracy.n), *(_shown(getattr(s, f)) for f in FIGURES), signed(s.difference)] for s in part.scores
     ]
@@ -61,7 +71,8 @@ def _part(part: Part, reference: str | None) -> list[str]:
     if part.calibration:
         risks = list(dict.fromkeys(risk for found in part.calibration.values() for risk in found))
         rows = [[who, *(_shown(found.get(r)) for r in risks)] for who, found in part.calibration.items()]
-        lines += ["Rate of success by the risk that the analyzer gave:", "", *grid(["who", *risks], rows)]
+        lines += ["Success in the oracle's simulations of what the analyzer ranked first, by the risk it gave:", ""]
+        lines += grid(["who", *risks], rows)
     for who, matrix in part.confusion.items():
         shown = [a for a in ANSWERS if any(a in pair for pair in matrix)]
         rows = [[label, *(f"{matrix.get((label, a), 0):g}" for a in shown)] for label in shown if label != NO_ANSWER]
@@ -81,6 +92,9 @@ def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
                 e: Estimate | None = getattr(score, figure)
                 if e is not None:
                     yield _score_row(part, score, figure, e)
+        for who, found in part.calibration.items():
+            for risk, e in found.items():
+                yield _score_row(part, Score(who, e), f"success at risk {risk}", e)
 
 
 def _score_row(part: Part, score: Score, figure: str, e: Estimate) -> dict[str, Any]:
@@ -110,4 +124,5 @@ def _document(analysis: Analysis) -> dict[str, Any]:
         "scores": list(_score_rows(analysis)), "confusion": list(_confusion_rows(analysis)),
         "calibration": calibration,
         "unlabelled": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.unlabelled} for p in analysis.parts],
+        "by_time": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.by_time} for p in analysis.parts],
     }  # fmt: skip
