@@ -5,6 +5,7 @@ Intervals resample encounters, not steps: the steps of one motion are not indepe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -40,16 +41,23 @@ def distance(feature: str, measure: str) -> Pooled:
         ours, theirs = samples(cells, feature)
         if not ours:
             return None
-        bins = PAPER_BINS[feature]
-        fine = Bins(bins.low, bins.high, bins.count * FINE) if measure == "wasserstein" else bins
-        one, two = (np.array([fine.counts(v) for v in side]) for side in (ours, theirs))
-        found = [_of_counts(measure, w @ one, w @ two, fine) for w in _weights(len(ours))]
         a, b = np.concatenate(ours), np.concatenate(theirs)
         exact = measure == "wasserstein"
+        bins = _fine(PAPER_BINS[feature], np.concatenate([a, b])) if exact else PAPER_BINS[feature]
+        one, two = (np.array([bins.counts(v) for v in side]) for side in (ours, theirs))
+        found = [_of_counts(measure, w @ one, w @ two, bins) for w in _weights(len(ours))]
         value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
         return _interval(value, np.array(found), len(ours))
 
     return of
+
+
+def _fine(bins: Bins, values: Floats) -> Bins:
+    """Bins ``FINE`` times as fine over all there is: a distance of means must not stop where the histogram ends."""
+    width = (bins.high - bins.low) / bins.count
+    finite = values[np.isfinite(values)]
+    below, above = (max(math.ceil(d / width), 0) for d in (bins.low - finite.min(), finite.max() - bins.high))
+    return Bins(bins.low - below * width, bins.high + above * width, (below + bins.count + above) * FINE)
 
 
 def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
