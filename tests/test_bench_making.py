@@ -179,6 +179,20 @@ def test_labels_stand_beside_the_list_and_are_not_frozen(tmp_path: Path) -> None
         load_suite(str(folder))
 
 
+def test_what_people_hold_to_be_most_dangerous_comes_from_a_scenario_or_stands_beside_records(tmp_path: Path) -> None:
+    shipped = load_suite("leader_two_lanes").cases[0].labels
+    assert shipped == {"people": {"annotated": ("Emergency Braking",)}}
+    records = tmp_path / "records"
+    records.mkdir()
+    (records / "manifest.csv").write_text("id,suite\nab.1,straight\n")
+    (records / "ab.1.tfrecord").write_bytes(b"")
+    (records / "labels.json").write_text(json.dumps({"ab.1": {"people": {"annotated": ["Aggressive Cut-in"]}}}))
+    assert load_suite(f"womd:{records}").cases[0].labels == {"people": {"annotated": ("Aggressive Cut-in",)}}
+    (records / "labels.json").write_text(json.dumps({"cd.2": {}}))
+    with pytest.raises(UsageError, match=r"labels 'cd\.2', which is no case of .*manifest\.csv"):
+        load_suite(f"womd:{records}")
+
+
 def test_scenario_files_are_a_suite_too(tmp_path: Path) -> None:
     suite = load_suite("oncoming_country_road", "priority_straight_from_right")
     assert [(c.name, c.kind, c.group) for c in suite.cases] == [

@@ -93,6 +93,7 @@ def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: 
 def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
     bench(tmp_path, Told(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
     assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s."}
+    assert read_cells(tmp_path)[0]["timing"]["total"] >= 1  # it is no cheap row
 
 
 def test_what_is_there_is_not_run_again_and_a_chain_goes_on_where_it_can(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from bench_cells import Cell, attempt, cell, unattacked
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.tables.compute import Table, make_table
 from sumo_adv.benchmark.tables.markdown import to_markdown
+from sumo_adv.benchmark.tables.paper import counterpart
 from sumo_adv.benchmark.tables.write import About, write_table
 from sumo_adv.errors import UsageError
 
@@ -80,18 +81,32 @@ def test_the_gates_and_the_papers_criterion() -> None:
     table = make_table([cell("straight-1", "expert", near), cell("straight-2", "expert", off)], title="Made")
     keys = ("collision", "no_rear", "paper_collision", "off_road", "third_party", "infeasible")
     assert [value(table, k) for k in keys] == [0.5, 0, 1, 0.5, 0.5, 0.5]
+    assert (value(table, "mean_min_ttc"), value(table, "mean_min_ttc_paper")) == (pytest.approx(0.2), 0)
 
 
 def test_cost_with_and_without_the_model() -> None:
     asked = {"model": "m", "calls": 3, "prompt_tokens": 900, "completion_tokens": 100, "seconds": 1.5}
     cells = [
-        cell("straight-1", "llm-a", attempt(valid=True), llm=asked, recall="hit"),
+        cell(
+            "straight-1",
+            "llm-a",
+            attempt(valid=True),
+            llm=asked,
+            recall="hit",
+            timing={"total": 2.0, "waited": 0.6, "first_valid": 0.5},
+        ),  # three questions at once, 0.5 s each
         cell("straight-2", "llm-a", attempt(min_ttc=2.0), recall="generated"),
         cell("straight-3", "llm-a", attempt(min_ttc=2.0)),
     ]
     table = make_table(cells, title="Made")
     found = {k: value(table, k, "llm-a") for k in ("seconds", "seconds_model", "seconds_valid", "calls", "memory_hit")}
-    assert found == {"seconds": 1.5, "seconds_model": 2, "seconds_valid": 0.5, "calls": 1, "memory_hit": 0.5}
+    assert found == {
+        "seconds": pytest.approx(1.8),
+        "seconds_model": 2,
+        "seconds_valid": 0.5,
+        "calls": 1,
+        "memory_hit": 0.5,
+    }
     assert value(table, "tokens", "llm-a") == pytest.approx(1000 / 3)
 
 
@@ -124,6 +139,37 @@ def test_realism_pools_steps() -> None:
     assert value(table, "abnormal_lateral") == pytest.approx(0.05)
     entry = table.entry("idm", "all", "expert", "speed_kl")
     assert entry is not None and entry.estimate.n == 1
+
+
+@pytest.mark.parametrize(
+    ("row", "of_the_paper"),
+    [
+        ("raw", "Raw"), ("expert", "LLM-A (R1)"), ("llm-a:deepseek-reasoner", "LLM-A (R1)"), ("llm-f", "LLM-F (V3)"),
+        ("llm-a:deepseek-chat", "LLM-A (V3)"), ("llm-a:qwen3", "LLM-A (R1)"), ("random", None),
+        ("expert+tuner=off", None),
+    ],
+)  # fmt: skip
+def test_which_row_of_the_paper_a_row_stands_beside(row: str, of_the_paper: str | None) -> None:
+    assert counterpart(row) == of_the_paper
+
+
+def test_the_best_fixed_intent_is_the_one_with_the_best_rate() -> None:
+    """One of two, a half, is less than the one of one that a bench had come to of the other."""
+    cells = [
+        cell("straight-1", "fixed:a", attempt(valid=True)), cell("straight-2", "fixed:a", attempt(min_ttc=3.0)),
+        cell("straight-1", "fixed:b", attempt(valid=True)),
+    ]  # fmt: skip
+    table = make_table(cells, title="Made")
+    assert any("best-fixed against idm is fixed:b" in note for note in table.notes)
+
+
+def test_a_distance_of_means_and_its_interval_reach_beyond_the_histogram() -> None:
+    """-20 m/s2 where others do not brake, a histogram that ends at -8: W1 is 20, in every resample."""
+    motion = {who: {"speed": [9.0] * 5, "acceleration": [a] * 5} for who, a in (("adversary", -20.0), ("raw", 0.0))}
+    cells = [cell(f"straight-{k}", "expert", attempt(valid=True), motion=motion) for k in range(3)]
+    entry = make_table(cells, title="Made").entry("idm", "all", "expert", "acceleration_wasserstein")
+    assert entry is not None and entry.estimate.value == pytest.approx(20)
+    assert (entry.estimate.low, entry.estimate.high) == (pytest.approx(20), pytest.approx(20))
 
 
 def test_rows_are_compared_over_the_encounters_both_have() -> None:

@@ -222,6 +222,22 @@ def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answ
     assert len(server.asked) == ledger.as_dict()["calls"] == answered
 
 
+def test_questions_asked_at_once_are_waited_for_once() -> None:
+    """One is open from 10 s to 13 s, another one from 11 s to 14 s: 4 s; a third from 20 s to 21 s makes it 5 s."""
+    times = iter([10.0, 14.0, 20.0, 21.0])  # the clock is asked when the first is opened and when the last is closed
+    ledger = Ledger(clock=lambda: next(times))
+    first, second = ledger.waiting(), ledger.waiting()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert ledger.waited == 0
+    second.__exit__(None, None, None)
+    assert ledger.waited == 4
+    with pytest.raises(KeyError), ledger.waiting():
+        raise KeyError  # a question that fails was waited for as well
+    assert ledger.waited == 5
+
+
 def test_the_runs_time_cuts_a_question_short() -> None:
     with ModelServer([Hang()]) as server:
         model = connect("test-model", server.settings(), Ledger(Budget(seconds=0.3)), clock=StepClock())

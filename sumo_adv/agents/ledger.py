@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,11 +30,14 @@ class Budget:
 class Ledger:
     """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Safe to use from several threads.
 
-    Times are added up in whole milliseconds, so the order of parallel answers does not show.
+    Times are added up in whole milliseconds, so the order of parallel answers does not show. ``waited`` [s]: how long
+    some question was open by ``clock``, those asked at once counted once; a repeated recording is hardly waited for.
     """
 
-    def __init__(self, budget: Budget | None = None) -> None:
+    def __init__(self, budget: Budget | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
         self.budget = budget or Budget()
+        self.waited = 0.0
+        self._clock, self._open, self._since = clock, 0, 0.0
         self._lock = threading.Lock()
         self._agents: dict[str, dict[str, int]] = {}
 
@@ -39,6 +45,19 @@ class Ledger:
     def for_settings(cls, settings: ModelSettings) -> Ledger:
         """An empty ledger with the budget of the settings."""
         return cls(Budget(settings.llm_max_calls, settings.llm_max_tokens, settings.llm_max_seconds))
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """While a question is open."""
+        with self._lock:
+            self._since = self._since if self._open else self._clock()
+            self._open += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._open -= 1
+                self.waited += 0.0 if self._open else self._clock() - self._since
 
     def admit(self, request: ChatRequest) -> None:
         """Count a call, or raise BudgetError if it would exceed the budget (its prompt's tokens are estimated)."""
@@ -118,7 +137,8 @@ class Counted:
         """As the model answers. Raises BudgetError before a call that would exceed the budget, and ModelError."""
         self._ledger.admit(request)
         try:
-            reply = self._model.complete(request)
+            with self._ledger.waiting():
+                reply = self._model.complete(request)
         except ModelError as error:
             self._ledger.count_failure(request.agent, error)
             raise

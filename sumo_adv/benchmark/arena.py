@@ -63,7 +63,8 @@ class Arena:
         e = self.episode
         return Episode(
             e.source, e.settings, e.task, e.ending, e.reason, e.found, prefix=e.prefix, lanes=e.lanes,
-            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, cast=cast, timing=dict(e.timing),
+            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, cast=cast,
+            timing={**e.timing, "total": e.timing["opened"]},
         )  # fmt: skip
 
     def by_program(self, bank: MemoryBank, cast: Cast) -> Episode:
@@ -83,6 +84,7 @@ class Arena:
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)
         clock.stop(episode)
+        episode.timing["waited"] = cast.ledger.waited
         return episode
 
     def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Episode:

@@ -167,7 +167,9 @@ class Bench:
             to_blame = bool(rows) and (turn.stuck or turn.suspect)
             if to_blame:
                 why = f"It was not done after {self._deadline:g} s." if turn.stuck else "Its process died, twice."
-                keep_cell(self._setup.folder, failure(self._setup, turn.job, rows[0], why))
+                keep_cell(
+                    self._setup.folder, failure(self._setup, turn.job, rows[0], why, time.monotonic() - turn.since)
+                )
                 rows = rows[1:]
             if not rows:
                 self._done(turn.job, turn.chain)

@@ -42,6 +42,13 @@ ABLATIONS: Mapping[str, str] = {
 }
 """Row -> what is left out; each compared with ``REFERENCE``."""
 REFERENCE = "expert+learn=off"
+SAMPLES = (1, 3, 5)
+GROWING = ("", "+learn=off", "+recall=scene")  # learning, what it is to be compared with, and recall by scene
+
+
+def sampled(model: str) -> dict[str, str]:
+    """Row -> what: a model as it is and asked several times, which differ in that alone."""
+    return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in SAMPLES}
 
 
 @dataclass(frozen=True, slots=True)

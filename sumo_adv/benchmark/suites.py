@@ -24,7 +24,7 @@ import hashlib
 import json
 import tomllib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -174,14 +174,11 @@ def _listed(path: Path) -> Suite:
 
 
 def _whole(path: Path, given: _List) -> Suite:
-    folder, labels = path.parent, _labels(path.parent / LABEL_FILE)
-    names = [entry.name for entry in given.cases]
+    folder, names = path.parent, [entry.name for entry in given.cases]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
         raise UsageError(f"The suite {path} has the case '{twice}' twice.")
-    unknown = next((name for name in labels if name not in names), None)
-    if unknown is not None:
-        raise UsageError(f"{folder / LABEL_FILE} labels '{unknown}', which is no case of {path}.")
+    labels = _labels(folder / LABEL_FILE, names, path)
     for name, frozen in given.files.items():
         if not (folder / name).is_file():
             raise UsageError(f"The suite {path} lists {name}, which is missing.")
@@ -214,16 +211,20 @@ def _chosen(path: Path, given: _Choice) -> Suite:
     return Suite(given.name, given.version, tuple(known[name] for name in given.cases), content)
 
 
-def _labels(path: Path) -> Labels:
+def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:
+    """The labels in a file, if it is there, of the cases ``names`` of the list ``listed``."""
     if not path.is_file():
         return {}
     try:
         labels: Labels = LABELS.validate_python(json.loads(path.read_text(encoding="utf-8")))
-        return labels
     except (ValidationError, ValueError) as error:
         raise UsageError(
             f"{path} does not hold labels by case, ego and criterion (collision, valid, annotated)."
         ) from error
+    unknown = next((name for name in labels if name not in names), None)
+    if unknown is not None:
+        raise UsageError(f"{path} labels '{unknown}', which is no case of {listed}.")
+    return labels
 
 
 def _scenarios(sources: Sequence[Path]) -> Suite:
@@ -234,7 +235,9 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
         given = load_input(source)
         name = given.name if all(given.name != case.name for case in cases) else f"{given.name}-{len(cases) + 1}"
         hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(given.files)}
-        cases.append(Case(name, source, None, OWN_KIND, _group(given.network)))
+        people = given.label is not None and given.label.source == "annotated"
+        labels = {"people": {"annotated": given.label.intents}} if given.label is not None and people else {}
+        cases.append(Case(name, source, None, OWN_KIND, _group(given.network), labels))
     content = _content(hashes)
     return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
 
@@ -258,6 +261,7 @@ def _womd(folder: Path) -> Suite:
     twice = next((name for name, many in Counter(row["id"] for row in rows).items() if many > 1), None)
     if twice is not None:
         raise UsageError(f"{manifest} lists '{twice}' twice.")
+    labels = _labels(folder / LABEL_FILE, {row["id"] for row in rows}, manifest)
     cases, hashes = [], {manifest.name: hash_of_file(manifest)}
     for row in rows:
         if row["suite"] not in GROUPS:
@@ -267,7 +271,8 @@ def _womd(folder: Path) -> Suite:
             raise UsageError(f"{manifest} lists {record.name}, which is missing.")
         hashes[record.name] = hash_of_file(record)
         kind = (row.get("future") or "log").replace(" ", "_")
-        cases.append(Case(row["id"], record, row["id"].split(".")[0], kind, row["suite"]))
+        name = row["id"]
+        cases.append(Case(name, record, name.split(".")[0], kind, row["suite"], labels.get(name, {})))
     if not cases:
         raise UsageError(f"{manifest} lists no record that is straight or intersection.")
     content = _content(hashes)

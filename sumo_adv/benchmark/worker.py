@@ -6,6 +6,7 @@ import json
 import os
 import signal
 import tempfile
+import time
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
@@ -34,12 +35,13 @@ KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
 
 
 class Bencher:
-    """Holds what stays warm."""
+    """Holds what stays warm. ``began``: when the row that is under way did."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._engine = WarmEngine()
         self._sandboxes: dict[bool, Sandbox] = {}
+        self.began = time.perf_counter()
         for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
             del os.environ[name]  # the table has its settings from there already
 
@@ -49,6 +51,7 @@ class Bencher:
         Raises:
             SumoAdvError: the encounter cannot be opened, the simulation was lost, or the results cannot be written.
         """
+        self.began = time.perf_counter()
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings = self._settings(job, source.horizon)
         if job.shift:
@@ -65,6 +68,7 @@ class Bencher:
                 while left:
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
+                    self.began = time.perf_counter()
             if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
                 self._engine.close()
 
@@ -139,11 +143,12 @@ def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def failure(setup: Setup, job: Job, row: str, why: str) -> Cell:
-    """The cell of a row that broke."""
+def failure(setup: Setup, job: Job, row: str, why: str, seconds: float) -> Cell:
+    """The cell of a row that broke after so many seconds."""
     return head(setup, job, row) | {
         "ending": str(Ending.SIMULATION_FAILED), "reason": why, "raw": None, "attempts": [], "best": None,
-        "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {}, "timing": {}, "llm": {},
+        "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
+        "timing": {"total": round(seconds, 4)}, "llm": {},
     }  # fmt: skip
 
 
@@ -195,7 +200,7 @@ def work(setup: Setup, job: Job) -> None:
             _bencher.append(Bencher(setup))
             broken.close()
             if left:
-                keep_cell(setup.folder, failure(setup, job, left.pop(0), why))
+                keep_cell(setup.folder, failure(setup, job, left.pop(0), why, time.perf_counter() - broken.began))
 
 
 def _fault(error: Exception) -> str:

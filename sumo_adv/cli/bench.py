@@ -6,6 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -69,9 +70,10 @@ def table(
     as_json: Json = False,
 ) -> None:
     """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
+    from sumo_adv.benchmark.rows.registry import EVERY_FIXED
     from sumo_adv.benchmark.tables.compute import BEST_FIXED
 
-    rows = _unique(row or ROWS)
+    rows = _unique([r for given in row or ROWS for r in (EVERY_FIXED if given == "fixed" else (given,))])
     if reference is not None and reference not in (*rows, BEST_FIXED):
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
@@ -86,12 +88,13 @@ def ablations(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """What each part is worth: the expert without memory, tuner, modifier, replanning, ego model, at other times."""
-    from sumo_adv.benchmark.methods import ABLATIONS, REFERENCE
+    from sumo_adv.benchmark.methods import ABLATIONS, REFERENCE, sampled
 
-    rows = [*ABLATIONS, *(f"llm-a:{llm}+samples={k}" for k in (1, 3, 5) if llm)]
+    words = {**ABLATIONS, **(sampled(llm) if llm else {})}
+    rows = list(words)
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(asked, means, as_json=as_json)
-    _write(asked, means, cells, "ablations", REFERENCE, words=ABLATIONS, as_json=as_json)
+    _write(asked, means, cells, "ablations", REFERENCE, words=words, as_json=as_json)
 
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
@@ -105,7 +108,7 @@ def analyzer(
     """Who names the most dangerous intent: against the oracle, chance, the best constant answer and the ceiling."""
     from sumo_adv.benchmark.methods import REFERENCE
     from sumo_adv.benchmark.tables.analysis import analyze
-    from sumo_adv.benchmark.tables.analysis_files import to_markdown, write_analysis
+    from sumo_adv.benchmark.tables.analysis_files import labels_hash, to_markdown, write_analysis
     from sumo_adv.benchmark.tables.plots import draw_confusions
 
     answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
@@ -116,7 +119,8 @@ def analyzer(
     found = analyze(
         cells, asked.suite.cases, title=f"Analyzers on {asked.suite.name}", analyzers=answering, reference=REFERENCE
     )
-    files = write_analysis(found, cells, means.folder, _about(asked, means))
+    about = replace(_about(asked, means), further={"labels_hash": labels_hash(asked.suite)})
+    files = write_analysis(found, cells, means.folder, about)
     files += draw_confusions(found, means.folder / "figures")
     _say(means, cells, files, to_markdown(found), as_json=as_json)
 
@@ -127,12 +131,13 @@ def growth(
     llm: Annotated[str | None, typer.Option(help="A model in all parts as well.")] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
-    """How the bank grows as encounters go by: hits, seconds, model calls; with recall by intent and by scene."""
+    """How the bank grows as encounters go by: hits, seconds, model calls; beside a bank that stays as it is."""
+    from sumo_adv.benchmark.methods import GROWING
     from sumo_adv.benchmark.tables.growth import growth as growing
     from sumo_adv.benchmark.tables.growth import write_growth
     from sumo_adv.benchmark.tables.plots import draw_growth
 
-    rows = ["expert", "expert+recall=scene", *([f"llm-a:{llm}", f"llm-a:{llm}+recall=scene"] if llm else [])]
+    rows = [f"{who}{more}" for who in ("expert", *([f"llm-a:{llm}"] if llm else [])) for more in GROWING]
     asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(asked, means, as_json=as_json)
     steps = growing(cells, asked.suite.cases)
@@ -161,7 +166,7 @@ def label(
     _say(means, cells, files, f"{len(labels)} of {len(asked.suite.cases)} encounters labelled.", as_json=as_json)
 
 
-@app.command("make", epilog="Example: sumo-adv bench make --seed 1 --out suites/other")
+@app.command("make", epilog="Example: sumo-adv bench make --seed 2 --out suites/other")
 def make(
     seed: Annotated[int, typer.Option(min=0, help="Another seed: other encounters of the same kinds.")],
     out: Annotated[Path, typer.Option(help="A new folder.")],

@@ -20,6 +20,8 @@ ROWS: Mapping[str, Callable[[], Opponent]] = {
     "resampling": Resampling,
 }  # fmt: skip
 FIXED = "fixed:"
+EVERY_FIXED = tuple(FIXED + label.lower().replace(" ", "-") for label in LABELS)
+"""What ``fixed`` alone means: each behaviour as a row of its own."""
 
 
 def make_row(text: str) -> Opponent:
@@ -33,7 +35,7 @@ def make_row(text: str) -> Opponent:
         return FixedIntent(_label(text.removeprefix(FIXED)))
     if ":" in text:
         return UserRow(text)
-    raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, fixed:LABEL or module:Class.")
+    raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, fixed, fixed:LABEL or module:Class.")
 
 
 def _label(text: str) -> str:

@@ -79,6 +79,12 @@ def _paper_collision(cell: Cell) -> Value:
     return (verdict.get("paper_centre_distance") or {}).get("within") is True
 
 
+def _paper_ttc(cell: Cell) -> Value:
+    """Min TTC [s] with the paper's kind of collision, of the centres, as 0."""
+    near = _paper_collision(cell)
+    return None if near is None else (0.0 if near else c.capped_ttc(c.counted(cell)))
+
+
 def _infeasible(cell: Cell) -> Value:
     return c.counted(cell).get("feasible") is False
 
@@ -117,9 +123,10 @@ def _ever_critical(cell: Cell) -> Value:
 
 
 def _seconds(cell: Cell, *, model: bool) -> Value:
-    total = (cell.get("timing") or {}).get("total")
-    asked = (cell.get("llm") or {}).get("seconds") or 0.0
-    return None if total is None else float(total) - (0.0 if model else asked)
+    timing = cell.get("timing") or {}
+    if timing.get("total") is None:
+        return None
+    return float(timing["total"]) - (0.0 if model else float(timing.get("waited", 0.0)))
 
 
 def _tokens(cell: Cell) -> Value:
@@ -167,6 +174,8 @@ COLUMNS: tuple[Column, ...] = (
     Column("mean_min_ttc_apart", "mean where no collision [s]", "Min TTC", "over encounters without a collision", MEAN,
            lambda cell: None if c.counted(cell).get("collided") else c.capped_ttc(c.counted(cell)), raw=True,
            asked_of_all=False),
+    Column("mean_min_ttc_paper", "mean (paper) [s]", "Min TTC", "0 also where the centres came within 5 m", MEAN,
+           _paper_ttc, raw=True),
     Column("paper_collision", "collision rate (paper)", "Min TTC", "the centres came within 5 m", of=_paper_collision,
            raw=True),
     Column("attempts", "attempts until valid", "Attempts", "median, of encounters where some attempt was valid", MEDIAN,
@@ -191,9 +200,9 @@ COLUMNS: tuple[Column, ...] = (
            pooled=step_share("abnormal_lateral_share"), digits=4),
     Column("off_road_steps", "steps off-road", "Realism", "share of the adversary's steps, by its box centre",
            pooled=step_share("off_road_share"), digits=4),
-    Column("jerk", "jerk beyond limits", "Realism", "share of attempts that count", of=_gate("jerk")),
-    Column("lateral", "a_lat beyond limits", "Realism", "share of attempts that count", of=_gate("lateral")),
-    Column("seconds", "s without the model", "Cost", "of an encounter, from start to verdict", MEAN,
+    Column("jerk", "jerk beyond limits", "Realism", "in the attempt that counts", of=_gate("jerk")),
+    Column("lateral", "a_lat beyond limits", "Realism", "in the attempt that counts", of=_gate("lateral")),
+    Column("seconds", "s without the model", "Cost", "of an encounter, from opening it to the last attempt", MEAN,
            lambda cell: _seconds(cell, model=False)),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
            lambda cell: _seconds(cell, model=True)),

@@ -85,14 +85,14 @@ def make_table(
             by_row = {row: [c for c in mine if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(found) for row, found in by_row.items() if found}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers), *_several_seeds(cells))
+    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
 
 
 def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
-    """For each ego the cells of its ``fixed:LABEL`` row with most valid encounters, as one row, and what to say of it.
+    """For each ego the cells of its ``fixed:LABEL`` row with the best rate of valid ones, as one row; and what to say.
 
     Empty where there are not two such rows to choose from.
     """
@@ -103,8 +103,8 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
         rows = names(fixed, "row")
         if len(rows) < 2:
             continue
-        won = {row: sum(counted(c).get("valid") is True for c in fixed if c["row"] == row) for row in rows}
-        best = max(rows, key=lambda row: won[row])
+        won = {row: [counted(c).get("valid") is True for c in fixed if c["row"] == row] for row in rows}
+        best = max(rows, key=lambda row: sum(won[row]) / len(won[row]))
         found += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
         notes.append(
             f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} with hindsight, which flatters it."
@@ -189,13 +189,3 @@ def _sentence(row: str, ego: str, gone: Sequence[str], of: int) -> str:
         f"{row} against {ego}: {len(gone)} of {of} cells are missing ({listed}); its figures rest on the others. "
         "The same command again runs what is missing."
     )
-
-
-def _several_seeds(cells: Sequence[Cell]) -> list[str]:
-    seeds = {int(c["seed"]) for c in cells}
-    if len(seeds) < 2:
-        return []
-    return [
-        f"{len(seeds)} seeds of each encounter are taken as encounters of their own, so intervals are too narrow where "
-        "seeds of one encounter agree."
-    ]

@@ -54,14 +54,19 @@ ANALYZER_NOTE = (
 
 
 def counterpart(row: str) -> str | None:
-    """The paper's row that a row of ours stands for; None for opponents that the paper has not."""
+    """The paper's row that a row of ours stands for; None for opponents and changed rows, which the paper has not.
+
+    LLM-A stands beside its better figure, R1's, whoever plays ours, but for DeepSeek-V3 itself.
+    """
     name = row.lower()
+    if "+" in name:
+        return None
     if name == RAW:
         return "Raw"
     if name == "transformer":
         return "Transformer"
     if name.startswith("llm-f"):
         return "LLM-F (V3)"
-    if name.startswith("llm-a"):
-        return "LLM-A (R1)" if "r1" in name or "reasoner" in name else "LLM-A (V3)"
+    if name == "expert" or name.startswith("llm-a"):
+        return "LLM-A (V3)" if "v3" in name or "deepseek-chat" in name else "LLM-A (R1)"
     return None
