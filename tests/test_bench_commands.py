@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import Done, Program
+from cli_samples import ROOT, Done, Program
 from model_server import ModelServer
 from scripted_models import Author
 
@@ -97,3 +97,19 @@ def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(progr
     }
     assert cost["calls"] == asked >= SAMPLES[1] and cost["tokens"] == 110 * asked
     assert 0 < cost["seconds"] < cost["seconds_model"] and cost["memory_hit"] == 1
+
+
+def test_where_the_trigger_is_open_rows_with_other_settings_meet_the_same_encounter(program: Program) -> None:
+    """A row that predicts the ego by constant velocity would choose by that; all rows get what the library reaches."""
+    text = (
+        (ROOT / "scenarios" / f"{CASE}.toml").read_text(encoding="utf-8").replace('"../networks', f'"{ROOT}/networks')
+    )
+    text = text.replace('"demand/', f'"{ROOT}/scenarios/demand/').replace("trigger = 5.0", 'trigger = "auto"')
+    assert '"auto"' in text
+    (program.folder / "open.toml").write_text(text)
+    rows = ("expert+learn=off", "expert+forecast=constant+learn=off", "random")
+    done = program("bench", "table", "--suite", "open.toml", *SMALL[2:], *(w for row in rows for w in ("--row", row)))
+    assert done.status == 0, done.err
+    cells = [json.loads(p.read_text()) for p in (program.folder / "out" / "cells" / "idm" / "open").glob("*.json")]
+    assert len(cells) == 3 and all(c["encounter"] == cells[0]["encounter"] for c in cells)
+    assert cells[0]["encounter"]["time"] > 0

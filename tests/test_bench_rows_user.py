@@ -183,7 +183,7 @@ def arena() -> Iterator[tuple[Arena, MemoryBank]]:
         Sandbox() as sandbox,
         Engine(body) as engine,
     ):
-        yield Arena(source, settings, make_task(source, settings, Path(scratch)), engine, sandbox, bank), bank
+        yield Arena(source, settings, make_task(source, settings, Path(scratch)), engine, sandbox, bank, settings), bank
 
 
 def test_the_example_is_valid_within_two_attempts(

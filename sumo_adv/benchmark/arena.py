@@ -32,13 +32,18 @@ def _silent(*_: object) -> None:
 
 
 class Arena:
-    """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none."""
+    """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none.
+
+    ``common``: the settings of all rows, by which an encounter is chosen where the trigger is open; ``settings``: those
+    of its own rows, who attack.
+    """
 
     def __init__(
-        self, source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank
-    ) -> None:
+        self, source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank,
+        common: Settings,
+    ) -> None:  # fmt: skip
         self.engine, self.sandbox = engine, sandbox
-        self.episode = Episode(source, settings, task, bank_hash=bank.content_hash())
+        self.episode = Episode(source, common, task, bank_hash=bank.content_hash())
         began = time.perf_counter()
         try:
             if task.trigger is not None:
@@ -51,6 +56,7 @@ class Arena:
                 raise
             self.episode.ending, self.episode.reason = Ending.SIMULATION_FAILED, str(error)
             self.episode.found = None
+        self.episode.settings = settings
         self.episode.timing["opened"] = time.perf_counter() - began
 
     @property

@@ -53,7 +53,7 @@ class Bencher:
         """
         self.began = time.perf_counter()
         source = self._setup.parts.load(job.case.path, job.case.record)
-        settings = self._settings(job, source.horizon)
+        settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
         if job.shift:
             if source.trigger == "auto":
                 raise UsageError(f"{job.case.name} leaves its trigger open, so no row can shift it.")
@@ -64,7 +64,7 @@ class Bencher:
         ):
             task = make_task(source, settings, Path(scratch))
             with self._engine.episode() as engine:
-                arena = Arena(source, settings, task, engine, self._sandbox(settings), bank)
+                arena = Arena(source, settings, task, engine, self._sandbox(settings), bank, common)
                 while left:
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
@@ -78,8 +78,9 @@ class Bencher:
         for sandbox in self._sandboxes.values():
             sandbox.close()
 
-    def _settings(self, job: Job, horizon: float | None) -> Settings:
-        table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **job.settings}
+    def _settings(self, job: Job, horizon: float | None, own: Mapping[str, Any]) -> Settings:
+        """The table's settings with a row's ``own``."""
+        table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
         return load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
 
