@@ -241,13 +241,16 @@ def test_an_intent_of_that_name_with_somebody_s_own_planner_is_drawn_from_at_onc
     assert len(some.pool) == 10 and compose(at, [own]) == []
 
 
-@pytest.mark.parametrize(("good", "first"), [(0, 0), (1, 1), (4, 1), (5, None)])
-def test_where_few_are_avoidable_intents_are_composed_and_where_none_is_they_come_first(
-    good: int, first: int | None
+@pytest.mark.parametrize(
+    ("good", "else_", "first"), [(0, 2.0, 0), (0, 1.2, 1), (1, 2.0, 1), (4, 1.2, 1), (5, 1.2, None)]
+)
+def test_where_few_are_avoidable_intents_are_composed_and_where_none_collides_they_come_first(
+    good: int, else_: float, first: int | None
 ) -> None:
+    """A score of 0.3 is an avoidable collision, of 1.2 an unavoidable one, of 2 a miss."""
     at = {0.0: situation([merging()])}
     some = expert()
-    some.pool = [replace(proposal(gap=0.1 * k), score=0.3 if k < good else 1.2) for k in range(10)]
+    some.pool = [replace(proposal(gap=0.1 * k), score=0.3 if k < good else else_) for k in range(10)]
     labels = [i.label for i in some.ranking(at, [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))])]
     assert labels == (["Shift"] if first is None else (["Shift", NEW] if first else [NEW, "Shift"]))
 

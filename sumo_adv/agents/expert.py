@@ -121,14 +121,12 @@ class Expert:
         return found
 
     def ranking(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """The intents of the pool, most dangerous first; where few proposals reach it avoidably, new ones come last,
-        and first where none does."""
-        ranked = self._ranked(library)
+        """The intents of the pool, most dangerous first; where few proposals reach it avoidably new ones, which nothing
+        is predicted of yet, come behind what reaches it and before what does not."""
+        reach, rest = self._ranked(library)
         good = sum(alone(p) < AVOIDABLE for p in drawn(self.pool))
-        if good >= FEW or self._allowed:
-            return ranked
-        new = compose(situations, library)
-        return ranked + new if good else new + ranked
+        new = [] if good >= FEW or self._allowed else compose(situations, library)
+        return reach + new + rest
 
     def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
         """``count`` scored proposals, round robin; the first of each family with its author's numbers.
@@ -179,7 +177,8 @@ class Expert:
         found = [varied(proposals[k % len(proposals)], self._draw) for k in range(count)]
         return self.hindsight.weigh(self._scorer.score(found))
 
-    def _ranked(self, library: Sequence[LibraryEntry]) -> list[Intent]:
+    def _ranked(self, library: Sequence[LibraryEntry]) -> tuple[list[Intent], list[Intent]]:
+        """The intents of the pool by which some way is predicted to collide, and those by which none is."""
         groups: dict[tuple[str, str], list[Proposal]] = {}
         for p in self.pool:
             groups.setdefault((p.bv, p.label), []).append(p)
@@ -189,7 +188,10 @@ class Expert:
             key, members = item
             return (-_share(drawn(members)), min(map(self.price, members)), *key)
 
-        return [_intent(group, described[key[1]]) for key, group in sorted(groups.items(), key=order)]
+        found: tuple[list[Intent], list[Intent]] = [], []
+        for key, group in sorted(groups.items(), key=order):
+            found[not _share(drawn(group))].append(_intent(group, described[key[1]]))
+        return found
 
 
 def _share(members: Sequence[Proposal]) -> float:
