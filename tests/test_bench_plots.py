@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import struct
 from pathlib import Path
 
@@ -106,4 +107,6 @@ def test_growth_as_files(tmp_path: Path) -> None:
     with (tmp_path / "growth.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [r["hit"] for r in rows] == ["False", "False", "True", "", "True", "True"]
+    third = json.loads((tmp_path / "growth.json").read_text())["thirds"][2]
+    assert (third["encounters"], third["n"], third["hits"]["value"], third["hits"]["n"]) == ("last third", 2, 1, 2)
     assert size(draw_growth(tmp_path / "growth.png", steps, "Growth")) == (1650, 1020)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.tables.cells import counted, first_valid, remembered
 from sumo_adv.benchmark.tables.markdown import grid, number
 from sumo_adv.benchmark.tables.write import SCHEMA, About, as_csv, as_json, manifest, write_texts
-from sumo_adv.metrics.statistics import bootstrap, wilson
+from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 WINDOW = 10  # encounters of a moving figure
 THIRDS = ("first third", "second third", "last third")
@@ -79,28 +80,46 @@ def write_growth(
     rows = [asdict(step) for step in steps]
     texts = {
         f"{name}.md": _to_markdown(steps, about), f"{name}.csv": as_csv(COLUMNS, rows),
-        f"{name}.json": as_json({"schema": SCHEMA, "steps": rows}),
+        f"{name}.json": as_json({"schema": SCHEMA, "steps": rows, "thirds": _plain(thirds(steps))}),
     }  # fmt: skip
     texts[f"{name}.manifest.json"] = as_json(manifest(about, cells, list(texts)))
     return write_texts(folder, texts)
 
 
-def _to_markdown(steps: Sequence[Step], about: About) -> str:
-    """Each third of the sequence: hits, seconds, calls, valid."""
-    rows = []
+def _plain(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{k: asdict(v) if isinstance(v, Estimate) else v for k, v in third.items()} for third in found]
+
+
+def thirds(steps: Sequence[Step]) -> list[dict[str, Any]]:
+    """For each row, ego and seed each third of its sequence: ``n``, and ``hits``, ``seconds``, ``calls``, ``valid`` as
+    estimates, None where there is nothing to estimate."""
+    found = []
     for row, ego, seed in dict.fromkeys((s.row, s.ego, s.seed) for s in steps):
         mine = [s for s in steps if (s.row, s.ego, s.seed) == (row, ego, seed)]
         for name, third in zip(THIRDS, np.array_split(np.arange(len(mine)), 3), strict=True):
-            rows += [[f"`{row}`", ego, str(seed), name, *_third([mine[k] for k in third])]] if third.size else []
-    head = ["row", "ego", "seed", "encounters", "n", "memory hits", "s", "model calls", "valid"]
-    return "\n".join([f"# Growth of the bank over {about.suite}", "", *grid(head, rows)])
+            if third.size:
+                found.append(
+                    {"row": row, "ego": ego, "seed": seed, "encounters": name, **_third([mine[k] for k in third])}
+                )
+    return found
 
 
-def _third(steps: Sequence[Step]) -> list[str]:
+def _third(steps: Sequence[Step]) -> dict[str, Any]:
     hits = [s.hit for s in steps if s.hit is not None]
     seconds = [s.seconds for s in steps if s.seconds is not None]
-    return [
-        str(len(steps)), number(wilson(sum(hits), len(hits)) if hits else None),
-        number(bootstrap(seconds) if seconds else None), number(bootstrap([s.calls for s in steps]), 1),
-        number(wilson(sum(s.valid for s in steps), len(steps))),
+    return {
+        "n": len(steps), "hits": wilson(sum(hits), len(hits)) if hits else None,
+        "seconds": bootstrap(seconds) if seconds else None, "calls": bootstrap([s.calls for s in steps]),
+        "valid": wilson(sum(s.valid for s in steps), len(steps)),
+    }  # fmt: skip
+
+
+def _to_markdown(steps: Sequence[Step], about: About) -> str:
+    """The thirds as a table."""
+    rows = [
+        [f"`{t['row']}`", t["ego"], str(t["seed"]), t["encounters"], str(t["n"]), number(t["hits"]),
+         number(t["seconds"]), number(t["calls"], 1), number(t["valid"])]
+        for t in thirds(steps)
     ]  # fmt: skip
+    head = ["row", "ego", "seed", "encounters", "n", "memory hits", "s", "model calls", "valid"]
+    return "\n".join([f"# Growth of the bank over {about.suite}", "", *grid(head, rows)])
