@@ -153,17 +153,17 @@ def test_which_row_of_the_paper_a_row_stands_beside(row: str, of_the_paper: str 
     assert counterpart(row) == of_the_paper
 
 
-def test_the_best_fixed_intent_is_the_one_with_the_best_rate() -> None:
-    """One of two, a half, is less than the one of one that a bench had come to of the other."""
+def test_the_best_fixed_intent_is_chosen_over_the_encounters_that_all_have() -> None:
+    """Of the encounters that both have, the first alone, b wins it and a does not, though a has won another."""
     cells = [
-        cell("straight-1", "fixed:a", attempt(valid=True)), cell("straight-2", "fixed:a", attempt(min_ttc=3.0)),
-        cell("straight-1", "fixed:b", attempt(valid=True)),
+        cell("straight-1", "fixed:a", attempt(min_ttc=3.0)), cell("straight-2", "fixed:a", attempt(valid=True)),
+        cell("straight-3", "fixed:a", attempt(valid=True)), cell("straight-1", "fixed:b", attempt(valid=True)),
     ]  # fmt: skip
     table = make_table(cells, title="Made")
     assert any("best-fixed against idm is fixed:b" in note for note in table.notes)
 
 
-def test_a_distance_of_means_and_its_interval_reach_beyond_the_histogram() -> None:
+def test_w1_and_its_interval_reach_beyond_the_histogram() -> None:
     """-20 m/s2 where others do not brake, a histogram that ends at -8: W1 is 20, in every resample."""
     motion = {who: {"speed": [9.0] * 5, "acceleration": [a] * 5} for who, a in (("adversary", -20.0), ("raw", 0.0))}
     cells = [cell(f"straight-{k}", "expert", attempt(valid=True), motion=motion) for k in range(3)]

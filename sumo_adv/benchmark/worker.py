@@ -145,11 +145,11 @@ def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
 
 
 def failure(setup: Setup, job: Job, row: str, why: str, seconds: float) -> Cell:
-    """The cell of a row that broke after so many seconds."""
+    """The cell of a row that broke ``seconds`` after the one before it was done."""
     return head(setup, job, row) | {
         "ending": str(Ending.SIMULATION_FAILED), "reason": why, "raw": None, "attempts": [], "best": None,
         "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
-        "timing": {"total": round(seconds, 4)}, "llm": {},
+        "timing": {"total": round(seconds, 4), "row": round(seconds, 4)}, "llm": {},
     }  # fmt: skip
 
 

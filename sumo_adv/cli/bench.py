@@ -54,8 +54,8 @@ def table(
     row: Annotated[
         list[str] | None,
         typer.Option(
-            help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed:LABEL, oracle, random_search, cma, "
-            "bezier, resampling, module:Class; repeatable (default: raw, llm-f, expert, random)."
+            help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed, fixed:LABEL, oracle, "
+            "random_search, cma, bezier, resampling, module:Class; repeatable (default: raw, llm-f, expert, random)."
         ),
     ] = None,
     seed: Seed = 0,

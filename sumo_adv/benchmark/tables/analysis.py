@@ -88,10 +88,11 @@ def analyze(
         mine = [c for c in cells if c["ego"] == ego]
         oracle = {key(c): c for c in mine if c["row"] == ORACLE and c.get("attempts")}
         if not oracle:
-            notes.append(f"There is no row oracle against {ego}: chance and the ceiling are not known.")
+            notes.append(f"There is no row oracle against {ego}: chance, the ceiling and calibration are not known.")
         for criterion in (*CRITERIA, ANNOTATED):
             truth = _truth(mine, cases, ego, criterion, oracle)
-            notes.append(_agreement(truth, _given(cases, ego, criterion), ego, criterion))
+            if criterion in CRITERIA:
+                notes.append(_agreement(truth, oracle, _given(cases, ego, criterion), ego, criterion))
             if truth:
                 parts.append(_part(mine, rows, ego, criterion, truth, oracle, reference))
         if ego not in {part.ego for part in parts}:
@@ -119,9 +120,11 @@ def _given(cases: Sequence[Case], ego: str, criterion: str) -> dict[str, tuple[s
     return {c.name: tuple(c.labels.get(who, {}).get(criterion, ())) for c in cases}
 
 
-def _agreement(truth: Truth, given: Mapping[str, Sequence[str]], ego: str, criterion: str) -> str:
+def _agreement(
+    truth: Truth, oracle: Mapping[Key, Cell], given: Mapping[str, Sequence[str]], ego: str, criterion: str
+) -> str:
     """How many of the suite's own labels have something in common with those that count, in a sentence."""
-    both = [(truth[name], given[name[0]]) for name in truth if given.get(name[0])]
+    both = [(truth[name], given[name[0]]) for name in truth if name in oracle and given.get(name[0])]
     alike = sum(bool(one.intersection(two)) for one, two in both)
     if alike == len(both):
         return ""

@@ -10,10 +10,10 @@ from typing import Any
 
 from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.tables import paper
-from sumo_adv.benchmark.tables.analysis import ANSWERS, NO_ANSWER, Analysis, Part, Score
+from sumo_adv.benchmark.tables.analysis import ANSWERS, NO_ANSWER, Analysis, Part
 from sumo_adv.benchmark.tables.markdown import grid, number, signed
 from sumo_adv.benchmark.tables.write import SCHEMA, About, as_csv, as_json, manifest, write_texts
-from sumo_adv.metrics.statistics import Estimate
+from sumo_adv.metrics.statistics import Estimate, Paired
 
 FIGURES = ("accuracy", "several", "kappa", "top2")
 SCORES = ("ego", "criterion", "who", "figure", "value", "low", "high", "n", "difference", "p")
@@ -32,7 +32,7 @@ def write_analysis(
     """``NAME.md``, ``.csv``, ``.json``, ``NAME-confusion.csv``, ``NAME.manifest.json``. Raises UsageError."""
     texts = {
         f"{name}.md": to_markdown(analysis),
-        f"{name}.csv": as_csv(SCORES, _score_rows(analysis)),
+        f"{name}.csv": as_csv(SCORES, [*_score_rows(analysis), *_calibration_rows(analysis)]),
         f"{name}-confusion.csv": as_csv(CONFUSION, _confusion_rows(analysis)),
         f"{name}.json": as_json(_document(analysis)),
     }
@@ -91,16 +91,19 @@ def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
             for figure in FIGURES:
                 e: Estimate | None = getattr(score, figure)
                 if e is not None:
-                    yield _score_row(part, score, figure, e)
+                    yield _figure_row(part, score.who, figure, e, score.difference if figure == "accuracy" else None)
+
+
+def _calibration_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+    for part in analysis.parts:
         for who, found in part.calibration.items():
             for risk, e in found.items():
-                yield _score_row(part, Score(who, e), f"success at risk {risk}", e)
+                yield _figure_row(part, who, f"success at risk {risk}", e, None)
 
 
-def _score_row(part: Part, score: Score, figure: str, e: Estimate) -> dict[str, Any]:
-    d = score.difference if figure == "accuracy" else None
+def _figure_row(part: Part, who: str, figure: str, e: Estimate, d: Paired | None) -> dict[str, Any]:
     return {
-        "ego": part.ego, "criterion": part.criterion, "who": score.who, "figure": figure, "value": e.value,
+        "ego": part.ego, "criterion": part.criterion, "who": who, "figure": figure, "value": e.value,
         "low": e.low, "high": e.high, "n": e.n, "difference": d.difference if d else None, "p": d.p if d else None,
     }  # fmt: skip
 
@@ -114,15 +117,10 @@ def _confusion_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
 
 
 def _document(analysis: Analysis) -> dict[str, Any]:
-    calibration = [
-        {"ego": p.ego, "criterion": p.criterion, "who": who, "risk": risk, "value": e.value, "low": e.low,
-         "high": e.high, "n": e.n}
-        for p in analysis.parts for who, found in p.calibration.items() for risk, e in found.items()
-    ]  # fmt: skip
     return {
         "schema": SCHEMA, "title": analysis.title, "reference": analysis.reference, "notes": analysis.notes,
         "scores": list(_score_rows(analysis)), "confusion": list(_confusion_rows(analysis)),
-        "calibration": calibration,
+        "calibration": list(_calibration_rows(analysis)),
         "unlabelled": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.unlabelled} for p in analysis.parts],
         "by_time": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.by_time} for p in analysis.parts],
     }  # fmt: skip

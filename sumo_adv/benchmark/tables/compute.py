@@ -92,7 +92,8 @@ def make_table(
 
 
 def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
-    """For each ego the cells of its ``fixed:LABEL`` row with the best rate of valid ones, as one row; and what to say.
+    """For each ego the cells of its ``fixed:LABEL`` row with most valid encounters, of those that all such rows have,
+    as one row; and what to say of it.
 
     Empty where there are not two such rows to choose from.
     """
@@ -103,8 +104,9 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
         rows = names(fixed, "row")
         if len(rows) < 2:
             continue
-        won = {row: [counted(c).get("valid") is True for c in fixed if c["row"] == row] for row in rows}
-        best = max(rows, key=lambda row: sum(won[row]) / len(won[row]))
+        common = set.intersection(*({key(c) for c in fixed if c["row"] == row} for row in rows))
+        won = [str(c["row"]) for c in fixed if key(c) in common and counted(c).get("valid") is True]
+        best = max(rows, key=won.count)
         found += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
         notes.append(
             f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} with hindsight, which flatters it."

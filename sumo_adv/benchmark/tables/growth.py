@@ -27,7 +27,7 @@ COLUMNS = (
 class Step:
     """One encounter in its place (from 1). ``hit_rate``: so far; ``seconds_window``: mean of the last 10 encounters.
 
-    ``seconds``: of the row, the model included; None where the cell does not say.
+    ``seconds``: of the row, the model included; None where there was no encounter.
     """
 
     row: str
@@ -63,7 +63,7 @@ def growth(cells: Sequence[Cell], cases: Sequence[Case]) -> list[Step]:
 def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Step:
     """The step of a cell; ``hits`` and ``seconds`` are those so far, and grow."""
     timing, hit = cell.get("timing") or {}, remembered(cell)
-    took = timing.get("row", timing.get("total"))
+    took = timing.get("row")
     hits += [] if hit is None else [hit]
     seconds += [] if took is None else [float(took)]
     return Step(
