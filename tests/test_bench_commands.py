@@ -60,6 +60,7 @@ def test_labels_are_what_the_oracle_finds(folder: Program) -> None:
     labels = document(folder, "labels.json")[CASE]["idm"]
     simulated = document(folder, f"cells/idm/{CASE}/oracle.json")["attempts"]
     won = {a["intent"] for a in simulated if a["valid"]}
+    assert document(folder, "labels.manifest.json")["files"] == ["labels.json"]
     assert set(labels) == {"collision", "valid"} and labels["valid"] and set(labels["valid"]) <= won
 
 

@@ -154,7 +154,7 @@ def label(
     """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
     from sumo_adv.benchmark.rows.oracle import oracle_labels
     from sumo_adv.benchmark.tables.write import as_json as text_of
-    from sumo_adv.benchmark.tables.write import write_texts
+    from sumo_adv.benchmark.tables.write import manifest, write_texts
 
     asked, means = _order(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(asked, means, as_json=as_json)
@@ -162,7 +162,8 @@ def label(
     for cell in cells:
         if cell["attempts"]:
             labels.setdefault(cell["case"], {})[cell["ego"]] = oracle_labels(cell)
-    files = write_texts(means.folder, {"labels.json": text_of(labels)})
+    about = manifest(_about(asked, means), cells, ["labels.json"])
+    files = write_texts(means.folder, {"labels.json": text_of(labels), "labels.manifest.json": text_of(about)})
     _say(means, cells, files, f"{len(labels)} of {len(asked.suite.cases)} encounters labelled.", as_json=as_json)
 
 
