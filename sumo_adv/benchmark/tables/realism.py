@@ -12,14 +12,13 @@ import numpy as np
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.tables.cells import failed
 from sumo_adv.datatypes import Floats
-from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed
+from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed, wasserstein
 from sumo_adv.metrics.statistics import Estimate
 
 RESAMPLES = 1000
+FINE = 2000  # bins of W1 in resamples
 
 Pooled = Callable[[Sequence[Cell]], Estimate | None]
-Sides = Sequence[Floats]
-OfWeights = Callable[[Floats], float]
 
 
 def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Floats]]:
@@ -36,47 +35,35 @@ def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Flo
 
 def distance(feature: str, measure: str) -> Pooled:
     """The distance ``kl``, ``js`` or ``wasserstein`` of a feature's distributions, over encounters."""
-    of_weights = (
-        _wasserstein
-        if measure == "wasserstein"
-        else _binned(PAPER_BINS[feature], kl if measure == "kl" else jensen_shannon)
-    )
 
     def of(cells: Sequence[Cell]) -> Estimate | None:
         ours, theirs = samples(cells, feature)
         if not ours:
             return None
-        at = of_weights(ours, theirs)
-        found = np.array([at(w) for w in _weights(len(ours))])
-        return _interval(at(np.ones(len(ours))), found, len(ours))
-
-    return of
-
-
-def _binned(bins: Bins, measure: Callable[[Floats, Floats], float]) -> Callable[[Sides, Sides], OfWeights]:
-    """A distance of smoothed histograms, of encounters that count so often."""
-
-    def of(ours: Sides, theirs: Sides) -> OfWeights:
+        a, b = np.concatenate(ours), np.concatenate(theirs)
+        exact = measure == "wasserstein"
+        bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
         one, two = (np.array([bins.counts(v) for v in side]) for side in (ours, theirs))
-        return lambda w: measure(smoothed(w @ one), smoothed(w @ two))
+        weights = _weights(len(ours))
+        found = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ one, weights @ two, strict=True)]
+        value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
+        return _interval(value, np.array(found), len(ours))
 
     return of
 
 
-def _wasserstein(ours: Sides, theirs: Sides) -> OfWeights:
-    """W1 of the values themselves: the area between the two distribution functions."""
-    values = np.concatenate([*ours, *theirs])
-    order = np.argsort(values)
-    steps = np.diff(values[order])
-    place = np.concatenate([np.full(len(v), k) for side in (ours, theirs) for k, v in enumerate(side)])[order]
-    mine = (np.arange(len(values)) < sum(map(len, ours)))[order]
+def _over(values: Floats) -> Bins:
+    """Bins over all there is, ``FINE`` of them: W1 must not stop where a histogram of usual values ends."""
+    finite = values[np.isfinite(values)]
+    return Bins(float(finite.min()), float(finite.max()) + 1e-6, FINE)
 
-    def of(weights: Floats) -> float:
-        each = weights[place]
-        one, two = (np.cumsum(np.where(side, each, 0.0)) for side in (mine, ~mine))
-        return float(np.abs(one[:-1] / one[-1] - two[:-1] / two[-1]) @ steps)
 
-    return of
+def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
+    """The distance of two distributions from their counts on the same bins."""
+    if measure == "wasserstein":
+        width = (bins.high - bins.low) / bins.count
+        return float(np.abs(np.cumsum(p) / p.sum() - np.cumsum(q) / q.sum()).sum() * width)
+    return (kl if measure == "kl" else jensen_shannon)(smoothed(p), smoothed(q))
 
 
 def step_share(name: str) -> Pooled:
