@@ -188,10 +188,8 @@ class Expert:
             key, members = item
             return (-_share(drawn(members)), min(map(self.price, members)), *key)
 
-        found: tuple[list[Intent], list[Intent]] = [], []
-        for key, group in sorted(groups.items(), key=order):
-            found[not _share(drawn(group))].append(_intent(group, described[key[1]]))
-        return found
+        ranked = [(_share(drawn(g)), _intent(g, described[key[1]])) for key, g in sorted(groups.items(), key=order)]
+        return [i for share, i in ranked if share > 0], [i for share, i in ranked if share == 0]
 
 
 def _share(members: Sequence[Proposal]) -> float:

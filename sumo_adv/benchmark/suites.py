@@ -235,8 +235,8 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
         given = load_input(source)
         name = given.name if all(given.name != case.name for case in cases) else f"{given.name}-{len(cases) + 1}"
         hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(given.files)}
-        people = given.label is not None and given.label.source == "annotated"
-        labels = {"people": {"annotated": given.label.intents}} if given.label is not None and people else {}
+        annotated = given.label if given.label is not None and given.label.source == "annotated" else None
+        labels = {} if annotated is None else {"people": {"annotated": annotated.intents}}
         cases.append(Case(name, source, None, OWN_KIND, _group(given.network), labels))
     content = _content(hashes)
     return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
