@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from shapely import LineString, Point
 
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
@@ -205,6 +208,21 @@ def test_traffic_in_a_bend_is_measured_along_the_told_path() -> None:
     at, left, heading = EgoPath(centre).locate(103.2 * math.sin(0.5), 100 - 103.2 * math.cos(0.5))
     assert (at, left, heading) == pytest.approx((50.0, -3.2, 0.5), abs=0.03)
     assert EgoPath(centre).pose(50.0) == pytest.approx((100 * math.sin(0.5), 100 - 100 * math.cos(0.5), 0.5), abs=0.03)
+
+
+@given(turns=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=60), x=st.floats(-50, 150), y=st.floats(-80, 80))
+def test_the_nearest_place_of_a_told_path_is_the_nearest_there_is(turns: list[float], x: float, y: float) -> None:
+    points = [(0.0, 0.0)]
+    for heading in np.cumsum(turns):
+        points.append((points[-1][0] + 2 * math.cos(heading), points[-1][1] + 2 * math.sin(heading)))
+    line = LineString(points)
+    at, left, heading = EgoPath(points).locate(x, y)
+    if not 0.0 <= at <= line.length:  # before its first or after its last point it goes on straight
+        assert abs(left) <= line.distance(Point(x, y)) + 1e-6
+        return
+    assert abs(left) == pytest.approx(line.distance(Point(x, y)), abs=1e-6)
+    foot = line.interpolate(at)
+    assert math.hypot(foot.x - x, foot.y - y) == pytest.approx(abs(left), abs=1e-6)
 
 
 def test_closed_forms() -> None:
