@@ -11,11 +11,14 @@ from typing import Any
 import pytest
 from cli_samples import ROOT, Done, Program
 
+from sumo_adv.benchmark.bench import read_cells
 from sumo_adv.cli.bench import _settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held
 
-MOTORWAY, TEE = (f"scenarios/{n}.toml" for n in ("motorway_cut_in_left", "t_junction_left_from_stem"))
+MOTORWAY, TEE, OPEN = (
+    f"scenarios/{n}.toml" for n in ("motorway_cut_in_left", "t_junction_left_from_stem", "motorway_cut_in_right")
+)
 SMALL = (
     "bench", "table", "--suite", MOTORWAY, "--suite", TEE, "--ego", "idm", "--attempts", "3", "--set", "proposals=30",
     "--workers", "2",
@@ -169,6 +172,19 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
     assert "sumo-adv: 2 of 4 cells failed, for instance broken (expert): " in done.err and "500 s" in done.err
     assert "| `random` | 2 |" in done.out and "| `expert` | 2 |" in done.out  # it stays in the denominator
     assert cell(program.folder / "out", "motorway_cut_in_left", "expert")["attempts"]  # a row that learns goes on
+
+
+def test_where_the_trigger_is_open_a_row_shifts_the_one_that_the_others_find(program: Program) -> None:
+    assert 'trigger = "auto"' in (ROOT / OPEN).read_text(encoding="utf-8")
+    done = program(
+        "bench", "table", "--suite", OPEN, "--row", "random", "--row", "llm-f+shift=0.5", "--row", "llm-f+shift=-500",
+        "--attempts", "1", "--set", "proposals=20", "--out", "out",
+    )  # fmt: skip
+    assert done.status == 0
+    found = {c["row"]: c for c in read_cells(program.folder / "out")}
+    when = {row: c["encounter"]["time"] for row, c in found.items()}
+    assert when["llm-f+shift=0.5"] == pytest.approx(when["random"] + 0.5)
+    assert 0.0 <= when["llm-f+shift=-500"] < 0.5  # not before the beginning
 
 
 def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,7 @@ from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.files import is_storage_error, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.inputs import RunInput
 
 SCHEMA = 1
 KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
@@ -54,14 +55,13 @@ class Bencher:
         self.began = time.perf_counter()
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
-        if job.shift:
-            if source.trigger == "auto":
-                raise UsageError(f"{job.case.name} leaves its trigger open, so no row can shift it.")
-            settings = settings.model_copy(update={"trigger": float(source.trigger) + job.shift})
         with (
             tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
             MemoryBank.open(self._setup.bank, read_only=True) as bank,
         ):
+            if job.shift:
+                moved = self._shifted(job.shift, source, common, bank, Path(scratch))
+                settings = settings.model_copy(update={"trigger": moved})
             task = make_task(source, settings, Path(scratch))
             with self._engine.episode() as engine:
                 arena = Arena(source, settings, task, engine, self._sandbox(settings), bank, common)
@@ -83,6 +83,18 @@ class Bencher:
         table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
         return load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
+
+    def _shifted(
+        self, shift: float, source: RunInput, common: Settings, bank: MemoryBank, scratch: Path
+    ) -> float | None:
+        """The trigger [s], ``shift`` s after that of the other rows: the scenario's, or, where it leaves it open, the
+        one that they find, and then not before the beginning. None where they find none."""
+        if source.trigger != "auto":
+            return float(source.trigger) + shift
+        task = make_task(source, common, scratch)
+        with self._engine.episode() as engine:
+            found = Arena(source, common, task, engine, self._sandbox(common), bank, common).found
+        return None if found is None else max(task.spec.begin, found.time + shift)
 
     def _sandbox(self, settings: Settings) -> Sandbox:
         wall = settings.bubblewrap
