@@ -64,7 +64,7 @@ class Target:
     ways: tuple[WayLine, ...]
     station: float  # m along its ways, about 0
     offset: float  # m from its way
-    drift: float  # m/s, lateral speed
+    turn: float  # rad, its heading against its way's
     sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
     risk: float = 0.0
 
@@ -91,6 +91,7 @@ class Situation:
     situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
     ``gives_way_at``: station of the ego's path [m] at which it has to give way, inf where it need not.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
+    ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
     """
 
     time: float
@@ -110,6 +111,7 @@ class Situation:
     history: tuple[Track, ...] = ()
     ego_sides: tuple[tuple[float, str], ...] = ()
     gives_way_at: float = math.inf
+    left: float = math.inf
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

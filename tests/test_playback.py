@@ -10,13 +10,18 @@ import numpy as np
 import pytest
 from log_samples import LEFT, MIDDLE, RIGHT, STEPS, moving, write_scenario
 
+from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import ego_path
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import Found
+from sumo_adv.episode.worker import body
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.world.egos import CarefulEgo, EgoController, ReplayEgo, SumoEgo
+from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import load_input
 from sumo_adv.world.network import read_network
 from sumo_adv.world.playback import Playback
@@ -202,6 +207,21 @@ def test_boxes_that_overlap_in_the_log_are_no_collision_and_no_candidates(tmp_pa
         assert judged(drive) == ("", frozenset({"ghost", "lead"}))
         why, _ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
         assert why == "in the log itself it overlaps the ego"
+
+
+def test_a_situation_knows_how_long_the_log_goes_on(tmp_path: Path) -> None:
+    """The log ends at 9.0 s; with a background that drives on by itself and an ego of SUMO's nothing ends."""
+    path = write_scenario(tmp_path, [EGO, LEADER], routed=("e", "lead"))
+    for ego, background in (("replay", "sumo"), ("idm", "log"), ("idm", "sumo")):
+        given = load_input(path)
+        settings = load_settings(None, ego=ego, background=background)
+        with Engine(body) as engine:
+            engine.request("open", make_task(given, settings, tmp_path))
+            found = engine.request("seek", "")
+        assert isinstance(found, Found)
+        for s in found.situations.values():
+            ends = (ego, background) != ("idm", "sumo")
+            assert s.left == (pytest.approx((9.0 - s.time) / 0.1) if ends else np.inf)
 
 
 def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path: Path) -> None:

@@ -172,13 +172,15 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(tmp_path: Path) -> None
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Path:
-    """A run in which the second attempt counts."""
-    done = Program(tmp_path_factory.mktemp("real"), caches)(
-        "run", "motorway_cut_in_left", "--seed", "2", "--until", "valid", "--learn", "off", "--out", "out"
-    )
-    assert done.status == 0, done.err
-    assert done.outcome["best"] > 0
-    return done.folder
+    """A run in which a later attempt than the first counts: one seed in three or four has one."""
+    program = Program(tmp_path_factory.mktemp("real"), caches)
+    for seed in (7, 3, 6, *range(10, 20)):
+        command = ("run", "motorway_cut_in_left", "--seed", str(seed), "--until", "valid", "--learn", "off")
+        done = program(*command, "--out", "out", "--force")
+        assert done.status == 0, done.err
+        if done.outcome["best"] > 0:
+            return done.folder
+    raise AssertionError("No seed has a second attempt.")
 
 
 def test_the_first_attempt_is_kept_where_another_counts(real: Path) -> None:

@@ -44,11 +44,13 @@ def scene(bv: State, others: Sequence[Track] = ()) -> Situation:
     return replace(base, others=tuple(others))
 
 
-def judged(ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3)) -> Any:
-    """The one rollout of these motions on a road between two offsets [m]."""
+def judged(
+    ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3), left: float = np.inf
+) -> Any:
+    """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    (found,) = judge_all(scene(bv, others), [PROPOSAL], rollouts, drivable, Limits())
+    (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits())
     return found
 
 
@@ -174,6 +176,15 @@ def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
     graze, firm = (judged(ego, motion(140.0, aside, 5.0), road=(-4.8, 4.8)) for aside in (1.9, 1.6))
     assert (graze["hit"], firm["hit"]) == (True, True)
     assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
+
+
+def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:
+    """The bumpers are 135 m apart and come nearer by 25 m/s: they touch after 5.4 s, 54 steps."""
+    ego, bv = motion(0.0, 0.0, 30.0), motion(140.0, 0.0, 5.0)
+    assert judged(ego, bv, left=54)["hit"]
+    missed = judged(ego, bv, left=53)
+    assert not missed["hit"]
+    assert (missed["time"], missed["gap"]) == pytest.approx((5.3, 135.0 - 25.0 * 5.1))  # every third step is looked at
 
 
 def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts() -> None:

@@ -109,6 +109,19 @@ def test_a_standing_car_does_not_slide_sideways() -> None:
     assert poses[-1] == pytest.approx((50.0, 0.0, 0.0))
 
 
+def test_a_car_that_stands_at_an_angle_keeps_it_until_it_drives_off() -> None:
+    road, motion = PathRow(STRAIGHT), start(Scalar, 50.0, 0.0, math.sin(0.1), 0.0, 0.0)
+    for target in (1.0, -1.0, 0.0):  # wherever it is to go
+        motion = steer(Scalar, motion, Goal(50.0, target, 0.0, 3.0), 0.0)
+        for _ in range(5):
+            motion = advance(Scalar, motion, Goal(50.0, target, 0.0, 3.0), road, LIMITS, 40.0, DT)
+        assert pose(Scalar, motion, road) == pytest.approx((50.0, 0.0, 0.1))
+    states, poses = drive(STRAIGHT, motion, Goal(70.0, 0.0, 8.0, 5.0), steps=80)
+    turned = np.abs(np.diff([h for _, _, h in poses])) / DT / np.maximum(column(states, "v")[1:], 1.0)
+    assert turned.max() <= LIMITS.curvature
+    assert 0.0 < column(states, "d").max() < 1.0  # it goes where it points before it comes back
+
+
 def test_a_target_that_moved_by_a_hand_keeps_the_running_lane_change() -> None:
     road = PathRow(STRAIGHT)
     goal = Goal(110.0, 3.2, 15.0, 4.0)
@@ -124,7 +137,7 @@ def test_a_target_that_moved_by_a_hand_keeps_the_running_lane_change() -> None:
 
 
 def test_a_vehicle_that_drifts_at_the_start_comes_to_rest_beside_its_lane_centre() -> None:
-    states, _ = drive(STRAIGHT, start(Scalar, 50.0, 0.5, 0.4, 12.0, 0.0), Goal(100.0, 0.5, 12.0, 4.0), steps=50)
+    states, _ = drive(STRAIGHT, start(Scalar, 50.0, 0.5, 0.4 / 12.0, 12.0, 0.0), Goal(100.0, 0.5, 12.0, 4.0), steps=50)
     assert states[-1].d == pytest.approx(0.5)
     assert 0.55 < column(states, "d").max() < 0.9
 
@@ -144,8 +157,8 @@ def starts_and_goals(draw: st.DrawFn) -> tuple[Motion, Goal]:
     v = draw(SPEED)
     softest = -math.sqrt(0.8 * 11.0 * v)  # nobody brakes at 8 m/s2 while all but standing
     a = draw(st.floats(max(-8.0, softest), 4.0))
-    drift = draw(st.floats(-0.1, 0.1)) * v
-    motion = start(Scalar, 50.0, draw(OFFSET), max(-1.0, min(1.0, drift)), v, a)
+    slope = draw(st.floats(-0.1, 0.1))
+    motion = start(Scalar, 50.0, draw(OFFSET), max(-1.0, min(1.0, slope * v)) / v if v > 1.0 else slope, v, a)
     ahead = draw(st.floats(-20.0, 150.0))
     return motion, Goal(50.0 + ahead, draw(OFFSET), draw(st.floats(0.0, 35.0)), draw(st.floats(0.05, 8.0)))
 
@@ -213,7 +226,7 @@ def test_one_vehicle_goes_as_it_goes_among_many(cases: list[tuple[Motion, Goal]]
     paths, row = [STRAIGHT, BEND], np.arange(n) % 2
     roads, rows = [PathRow(paths[k]) for k in row], PathRows(paths, row)
     ones = [m for m, _ in cases]
-    single = [(m.s, m.d, m.dd, m.v, m.a) for m in ones]
+    single = [(m.s, m.d, m.slope, m.v, m.a) for m in ones]
     goals = [g for _, g in cases]
     many = start(Batch, *(np.array(q) for q in zip(*single, strict=True)))
     goal = Goal(*(np.array(q) for q in zip(*goals, strict=True)))

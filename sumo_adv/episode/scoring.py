@@ -43,9 +43,9 @@ def judge_all(
     ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
     adversary = Boxes(*rollouts.adversary, lengths, widths)
     contact = _first(touching(ego, adversary))
-    hit = contact < steps
+    hit = contact < min(steps, situation.left + 1)
     firm = np.asarray(touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
-    last = np.minimum(contact, steps - 1)
+    last = np.minimum(contact, int(min(steps - 1, situation.left)))
     third = _third_party(situation, proposals, adversary, last)
     off_road = _off_road(adversary, last, drivable)
     beyond = _beyond(adversary, last, limits, situation.dt)

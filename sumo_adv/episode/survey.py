@@ -13,7 +13,7 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
-from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path
+from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.situation import Signal, Situation, Target, relate
 from sumo_adv.world.network import RoadMap
@@ -37,8 +37,11 @@ def surveys(
     ego_model: Mapping[str, Any],
     route: tuple[str, ...],
     signals: Mapping[str, tuple[Signal, ...]],
+    left: float = math.inf,
 ) -> dict[float, Situation]:
-    """A situation for every delay [s after ``time``] that may be tried; empty if the vehicles near leave at once."""
+    """A situation for every delay [s after ``time``] that may be tried; empty if the vehicles near leave at once.
+
+    ``left``: steps from ``time`` on until the log is over."""
     found = {}
     for delay in _delays(candidates, tracks[ego_id].between(time, math.inf), settings):
         situation = survey(
@@ -48,7 +51,7 @@ def surveys(
         if situation is not None and settings.forecast == "constant":
             situation = _at_constant_velocity(situation)
         if situation is not None:
-            found[delay] = situation
+            found[delay] = replace(situation, left=left - settings.steps(delay))
     return found
 
 
@@ -191,6 +194,6 @@ def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: floa
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
     heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
-    drift = bv.speed * math.sin(bv.heading - float(heading))
+    turn = wrap(bv.heading - float(heading))
     sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
-    return Target(bv, candidate.relation, tuple(ways), station, offset, drift, sides, candidate.risk)
+    return Target(bv, candidate.relation, tuple(ways), station, offset, turn, sides, candidate.risk)

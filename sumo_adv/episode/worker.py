@@ -165,7 +165,7 @@ class Worker:
         drive, settings = self._drive, self._settings
         assert drive.ego is not None
         self._trigger_step = len(drive.recording.snapshots)
-        time = drive.now
+        time, left = drive.now, drive.left()
         model, route = self._ego_model(), drive.route()
         signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
         raw = self._branch([self._unattacked])[0]
@@ -179,7 +179,7 @@ class Worker:
         self._raw_ego = tracks[drive.ego]
         situations = surveys(
             self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
-            signals=signals,
+            signals=signals, left=math.inf if left is None else left,
         )  # fmt: skip
         if not situations:
             return None, "the vehicles near it leave at once"

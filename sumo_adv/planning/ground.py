@@ -6,6 +6,7 @@ told: the dictionaries ``bv``, ``ego`` and ``road`` in the frame of the ego's po
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Any
@@ -50,9 +51,9 @@ class Ground:
 
     def begin(self) -> Motion:
         """Everybody as at the trigger."""
-        columns = [(t.station, t.offset, t.drift, t.state.speed, t.state.acceleration) for t in self.targets]
-        s, d, dd, v, a = np.array(columns, float).T
-        return start(Batch, s, d, dd, v, a)
+        columns = [(t.station, t.offset, math.sin(t.turn), t.state.speed, t.state.acceleration) for t in self.targets]
+        s, d, slope, v, a = np.array(columns, float).T
+        return start(Batch, s, d, slope, v, a)
 
     def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
         """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""

@@ -163,12 +163,11 @@ class PathRows:
         return speed * np.sqrt(np.maximum(1.0 - curvature * d, 0.2))
 
 
-def start(m: Any, s: Any, d: Any, dd: Any, v: Any, a: Any) -> Motion:
-    """A motion that keeps its offset after the lateral speed ``dd`` [m/s] it comes with has died away."""
+def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
+    """A motion that keeps its offset once the ``slope`` it comes with has died away."""
     zero = v * 0.0
-    slope = dd / m.maximum(v, 1.0)
     stays = (d, zero, zero, zero, zero, zero)
-    still = Motion(s, d, dd, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, stays, d)
+    still = Motion(s, d, v * slope, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, stays, d)
     return bend(m, still, d, zero + 1.5, zero)
 
 
@@ -180,7 +179,9 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     v = motion.v
     pace = m.maximum(v, FULL_CLOCK_SPEED)
     rate = m.maximum(v / pace, 0.05)
-    d0, v0, a0 = motion.d, motion.dd / rate, motion.ddd / (rate * rate)
+    creeps = v < 0.05 * pace
+    d0, a0 = motion.d, motion.ddd / (rate * rate)
+    v0 = m.where(creeps, motion.slope * pace, motion.dd / rate)  # one that stands keeps its heading
     most = m.maximum(m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0), 1.02 * abs(a0))
     slope = m.maximum(0.28 * pace, 1.02 * abs(v0))  # what is there already cannot be undone by a longer move
     span = m.maximum(duration * rate, 0.5)

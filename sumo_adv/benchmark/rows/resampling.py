@@ -204,7 +204,7 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
         ego = _spread(future, (n, steps), situation.ego.length, situation.ego.width)
         touches = touching(ego, adversary)
         hit, first = touches.any(axis=1), touches.argmax(axis=1)
-        counts = hit & (first > 2) & ~_from_behind(ego, adversary, first)
+        counts = hit & (first > 2) & (first <= situation.left) & ~_from_behind(ego, adversary, first)
         found[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
         last = np.where(hit, np.minimum(last, first), last)
     return last, found
