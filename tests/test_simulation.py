@@ -106,6 +106,21 @@ def test_a_vehicle_is_placed_exactly_in_the_opposite_lane_and_off_the_road(tmp_p
             assert state.lane == lane
 
 
+def test_the_speed_is_exact_also_in_the_step_back_on_the_road(tmp_path: Path) -> None:
+    """Beside the road for three steps, and at every step 0.3 m/s slower; SUMO tells the fifth speed for the sixth."""
+    spec = make_spec(tmp_path, "two_way", [vehicle("bv", "eastbound", 0, 100.0, 10.0)])
+    with running(spec) as simulation:
+        lanes = []
+        for k, y in enumerate((0.0, 0.0, 30.0, 30.0, 30.0, 0.0, 0.0)):
+            simulation.inject({"bv": Pose(110.0 + k, y, 0.0, 10.0 - 0.3 * k)})
+            simulation.step()
+            for _ in range(2):  # however often it is read
+                state = simulation.state(simulation.read(), "bv")
+                assert state.speed == pytest.approx(10.0 - 0.3 * k, abs=1e-9)
+            lanes.append(state.lane)
+        assert lanes == ["eastbound_0"] * 2 + [""] * 3 + ["eastbound_0"] * 2
+
+
 def test_an_unplanned_left_turn_through_a_junction_is_exact(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, "priority_crossing", [vehicle("bv", "west_in east_out", 1, 190.0, 8.0)])
     with running(spec) as simulation:

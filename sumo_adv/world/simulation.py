@@ -16,6 +16,7 @@ from typing import Any
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.errors import SimulationError
 from sumo_adv.world.library import load_libsumo
+from sumo_adv.world.moved import MovedSpeeds
 from sumo_adv.world.remote import RawState, Remote
 
 BASE_FLAGS = (
@@ -112,6 +113,7 @@ class Simulation:
         self.fleet = Fleet()
         self.unrouted: frozenset[str] = frozenset()  # vehicles that somebody else moves as he likes
         self._remote = remote
+        self._moved = MovedSpeeds()
         self._errors: tuple[type[Exception], ...]
         self._sumo: Any
         if remote is not None:
@@ -145,6 +147,7 @@ class Simulation:
         if self._remote is not None:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
+        self._moved = MovedSpeeds()
         try:
             self._sumo.load(self.spec.arguments())
         except self._errors as error:
@@ -188,6 +191,7 @@ class Simulation:
         Raises:
             SimulationError: SUMO failed.
         """
+        self._moved.next()
         if self._remote is not None:
             self._remote.step()
             return
@@ -209,12 +213,14 @@ class Simulation:
             x, y = position(v)
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
+        self._moved.right(raw)
         return Snapshot(self.time, raw)
 
     def _read_remote(self, remote: Remote) -> Snapshot:
         raw = {name: state for name, state in remote.read().items() if state[0] > INVALID}
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
+        self._moved.right(raw)
         return Snapshot(remote.time, raw)
 
     def _measure(self, vehicle: str) -> None:
@@ -298,6 +304,7 @@ class Simulation:
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
                 vehicle.setSpeed(name, pose.speed)
+                self._moved.ask(name, pose.speed)
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self._errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
