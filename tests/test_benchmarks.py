@@ -92,3 +92,13 @@ def test_where_the_seconds_of_an_encounter_go(program: Program) -> None:
     assert len(seconds) == 9 and seconds["attempts in SUMO"] > 0.0
     asked, whole = seconds["planners asked"], seconds["predictions, all"]
     assert 0.0 < asked < whole
+
+
+def test_prediction_says_of_how_many_attacks_it_foresaw_what_came(program: Program) -> None:
+    said = printed(program, "prediction.py", "motorway_cut_in_left", "--attacks", "3", "--ego", "krauss")
+    header, row, whole = said.splitlines()
+    assert header.split() == ["krauss", "number", "touch", "valid", "s:", "min", "mean", "max"]
+    assert row.split()[0] == "motorway_cut_in_left" and row.split()[1:] == whole.split()[1:]
+    count, touch, valid, least, mean, most = map(float, whole.split()[1:])
+    assert count == 3 and {touch, valid} <= {0.0, 0.33, 0.67, 1.0}
+    assert 0.0 <= least <= mean <= most <= 12.1

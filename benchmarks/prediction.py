@@ -1,0 +1,153 @@
+"""How well egos are foreseen: random attacks predicted and then simulated.
+
+``python benchmarks/prediction.py [--ego EGO] [--attacks N] [INPUT ...]``; two to six seconds an encounter with 20
+attacks.  What is drawn of what applies (vehicle, intent, mode, numbers) is predicted as the expert has it predicted,
+and attempted in SUMO.  Printed of each input, and of all: attacks, in how many the prediction said rightly whether the
+two touch, in how many it said rightly whether that is valid, and for how many seconds the ego stayed within ``APART``
+metres of where it was expected (to the end of the attempt at most), least, mean, largest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import statistics
+import sys
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path as File
+from typing import NamedTuple
+
+import numpy as np
+
+from sumo_adv.agents.expert import AVOIDABLE
+from sumo_adv.agents.ways import families
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import EgoCourse, LibraryEntry, Proposal
+from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.foresight import Foresight
+from sumo_adv.episode.knowledge import read_library
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.refine import ego_course
+from sumo_adv.episode.scoring import touch_of
+from sumo_adv.episode.sessions import Roads, Sessions
+from sumo_adv.episode.task import Found
+from sumo_adv.episode.worker import body
+from sumo_adv.geometry import Path
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import SceneSignature
+from sumo_adv.planning.predict import Rollouts, predict
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.world.engine import Engine
+from sumo_adv.world.inputs import data_folder, load_input
+
+INPUTS = ("motorway_cut_in_left", "priority_straight_from_left", "t_junction_left_from_stem")
+APART = 1.0  # m
+
+
+class Compared(NamedTuple):
+    """What was predicted of one attack and what came: whether the contact, whether the verdict was foreseen, and for
+    how many s the ego was."""
+
+    touch: bool
+    valid: bool
+    near: float
+
+
+def library() -> list[LibraryEntry]:
+    """The shipped bank's intents and planners; the bank itself is not touched."""
+    with (
+        tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
+        MemoryBank.open(File(folder) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
+    ):
+        return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0)[0]
+
+
+def attacks(found: Found, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
+    """So many, over all that applies round robin, with drawn numbers."""
+    draw = random.Random(seed)
+    ways = families(found.situations, entries)
+    draw.shuffle(ways)
+    return [ways[k % len(ways)].proposal(draw) for k in range(count)] if ways else []
+
+
+def rolled(found: Found, proposals: Sequence[Proposal], sandbox: Sandbox, settings: Settings) -> Rollouts:
+    """Where everybody is expected."""
+    roads = Roads(found.situations)
+    with Sessions(sandbox, roads, proposals, settings.seed, drivable=found.drivable) as sessions:
+        return predict(
+            found.situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
+            limits=settings.limits.limits(), steps=settings.steps(settings.duration),
+            replan=settings.steps(settings.replan), touch=touch_of(found.situations, proposals),
+        )  # fmt: skip
+
+
+def seconds_near(rollouts: Rollouts, row: int, course: EgoCourse, path: Path, dt: float) -> float:
+    """Seconds until the ego is ``APART`` from where it was expected, or the attempt is over."""
+    count = min(course.seen, rollouts.ego[0].shape[1])
+    x, y, _ = path.at(course.s[:count], 0.0)
+    apart = np.hypot(rollouts.ego[0][row, :count] - x, rollouts.ego[1][row, :count] - y) > APART
+    return float(np.argmax(apart) if apart.any() else count) * dt
+
+
+def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[LibraryEntry]) -> list[Compared]:
+    """Predict and attempt ``count`` attacks on one input's encounter."""
+    source = load_input(File(name))
+    settings = load_settings(None, ego=ego, horizon=source.horizon, seed=seed)
+    with ExitStack() as stack:
+        folder = File(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
+        engine.request("open", make_task(source, settings, folder))
+        found = engine.request("seek", "")
+        if not isinstance(found, Found):
+            print(f"  {source.name}: {found.reason}")
+            return []
+        drawn = attacks(found, entries, count, seed)
+        if not drawn:
+            print(f"  {source.name}: nothing applies")
+            return []
+        expected = Foresight(sandbox, settings, found.drivable, found.situations).score(drawn)
+        rollouts = rolled(found, drawn, sandbox, settings)
+        brain = Brain(engine, sandbox, found, seed)
+        came = [result for proposal in drawn for result in brain.attempt([proposal])]
+    rows = []
+    for k, (proposal, result) in enumerate(zip(expected, came, strict=True)):
+        course = ego_course(result, found, proposal.delay, settings)
+        if course is None or result.verdict is None:
+            continue
+        said, path = proposal.predicted or {}, found.situations[proposal.delay].ego_path
+        near = seconds_near(rollouts, k, course, path, settings.step_length)
+        collides, counts = bool(said.get("hit")), (proposal.score or 9.0) < AVOIDABLE
+        rows.append(Compared(collides == result.verdict.collided, counts == bool(result.verdict.valid), near))
+    print(line(source.name, rows), flush=True)
+    return rows
+
+
+def line(name: str, rows: Sequence[Compared]) -> str:
+    """One input's figures, or those of all."""
+    if not rows:
+        return f"  {name:34s} {0:6d}"
+    near = sorted(r.near for r in rows)
+    touch, valid = (sum(getattr(r, what) for r in rows) / len(rows) for what in ("touch", "valid"))
+    spread = f"{near[0]:8.1f} {statistics.mean(near):8.1f} {near[-1]:8.1f}"
+    return f"  {name:34s} {len(rows):6d} {touch:8.2f} {valid:8.2f} {spread}"
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("inputs", nargs="*", default=list(INPUTS), help="inputs as of run")
+    parser.add_argument("--ego", default="idm", help="as of run")
+    parser.add_argument("--attacks", type=int, default=20, help="an input")
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    entries = library()
+    print(f"  {given.ego:34s} {'number':>6s} {'touch':>8s} {'valid':>8s} {'s: min':>8s} {'mean':>8s} {'max':>8s}")
+    rows = [r for name in given.inputs for r in compare(name, given.ego, given.attacks, given.seed, entries)]
+    print(line("all", rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
