@@ -187,6 +187,24 @@ def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:
     assert (missed["time"], missed["gap"]) == pytest.approx((5.3, 135.0 - 25.0 * 5.1))  # every third step is looked at
 
 
+def test_a_motion_that_leaps_is_no_hit_that_counts() -> None:
+    """Half a metre to the side within a step of 0.1 s; at 10 m/s 0.2 m are a slip."""
+    ego, (x, y, h, v) = motion(0.0, 0.0, 20.0), motion(40.0, 0.0, 10.0)
+    for leap, beyond in ((0.5, True), (0.1, False)):
+        assert judged(ego, (x, y + np.where(TIME >= 1.0, leap, 0.0), h, v))["beyond"] is beyond
+
+
+def test_a_motion_that_jerks_is_no_hit_that_counts() -> None:
+    """A brake of 3 m/s2 that is there within a step has 30 m/s3, one that grows by 1 m/s2 a step 10; 12 are allowed,
+    and 3 for rounding."""
+    ego, (x, y, h, v) = motion(0.0, 0.0, 20.0), motion(40.0, 0.0, 10.0)
+    for brakes, beyond in (([3.0], True), ([1.0, 2.0, 3.0], False)):
+        a = np.concatenate([np.zeros(9), brakes, np.full(STEPS - 9 - len(brakes), 3.0)])
+        speed = np.maximum(v - 0.1 * np.cumsum(a), 0.0)
+        along = x[0] + 0.1 * np.cumsum(speed)
+        assert judged(ego, (along, y, h, speed))["beyond"] is beyond
+
+
 def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts() -> None:
     """At 15 m/s a turn of 0.3 rad/s has 4.5 m/s2 sideways, half a m/s2 more than the limit; of 0.2 rad/s it has 3."""
     for rate, beyond in ((0.3, True), (0.2, False)):

@@ -16,7 +16,16 @@ from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
 from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.feasibility import CRAWL, CURVATURE_SLACK, LATERAL_SLACK
+from sumo_adv.metrics.feasibility import (
+    CRAWL,
+    CURVATURE_SLACK,
+    JERK_SLACK,
+    LATERAL_SLACK,
+    REST,
+    SIDEWAYS,
+    STEP_SHARE,
+    STEP_SLACK,
+)
 from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
@@ -157,14 +166,29 @@ def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
 
 
 def _beyond(adversary: Boxes, last: Any, limits: Limits, dt: float) -> Bools:
-    """Whether it turns harder than the gates allow."""
+    """Whether it turns or jerks harder than the gates allow, or leaps from one way to another."""
     yaw_rate = np.abs(np.gradient(np.unwrap(adversary.heading, axis=1), dt, axis=1))
     lateral, curvature = adversary.speed * yaw_rate, yaw_rate / np.maximum(adversary.speed, CRAWL)
     total = np.hypot(np.gradient(adversary.speed, dt, axis=1), lateral)
     bad = lateral > limits.lateral + LATERAL_SLACK
     bad |= curvature > limits.curvature + CURVATURE_SLACK
     bad |= total > max(limits.braking, limits.acceleration, limits.lateral) + LATERAL_SLACK
+    bad[:, 1:] |= _leaps(adversary, limits, dt)
+    jerk = np.abs(np.diff(adversary.speed, n=2, axis=1)) / dt**2
+    bad[:, 2:] |= (jerk > limits.jerk + JERK_SLACK) & (adversary.speed[:, 2:] >= REST)
     return np.asarray((bad & (np.arange(bad.shape[1]) <= np.asarray(last)[:, None])).any(axis=1))
+
+
+def _leaps(b: Boxes, limits: Limits, dt: float) -> Bools:
+    """Whether each step is not what its speeds and headings say (the gate ``continuity``), ``(n, steps - 1)``."""
+    dx, dy = np.diff(b.x, axis=1), np.diff(b.y, axis=1)
+    middle = b.heading[:, :-1] + wrap_all(np.diff(b.heading, axis=1)) / 2
+    speed = (b.speed[:, 1:] + b.speed[:, :-1]) / 2
+    c, s = np.cos(middle), np.sin(middle)
+    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, CRAWL) ** 2)
+    slip = speed * (curve * np.asarray(b.length) / 2 + 0.05) + SIDEWAYS
+    along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
+    return np.asarray((np.abs(along - speed * dt) > STEP_SLACK + STEP_SHARE * speed * dt) | (across > slip * dt + 0.02))
 
 
 def _avoidable(
