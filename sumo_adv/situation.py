@@ -89,7 +89,8 @@ class Situation:
 
     ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
     situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
-    ``gives_way_at``: station of the ego's path [m] at which it has to give way, inf where it need not.
+    ``junction``: station of the ego's path [m] at which the junction ahead begins, inf where there is none;
+    ``rule``: SUMO's right of way letter of the ego there (``Connection.state``), empty where there is none.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
     """
@@ -110,7 +111,8 @@ class Situation:
     signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
     history: tuple[Track, ...] = ()
     ego_sides: tuple[tuple[float, str], ...] = ()
-    gives_way_at: float = math.inf
+    junction: float = math.inf
+    rule: str = ""
     left: float = math.inf
 
     def target_list(self) -> list[Target]:

@@ -15,23 +15,32 @@ import pytest
 from situation_samples import KRAUSS, leader, situation
 
 from sumo_adv.datatypes import EgoCourse, Floats
-from sumo_adv.planning.drivers import Blocked, PredictedEgos, _seconds
+from sumo_adv.planning.car_following import CarFollowing
+from sumo_adv.planning.drivers import PredictedEgos
+from sumo_adv.planning.junctions import Blocked, seconds
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
 
 
-def crossroads(line: float = math.inf, model: Mapping[str, Any] = KRAUSS) -> Situation:
-    """The ego on a road that has to give way at a station [m]."""
-    return replace(situation([leader()], model=model), gives_way_at=line)
+def crossroads(
+    line: float = math.inf, model: Mapping[str, Any] = KRAUSS, rule: str = "m", speed: float = 10.0
+) -> Situation:
+    """The ego on a road whose junction begins at a station [m], inf: nothing is known of one."""
+    found = situation([leader()], model=model, speed=speed)
+    return replace(found, junction=line, rule=rule if math.isfinite(line) else "")
 
 
 def blocked(
-    begins: float = math.inf, *, beside: float = 0.0, before: float = 0.0, behind: float = 0.0, meets: float = 34.0,
-    speed: float = 0.0,
+    on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
+    meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
 ) -> Blocked:  # fmt: skip
-    return Blocked(*(np.array([float(q)]) for q in (begins, beside, speed, before, behind, meets)))
+    """A car of 5 m; ``before``: metres from its front to the zone."""
+    flags = (np.array([q]) for q in (on, yields, merging))
+    return Blocked(
+        *flags, *(np.array([float(q)]) for q in (meets, zone, before, before + 5.0, behind, begins, speed, 5.0))
+    )
 
 
 def drive(
@@ -50,14 +59,14 @@ def egos_of(sit: Situation) -> PredictedEgos:
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], Blocked]:
     """A vehicle that drives over the junction at an even speed, and is never in the way yet."""
-    return lambda now: blocked(before=before - speed * now, behind=behind - speed * now)
+    return lambda now: blocked(before=before - 1.6 - speed * now, behind=behind - speed * now, meets=10.0, speed=speed)
 
 
 # ---- seconds for a distance
 
 
 @pytest.mark.parametrize(
-    ("distance", "speed", "seconds"),
+    ("distance", "speed", "takes"),
     [
         (0.0, 8.0, 0.0),
         (-4.0, 8.0, 0.0),  # it is past
@@ -69,41 +78,106 @@ def crossing_at(speed: float, before: float, behind: float) -> Callable[[float],
     ],
 )
 def test_the_seconds_for_a_distance_with_acceleration_up_to_13_9_metres_a_second(
-    distance: float, speed: float, seconds: float
+    distance: float, speed: float, takes: float
 ) -> None:
-    found: Floats = _seconds(np.array([distance]), np.array([speed]), 2.6)
-    assert found[0] == pytest.approx(seconds, abs=0.005)  # a standing one counts as going at 1 cm/s
+    found: Floats = seconds(np.array([distance]), np.array([speed]), 2.6)
+    assert found[0] == pytest.approx(takes, abs=0.005)  # a standing one counts as going at 1 cm/s
+
+
+# ---- car following
+
+
+def test_krauss_s_safe_speeds() -> None:
+    """b = 4.5, tau = 1: behind a car at 10 m/s with 20 m beyond the gap at a standstill -4.5 + sqrt(4.5^2 + 10^2 +
+    2 * 4.5 * 20) = 12.83 m/s; before a line 20 m ahead -0.45 + sqrt(0.45^2 + 180) = 12.97 m/s, at the line 0."""
+    driver, v = CarFollowing(KRAUSS, 0.1), np.array([10.0])
+    assert driver.behind(v, np.array([22.5]), v)[0] == pytest.approx(12.83, abs=0.005)
+    assert driver.stopping(v, np.array([20.0]))[0] == pytest.approx(12.97, abs=0.005)
+    assert driver.stopping(v, np.array([-3.0]))[0] == 0.0
+    assert driver.free(v)[0] == pytest.approx(10.26)
+
+
+def test_idm_s_speeds() -> None:
+    """At 10 of 20 m/s it accelerates by 2.6 * (1 - 1/16) = 2.4375 m/s2. Before a line its gap is
+    v tau + v^2 / (2 sqrt(a b)) = 10 + 100 / 6.841 = 24.62 m, behind a car of its speed 2.5 + 10 m:
+    at such gaps it brakes by 2.6 / 16 m/s2."""
+    driver, v = CarFollowing({**KRAUSS, "kind": "idm", "speed": 20.0}, 0.1), np.array([10.0])
+    assert driver.free(v)[0] == pytest.approx(10.24375)
+    assert driver.stopping(v, np.array([24.62]))[0] == pytest.approx(10.0 - 0.01625, abs=1e-4)
+    assert driver.behind(v, np.array([12.5]), v)[0] == pytest.approx(10.0 - 0.01625)
+    assert driver.stopping(v, np.array([0.0]))[0] == 0.0
 
 
 # ---- somebody stands in the way
 
 
 @KINDS
-def test_it_stops_behind_one_that_stands_in_its_way_and_goes_on_once_that_has_left(kind: str) -> None:
-    egos = egos_of(crossroads(model={**KRAUSS, "kind": kind}))
-    drive(egos, 30.0, lambda _: blocked(40.0), 0.0)
+@pytest.mark.parametrize("junction", [26.0, math.inf])
+def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_left(kind: str, junction: float) -> None:
+    """The ways cross at 34 m, what is taken up there begins at 32.4 m: it stops 2.5 m before."""
+    egos = egos_of(crossroads(junction, {**KRAUSS, "kind": kind}, "M"))
+    drive(egos, 30.0, lambda _: blocked(True, before=-3.0), 0.0)
     assert egos.disturbed[0]
     assert egos.v[0] < 0.2
-    assert 40.0 - 3.5 < egos.s[0] + 2.5 < 40.0 - 2.4  # its gap at a standstill is 2.5 m
+    assert egos.s[0] + 2.5 == pytest.approx(29.9, abs=0.3)
     before = float(egos.v[0])
     drive(egos, 2.0, lambda _: blocked(), 0.0, begin=30.0)
-    assert egos.v[0] == pytest.approx(before + 2 * 2.6)  # with all it has
-    drive(egos, 3.0, lambda _: blocked(), 0.0, begin=32.0)
-    assert egos.v[0] == pytest.approx(10.0)  # and no faster than before
+    assert egos.v[0] == pytest.approx(before + 2 * 2.6, abs=0.1)  # with all it has
+    drive(egos, 8.0, lambda _: blocked(), 0.0, begin=32.0)
+    assert egos.v[0] == pytest.approx(10.0, abs=0.05)  # and no faster than before
+
+
+def test_before_one_that_will_be_gone_in_time_it_does_not_brake() -> None:
+    """The zone begins 14.4 m before the ego's front, which wants to stop after 11.9 m: it has
+    -0.45 + sqrt(0.45^2 + 9 * 11.9) = 9.91 m/s for that. Who is 2 m from being past it is followed, 11.9 - 2 m behind,
+    which at 12 m/s is no reason to brake."""
+    for speed, brakes in ((12.0, False), (0.0, True)):
+        egos = egos_of(crossroads(12.0))
+        drive(egos, 0.1, lambda _, v=speed: blocked(True, before=-6.2, speed=v, meets=18.5), speed)  # type: ignore[misc]
+        assert bool(egos.disturbed[0]) is brakes
+
+
+@pytest.mark.parametrize(
+    ("junction", "yields", "before", "brakes"),
+    [
+        (2.4, False, 6.0, False),  # the ego was on the junction first
+        (2.4, False, -0.1, True),  # but that one is where the ways meet
+        (2.6, False, 6.0, True),  # that one was there first
+        (2.6, True, 6.0, True),  # against a red light too, as long as the ego is not on the junction itself
+    ],
+)
+def test_who_came_on_the_junction_first_goes_first(junction: float, yields: bool, before: float, brakes: bool) -> None:
+    """The ego's front is at 2.5 m, the zone begins at 12 m, that one stands; after a tenth of a second."""
+    egos = egos_of(crossroads(junction))
+    if junction < 2.5:
+        drive(egos, 0.1, lambda _: blocked(meets=13.6), 0.0)
+    drive(egos, 0.1, lambda _: blocked(True, before=before, meets=14.6, yields=yields), 0.0, begin=0.1)
+    assert bool(egos.disturbed[0]) is brakes
+
+
+def test_against_a_red_light_nobody_came_first() -> None:
+    """A step later the ego is on the junction as well, and the other one no more in its way."""
+    for yields, speed in ((False, 9.1 - 0.9), (True, 9.1 + 0.26)):
+        egos = egos_of(crossroads(3.0))
+        drive(egos, 0.1, lambda _, y=yields: blocked(True, before=6.0, meets=13.6, yields=y), 0.0)  # type: ignore[misc]
+        assert egos.v[0] == pytest.approx(9.1)
+        drive(egos, 0.1, lambda _, y=yields: blocked(True, before=6.0, meets=13.6, yields=y), 0.0, begin=0.1)  # type: ignore[misc]
+        assert egos.v[0] == pytest.approx(speed)
 
 
 def test_one_that_drives_off_on_the_ego_s_path_is_followed() -> None:
     """40 m on the other way: at its own speed nobody is held up, at 2 m/s the ego comes down to that."""
     for speed, disturbed in ((10.0, False), (2.0, True)):
         egos = egos_of(crossroads())
-        drive(egos, 20.0, lambda now, v=speed: blocked(40.0 + v * now, speed=v), speed)  # type: ignore[misc]
+        drive(egos, 20.0, lambda now, v=speed: blocked(True, merging=True, begins=40.0 + v * now, speed=v), speed)  # type: ignore[misc]
         assert egos.disturbed[0] == disturbed
         assert egos.v[0] == pytest.approx(speed, abs=0.1)
 
 
 def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
+    """The zone ends 0.1 m behind its front."""
     egos = egos_of(crossroads())
-    drive(egos, 2.0, lambda _: blocked(2.0), 0.0)
+    drive(egos, 2.0, lambda _: blocked(True, meets=0.8), 0.0)
     assert not egos.disturbed[0]
     assert egos.s[0] == pytest.approx(20.0)
 
@@ -113,54 +187,60 @@ def test_beside_one_that_merges_and_is_ahead_it_brakes_as_hard_as_it_can() -> No
     that car's front, the ego drives on."""
     egos = egos_of(crossroads())
     v = float(egos.v[0])
-    drive(egos, 0.1, lambda _: blocked(1.5, beside=5.0, speed=8.0), 8.0)
+    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=1.5, speed=8.0), 8.0)
     assert egos.v == pytest.approx([v - 0.9])
     past = egos_of(crossroads())
-    drive(past, 0.1, lambda _: blocked(-2.6, beside=5.0, speed=8.0), 8.0)
+    drive(past, 0.1, lambda _: blocked(True, merging=True, begins=-2.6, speed=8.0), 8.0)
     assert past.v == pytest.approx([v])
 
 
-# ---- its line is at 30 m, the ways meet at 34 m. To be over the ego has 34 + 2.5 + 2 = 38.5 m, which it takes to drive
-# ---- in 1.5 s up to 13.9 m/s (17.925 m) and 1.48 s more: 2.98 s; to be there 29.5 m, that is 2.33 s.
+# ---- its line is at 6 m, the ways meet at 10 m, it comes with 5 m/s. To be over it has 7.5 + 5 + 2 = 14.5 m, which it
+# ---- takes to drive in 1.93 s up to 10.0 m/s; to its line 3.5 m, that is 0.60 s.
 
 
 @KINDS
 def test_it_waits_at_its_line_for_one_who_comes_and_goes_on_behind_it(kind: str) -> None:
-    """One who comes from 20 m at 3 m/s is expected there in 2.47 s and gone (40 m) in 4.0 s. The ego then stands 3 m
-    before the place, for which it takes 1.5 s; so it goes when that one has 7.5 m left, which is after 10.8 s."""
-    egos = egos_of(crossroads(30.0, {**KRAUSS, "kind": kind}))
-    coming = crossing_at(3.0, before=20.0, behind=40.0)
+    """One who comes from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands 1 m before its line, to which
+    it takes 0.88 s; so it goes when that one has 3.63 of its 35 m left, which is after 10.5 s."""
+    egos = egos_of(crossroads(6.0, {**KRAUSS, "kind": kind}, speed=5.0))
+    coming = crossing_at(3.0, before=15.0, behind=35.0)
     drive(egos, 10.0, coming, 3.0)
     assert egos.disturbed[0]
     assert egos.v[0] < 0.3
-    assert 28.5 < egos.s[0] + 2.5 < 29.1  # SUMO's drivers stop 1 m before the line
+    assert 4.5 < egos.s[0] + 2.5 < 5.1  # SUMO's drivers stop 1 m before the line
     drive(egos, 6.0, coming, 3.0, begin=10.0)
-    assert egos.v[0] == pytest.approx(10.0)
-    assert egos.s[0] > 34.0
+    assert egos.v[0] == pytest.approx(5.0, abs=0.1)
+    assert egos.s[0] > 10.0
 
 
-def test_it_does_not_wait_when_there_is_time_enough() -> None:
-    """From 60 m at 10 m/s: 1.5 + 42.075 / 13.9 = 4.53 s, more than 2.98 + 1; from 40 m it is 3.09 s."""
-    far, near = egos_of(crossroads(30.0)), egos_of(crossroads(30.0))
-    drive(far, 5.0, crossing_at(10.0, before=60.0, behind=80.0), 10.0)
-    drive(near, 3.0, crossing_at(10.0, before=40.0, behind=60.0), 10.0)
-    assert (bool(far.disturbed[0]), bool(near.disturbed[0])) == (False, True)
-    assert far.s[0] == pytest.approx(50.0)
-
-
-def test_it_does_not_wait_for_one_who_will_be_gone_before() -> None:
-    """20 m are left to that one: 1.5 + 2.075 / 13.9 = 1.65 s, less than the ego's 2.33 s."""
-    egos = egos_of(crossroads(30.0))
-    drive(egos, 5.0, crossing_at(10.0, before=0.0, behind=20.0), 10.0)
-    assert not egos.disturbed[0]
-
-
-@pytest.mark.parametrize(("line", "waits"), [(12.5, False), (13.7, True)])
-def test_it_does_not_wait_when_it_can_no_longer_stop(line: float, waits: bool) -> None:
-    """It needs 10^2 / (2 * 4.5) = 11.1 m, and would stop 1 m before the line: 10.1 m. It has 10.0 or 11.2 m."""
-    egos = egos_of(crossroads(line))
-    drive(egos, 3.0, crossing_at(3.0, before=20.0, behind=40.0), 3.0)
+@pytest.mark.parametrize(
+    ("speed", "before", "behind", "waits"),
+    [
+        (10.0, 60.0, 80.0, False),  # 1.5 + 42.1 / 13.9 = 4.53 s, more than 1.93 + 1
+        (10.0, 30.0, 50.0, True),  # 2.37 s
+        (10.0, -15.0, 5.0, False),  # it will be gone in 0.47 s
+        (3.0, 15.0, 35.0, True),
+    ],
+)
+def test_it_waits_where_both_would_be_there_at_once(speed: float, before: float, behind: float, waits: bool) -> None:
+    egos = egos_of(crossroads(6.0, speed=5.0))
+    drive(egos, 0.5, crossing_at(speed, before=before, behind=behind), speed)
     assert bool(egos.disturbed[0]) is waits
+
+
+@pytest.mark.parametrize(("line", "waits"), [(4.2, False), (4.4, True), (7.1, False)])
+def test_it_decides_where_it_sees_the_others_and_can_still_stop(line: float, waits: bool) -> None:
+    """It needs 5^2 / (2 * 4.5) = 2.78 m, and would stop 1 m before the line: 1.78 m. It has 1.7, 1.9 or 4.6 m; more
+    than 4.5 m before the line SUMO's drivers brake as to stop, and do so unattacked too."""
+    egos = egos_of(crossroads(line, speed=5.0))
+    drive(egos, 0.1, crossing_at(3.0, before=15.0, behind=35.0), 3.0)
+    assert bool(egos.disturbed[0]) is waits
+
+
+def test_at_an_all_way_stop_it_does_not_wait_for_one_who_does_not_stop() -> None:
+    egos = egos_of(crossroads(6.0, rule="w", speed=5.0))
+    drive(egos, 2.0, crossing_at(3.0, before=15.0, behind=35.0), 3.0)
+    assert not egos.disturbed[0]
 
 
 def test_one_with_priority_does_not_wait_at_a_line() -> None:
@@ -185,7 +265,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     other = EgoCourse(2.0 * course.s, 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), 5.0 * both, 2.0 * both, [course, other])
-    here = Blocked(*(q * both for q in (3.0, 0.0, 0.0, 5.0, 25.0, 34.0)))
+    here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
         assert egos.s == pytest.approx([course.s[k + 1], other.s[k + 1]])

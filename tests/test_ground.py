@@ -141,27 +141,37 @@ def at_station(ground: Ground, s: float, v: float = 8.0) -> Motion:
     return ground.begin()._replace(s=one(s), v=one(v))
 
 
-def test_one_on_a_crossing_blocks_a_metre_before_the_place_until_its_rear_has_left_it() -> None:
-    """Its junction begins after 15 m, the ways meet after 25 m (at 30 m of the ego's path), so the junction is taken to
-    end after 35 m; the car is 5 m long."""
+def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_has_left_it() -> None:
+    """Its junction begins after 15 m, the ways meet at right angles after 25 m (at 30 m of the ego's path), so the
+    junction is taken to end after 35 m; the lane is 3.2 m wide, the car 5 m long."""
     ground = Ground([situation([crossing()])], ["bv"])
     before = ground.blocked(at_station(ground, 0.0))
-    assert (before.begins[0], before.speed[0], before.meets[0]) == (math.inf, 0.0, pytest.approx(30.0))
-    assert (before.before[0], before.behind[0]) == pytest.approx((22.5, 37.5))
+    assert (before.on[0], before.merging[0], before.meets[0]) == (False, False, pytest.approx(30.0))
+    assert (before.before[0], before.back[0], before.behind[0]) == pytest.approx((20.9, 25.9, 37.5))
+    assert (before.zone[0], before.speed[0], before.length[0]) == pytest.approx((1.6, 8.0, 5.0))
 
-    assert ground.blocked(at_station(ground, 12.4)).begins[0] == math.inf  # its front is 0.1 m before the junction
-    entering = ground.blocked(at_station(ground, 12.6))
-    assert (entering.begins[0], entering.speed[0]) == (pytest.approx(29.0), 0.0)  # a vehicle across stands in the way
+    stations = (17.4, 12.5 + 0.7, 12.5 + 0.9, 29.0, 29.2)  # 0.8 m later than it is: a step at 8 m/s
+    assert [bool(ground.blocked(at_station(ground, s)).on[0]) for s in stations] == [True, False, True, True, False]
     leaving = ground.blocked(at_station(ground, 28.4))
-    assert leaving.begins[0] == pytest.approx(29.0)  # its rear is 0.9 m behind the place
-    assert (leaving.before[0], leaving.behind[0]) == pytest.approx((-5.9, 9.1))
-
-    behind = ground.blocked(at_station(ground, 28.6))
-    assert behind.begins[0] == math.inf
+    assert (leaving.before[0], leaving.back[0], leaving.behind[0]) == pytest.approx((-7.5, -2.5, 9.1))
     assert ground.blocked(at_station(ground, 38.0)).behind[0] == pytest.approx(-0.5)
 
 
-def test_one_that_merges_blocks_what_it_is_ahead_by_and_moves_on() -> None:
+def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> None:
+    """At 30 degrees twice 2 / 0.5 - 1 = 3 lanes' widths (half of it counts), at 90 degrees one."""
+    for degrees, zone in ((90.0, 1.6), (30.0, 4.8), (150.0, 4.8)):
+        angle = math.radians(degrees)
+        way = line(
+            (60.0 - 40.0 * math.cos(angle), -40.0 * math.sin(angle)),
+            (60.0 + 90.0 * math.cos(angle), 90.0 * math.sin(angle)),
+        )
+        state = car("bv", float(way.x[0]), float(way.y[0]), angle)
+        one_of = target(state, "crossing", [(way, "straight", 20.0)], EGO_PATH)
+        ground = Ground([situation([one_of])], ["bv"])
+        assert ground.blocked(at_station(ground, 0.0)).zone[0] == pytest.approx(zone, rel=1e-3)
+
+
+def test_one_that_merges_takes_up_what_it_is_ahead_by_and_moves_on() -> None:
     """A ramp of 67.1 m joins at station 60; its junction begins after 55 m."""
     ramp = line((0.0, -30.0), (60.0, 0.0), (250.0, 0.0))
     merging = target(car("bv", 0.0, -30.0, 0.46), "merging", [(ramp, "straight", 55.0)], EGO_PATH)
@@ -170,26 +180,35 @@ def test_one_that_merges_blocks_what_it_is_ahead_by_and_moves_on() -> None:
     assert conflict is not None and conflict.kind == "merging"
     assert (conflict.bv_s, conflict.ego_s) == pytest.approx((67.1, 60.0), abs=1.0)
 
-    assert ground.blocked(at_station(ground, 52.0, 9.0)).begins[0] == math.inf
+    assert not ground.blocked(at_station(ground, 52.0, 9.0)).on[0]
     on = ground.blocked(at_station(ground, 57.0, 9.0))
-    assert on.speed[0] == 9.0
+    assert (on.on[0], on.merging[0], on.speed[0], on.zone[0]) == (True, True, 9.0, 0.0)
     assert on.begins[0] == pytest.approx(conflict.ego_s - (conflict.bv_s - 57.0) - 2.5)  # its rear, on the ego's path
     assert on.begins[0] == pytest.approx(47.5, abs=1.0)
     assert on.before[0] == pytest.approx(conflict.bv_s - 59.5)
-    assert ground.blocked(at_station(ground, 69.0, 9.0)).begins[0] == math.inf  # from there on it is a leader
+    assert not ground.blocked(at_station(ground, 69.0, 9.0)).on[0]  # from there on it is a leader
 
 
 def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
     ground = Ground([situation([neighbour()])], ["bv"])
     found = ground.blocked(at_station(ground, 50.0, 12.0))
-    assert (found.begins[0], found.speed[0], found.meets[0]) == (math.inf, 0.0, math.inf)
+    assert (found.on[0], found.meets[0]) == (False, math.inf)
 
 
 def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
     ground = Ground([situation([crossing()])] * 2, ["bv", "bv"])
     ground.rows.row = np.array([0, 1])  # the second one turns left before the ego's path
     motion = ground.begin()._replace(s=one(20.0, 20.0))
-    assert ground.blocked(motion).begins.tolist() == [pytest.approx(29.0), math.inf]
+    assert ground.blocked(motion).on.tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("mine", "other", "yields"), [("G", "r", True), ("G", "g", False), ("g", "r", False), (None, "r", False)]
+)
+def test_one_that_comes_against_red_yields_where_the_ego_has_green(mine: str | None, other: str, yields: bool) -> None:
+    lights = {"bv": (("tl", 20.0, other),), "ego": () if mine is None else (("tl", 30.0, mine),)}
+    ground = Ground([replace(situation([crossing()]), signals=lights)], ["bv"])
+    assert bool(ground.blocked(at_station(ground, 0.0)).yields[0]) is yields
 
 
 # ---- what a planner is told

@@ -24,7 +24,7 @@ EARLY = situation([neighbour(), ACROSS], model=IDM)
 LATE = replace(  # the ego is 7 m further on and turned, and will brake
     situation([neighbour(x=14.0, speed=9.0), ACROSS], model=IDM), frame=Frame(7.0, -3.0, 0.4),
     profile_v=np.linspace(10.0, 6.0, 51), profile_s=np.linspace(0.0, 40.0, 51), lane_width=3.0,
-    gives_way_at=30.0,
+    junction=30.0, rule="m",
 )  # fmt: skip
 BOTH: Mapping[float, Situation] = {0.0: EARLY, 1.5: LATE}
 PLANNER = Planner("any", "plain", "", (), "seed")

@@ -171,16 +171,16 @@ def survey(
         ego_track.acceleration, dict(ego_model), targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
-        _gives_way_at(road, ego, route),
+        *_junction_ahead(road, ego, route),
     )  # fmt: skip
 
 
-def _gives_way_at(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> float:
-    """Metres to the junction ahead at which the ego has to give way; inf where there is none."""
+def _junction_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> tuple[float, str]:
+    """Metres to the junction ahead, inf where there is none, and SUMO's right of way letter of the ego there."""
     if ego.lane not in road.lanes:
-        return math.inf
+        return math.inf, ""
     ways = road.ways(ego.lane, _position(road.lanes[ego.lane].shape, ego.x, ego.y), REACH, route)
-    return float(ways[0].junction) if ways and ways[0].gives_way else math.inf
+    return (float(ways[0].junction), ways[0].rule) if ways else (math.inf, "")
 
 
 def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path) -> Target | None:

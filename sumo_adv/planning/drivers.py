@@ -9,42 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, EgoCourse, Floats
+from sumo_adv.planning.car_following import CarFollowing
 from sumo_adv.planning.careful import REACTION, CarefulDrivers
+from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
 WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
-FAR = 1e4  # m
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
-FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
-AHEAD = 1.0  # s by which a driver who gives way wants to be over before others come (SUMO's jmTimegapMinor)
-STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
-CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle on the other way takes up
-
-
-class Blocked(NamedTuple):
-    """Who could be in the ego's way at a junction, ``(n,)``.
-
-    begins: the station of the ego's path [m] that they block, inf while they are not on the junction; beside: metres
-    behind it where the ego still counts as behind them; speed: with which that moves on [m/s]; before, behind: metres
-    that their front has to the place where the ways meet, their rear to the end of the junction; meets: the station of
-    that place on the ego's path [m], inf where the ways do not meet.
-    """
-
-    begins: Floats
-    beside: Floats
-    speed: Floats
-    before: Floats
-    behind: Floats
-    meets: Floats
 
 
 class PredictedEgos:
@@ -68,7 +48,8 @@ class PredictedEgos:
         self._left, self._right = (
             scenes.each(lambda s, k=k: seen_edges(s.lane_width, s.ego.width)[k]) for k in range(2)
         )  # fmt: skip
-        self._line = scenes.each(lambda s: s.gives_way_at)
+        self._driver = CarFollowing(self.model, scenes.dt)
+        self._junctions = Junctions(scenes, self._driver)
         careful = self.model["kind"] == "careful"
         reaction = self.model.get("reaction", REACTION)
         self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
@@ -97,11 +78,12 @@ class PredictedEgos:
         leads = self._in_lane(front_d) & ahead & ~across
         gap = s - self.s - (length + mine) / 2
         pace = np.maximum(self.scenes.pace(self.s), next_v)
-        free = np.where(self.disturbed, np.minimum(self.v + self.model["acceleration"] * dt, pace), next_v)
-        bound = np.where(leads, self._following(gap, speed), np.inf)
+        free = np.where(self.disturbed, np.minimum(self._driver.free(self.v), pace), next_v)
+        bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
-        bound = np.minimum(bound, self._yielding(blocked, speed))
+        if blocked is not None:
+            bound = np.minimum(bound, self._junctions.bound(blocked, self.s, self.v))
         bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
         self.disturbed |= bound < next_v - 0.05
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
@@ -127,54 +109,7 @@ class PredictedEgos:
         beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
         slower = beside & ahead & (speed < self.v) & (self.v > JAM)
         gently = self.v - self.model["deceleration"] * self.scenes.dt
-        return np.where(slower, np.maximum(self._following(gap, speed), gently), np.inf)
-
-    def _yielding(self, blocked: Blocked | None, speed: Floats) -> Floats:
-        """The speed of SUMO's driver at a junction: it keeps clear of whoever is on it and in the way, whoever of the
-        two has to yield; where it has to give way itself it waits at the line."""
-        if blocked is None:
-            return np.full(len(self.s), np.inf)
-        half = self.scenes.ego.length / 2
-        gap = blocked.begins - self.s - half
-        held = (gap > -blocked.beside) & np.isfinite(gap)
-        bound = np.where(held, self._following(np.minimum(gap, FAR), blocked.speed), np.inf)
-        room = np.where(np.isfinite(self._line), self._line - self.s - half, -FAR)
-        waits = self._waits(blocked, speed, room)
-        if not waits.any():
-            return bound
-        line = self._following(np.maximum(room, 0.0) + self.model["min_gap"] - STOPS_BEFORE, speed * 0.0)
-        return np.where(waits, np.minimum(bound, line), bound)
-
-    def _waits(self, blocked: Blocked, speed: Floats, room: Floats) -> Bools:
-        """Whether it gives way ``room`` metres before its line: it can still stop there, and would be on the junction
-        together with the adversary, who is expected to speed up (SUMO's ``MSLink::blockedByFoe``)."""
-        a, half, left = self.model["acceleration"], self.scenes.ego.length / 2, blocked.meets - self.s
-        stops = (room > -0.5) & (room > self.v * self.v / (2 * self.model["deceleration"]) - STOPS_BEFORE)
-        comes = _seconds(blocked.before, speed, FOE_ACCELERATION)
-        gone = _seconds(blocked.behind, speed, FOE_ACCELERATION)
-        mine = _seconds(left - half - CLEARANCE, self.v, a)
-        over = _seconds(left + half + CLEARANCE, self.v, a)
-        return stops & np.isfinite(blocked.meets) & (blocked.behind > 0.0) & (over + AHEAD > comes) & (gone > mine)
-
-    def _following(self, gap: Floats, leader: Floats) -> Floats:
-        """The speed [m/s] the driver wants behind a leader at a bumper gap [m]."""
-        m, dt = self.model, self.scenes.dt
-        b, tau = m["deceleration"], m["tau"]
-        if m["kind"] == "krauss":
-            room = gap - m["min_gap"]  # less than none: it brakes harder than for a leader that is near
-            return -b * tau + np.sqrt(np.maximum(b * b * tau * tau + leader * leader + 2 * b * room, 0.0))
-        a, v = m["acceleration"], self.v
-        wish = m["min_gap"] + np.maximum(0.0, v * tau + v * (v - leader) / (2 * np.sqrt(a * b)))
-        acceleration = a * (1 - (v / max(m["speed"], 1.0)) ** 4 - (wish / np.maximum(gap, 0.1)) ** 2)
-        return np.maximum(v + acceleration * dt, 0.0)
-
-
-def _seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:
-    """Seconds for a distance [m] (0 where it is behind) from a speed, with an even acceleration up to ``FOE_SPEED``."""
-    distance, least = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
-    most = np.maximum(np.minimum(np.sqrt(least * least + 2 * acceleration * distance), FOE_SPEED), least)
-    span = (most - least) / acceleration
-    return np.maximum(span + (distance - (least + most) / 2 * span) / most, 0.0)
+        return np.where(slower, np.maximum(self._driver.behind(self.v, gap, speed), gently), np.inf)
 
 
 def seen_edges(lane: float, width: float) -> tuple[float, float]:

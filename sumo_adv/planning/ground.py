@@ -15,9 +15,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
-from sumo_adv.planning.drivers import Blocked
 from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
+from sumo_adv.planning.junctions import Blocked
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
@@ -25,7 +25,7 @@ from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
 SAME_PLACE = 0.4  # m: two ways still coincide
-IN_THE_WAY = 1.0  # m before and behind the place where ways cross: half the width of who is on the other one
+FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
 class Ground:
@@ -46,6 +46,8 @@ class Ground:
         )
         self._roads: dict[int, PathRow] = {}
         self._junctions = np.array([_junction(w) for w in lines])
+        self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
+        self._lane = self.scenes.each(lambda s: s.lane_width)
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -73,15 +75,16 @@ class Ground:
 
         Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
         """
-        entry, meets, ego, merging = self._junctions[self.rows.row].T
-        half, alone = self.length / 2, 1.0 - merging
-        late = merging * motion.v * self.scenes.dt  # SUMO's drivers see who comes to a merge a step later
-        there = (motion.s + half - late > entry) & (motion.s - half * alone < meets + IN_THE_WAY * alone)
-        begins = np.where(merging > 0, ego - (meets - motion.s) - half, ego - IN_THE_WAY)
+        entry, meets, ego, merging, wide = self._junctions[self.rows.row].T
+        half, merges = self.length / 2, merging > 0
+        zone = np.where(merges, 0.0, wide * self._lane / 2)
+        late = motion.v * self.scenes.dt  # SUMO's drivers see who comes a step later
+        front, rear = motion.s + half, motion.s - half
         return Blocked(
-            begins=np.where(there, begins, np.inf), beside=merging * self.length,
-            speed=np.where(there, merging * motion.v, 0.0),
-            before=meets - motion.s - half, behind=2.0 * meets - entry + half - motion.s, meets=ego,
+            on=(front - late > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
+            yields=self._yields, merging=merges, meets=ego, zone=zone,
+            before=meets - zone - front, back=meets - zone - rear,
+            behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
 
     def road(self, k: int) -> PathRow:
@@ -204,11 +207,20 @@ class Ground:
         return found
 
 
-def _junction(way: WayLine) -> tuple[float, float, float, float]:
-    """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; and 1
-    if they merge, 0 if they cross."""
+def _junction(way: WayLine) -> tuple[float, float, float, float, float]:
+    """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; 1 if
+    they merge, 0 if they cross; what part of a lane's width each takes up of the other (SUMO's ``conflictSize``)."""
     c = way.conflict
-    return (np.inf, 0.0, np.inf, 0.0) if c is None else (way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"))
+    if c is None:
+        return np.inf, 0.0, np.inf, 0.0, 0.0
+    wide = 2.0 / max(abs(math.sin(c.angle)), FLATTEST) - 1.0
+    return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide
+
+
+def _yields(situation: Situation, target: Target) -> bool:
+    """Whether it has red where the ego has green, as the lights are at the trigger."""
+    mine, other = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
+    return bool(mine) and mine[0][2] == "G" and bool(other) and other[0][2] not in "Gg"
 
 
 BV_FIELDS = (

@@ -56,7 +56,12 @@ class Way:
     movement: str
     path: Path
     junction: float  # station at which the first junction begins, inf if none is in reach
-    gives_way: bool  # SUMO's rules make it yield there
+    rule: str = ""  # SUMO's right of way letter there (see ``Connection``), empty where there is no junction
+
+    @property
+    def gives_way(self) -> bool:
+        """Whether SUMO's rules make it yield at the first junction."""
+        return self.rule not in "MOo"
 
 
 @dataclass(frozen=True)
@@ -141,24 +146,24 @@ class RoadMap:
         junction, then the straightest.
         """
         found: list[Way] = []
-        for chain, movement, junction, yields in self._chains(lane_id, position, reach, route):
+        for chain, movement, junction, rule in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
             path = make_path(_cut(points, position), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
-            found.append(Way(tuple(chain), movement, path, junction, yields))
+            found.append(Way(tuple(chain), movement, path, junction, rule))
             if len(found) == MAX_PATHS:
                 break
         return found
 
     def _chains(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
-    ) -> Iterator[tuple[list[str], str, float, bool]]:
+    ) -> Iterator[tuple[list[str], str, float, str]]:
         lane = self.lanes[lane_id]
         start = lane.length - position
         options = self._onward(lane, route)
         if start >= reach or not options:
-            yield [lane_id], "none", math.inf, False
+            yield [lane_id], "none", math.inf, ""
             return
         for first in options:
             chain, length = [lane_id, *first.via, first.to], start
@@ -171,7 +176,7 @@ class RoadMap:
                 chain += [*step.via, step.to]
                 length += sum(self.lanes[n].length for n in (*step.via, step.to))
             inside = 0.0 if lane.internal else start
-            yield chain, first.movement, inside, first.state not in "MOo"
+            yield chain, first.movement, inside, first.state
 
     def _onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
         """Connections from a lane, straight ones first; only along ``route`` where that says something."""

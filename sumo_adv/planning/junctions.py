@@ -1,0 +1,119 @@
+"""Junctions as SUMO's drivers see them: keeping clear of who is on one, and waiting at the line where they give way.
+
+After ``MSLink::getLeaderInfo``, ``MSLink::blockedByFoe``, ``MSVehicle::isLeader`` and
+``MSVehicle::adaptToJunctionLeader`` of SUMO 1.28.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.planning.car_following import CarFollowing
+from sumo_adv.planning.scenes import Scenes
+
+FAR = 1e4  # m
+FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
+AHEAD = 1.0  # s by which a driver who gives way wants to be over before others come (SUMO's jmTimegapMinor)
+GOES = ("", "M", "O", "o", "w")  # right of way letters with which nobody is waited for: an all-way stop is whoever
+# stood there first's, and an adversary that comes does not stand
+SEES = 4.5  # m before the line at which they decide (SUMO's visibility distance); until then they brake as to stop
+STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
+CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle on the other way takes up
+LONGEST = 60.0  # m from where a junction begins to where ways meet on it: what is further is on another one
+CRAWL = 0.1  # m/s, SUMO's haltingSpeed
+
+
+class Blocked(NamedTuple):
+    """Who could be in the ego's way at a junction, ``(n,)``.
+
+    on: its front is on the junction, its rear not yet past the place where the ways meet; yields: it came against a
+    red light (SUMO then never has it come); merging: they merge there,
+    else they cross; meets: the station of that place on the ego's path [m], inf where they do not meet; zone: half the
+    length [m] that each takes up there; before, back: metres that its front and its rear have to where that begins;
+    behind: that its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at
+    (merging); speed [m/s], length [m].
+    """
+
+    on: Bools
+    yields: Bools
+    merging: Bools
+    meets: Floats
+    zone: Floats
+    before: Floats
+    back: Floats
+    behind: Floats
+    begins: Floats
+    speed: Floats
+    length: Floats
+
+
+class Junctions:
+    """The junction ahead of each of ``n`` egos, ``half`` metres from their centres to their bumpers."""
+
+    def __init__(self, scenes: Scenes, driver: CarFollowing) -> None:
+        self._driver, self._half, self._dt = driver, scenes.ego.length / 2, scenes.dt
+        self._begins = scenes.each(lambda s: s.junction)
+        self._line = scenes.each(lambda s: math.inf if s.rule in GOES else s.junction)
+        n = len(self._begins)
+        self._came_first, self._other_came = np.zeros(n, bool), np.zeros(n, bool)
+
+    def bound(self, blocked: Blocked, s: Floats, v: Floats) -> Floats:
+        """The speeds [m/s] of SUMO's drivers at stations ``s`` [m] with speeds ``v``; inf where nobody is in the way.
+
+        They keep clear of whoever is on the junction, whoever of the two has to yield, but for who came later than they
+        and is not yet where the ways meet; where they have to give way themselves they wait at the line.
+        """
+        front = s + self._half
+        self._other_came |= blocked.on & ~blocked.yields
+        there = (front > self._begins) & (blocked.meets < self._begins + LONGEST)
+        self._came_first |= there & ~self._other_came
+        clear = np.where(blocked.merging, self._merging(blocked, front, v), self._crossing(blocked, front, v))
+        return np.minimum(clear, self._giving_way(blocked, front, v))
+
+    def _merging(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+        """Behind who merges as behind a leader."""
+        gap = blocked.begins - front
+        held = blocked.on & (gap > -blocked.length) & (~self._came_first | (blocked.before < 0.0))
+        return np.where(held, self._driver.behind(v, np.minimum(gap, FAR), blocked.speed), np.inf)
+
+    def _crossing(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+        """Before the zone where the ways cross, or so slowly that the other one is past it by then."""
+        to = np.minimum(blocked.meets - blocked.zone - front, FAR)
+        rest = np.maximum(blocked.back + 2 * blocked.zone, 0.0)  # until its rear is past
+        in_the_way = (to > 0.0) & (blocked.before < 0.0)
+        held = blocked.on & (to + 2 * blocked.zone >= 0.0) & (~self._came_first | in_the_way)
+        if not held.any():
+            return np.full(len(v), np.inf)
+        driver, gap = self._driver, to - self._driver.min_gap - rest
+        room = to - driver.min_gap
+        entry = np.where(np.isfinite(self._begins), self._begins - front - CRAWL, room)
+        follow = np.where(gap >= 0.0, driver.behind(v, gap + driver.min_gap, blocked.speed), driver.stopping(v, entry))
+        time = np.maximum(rest, 1e-3) / np.maximum(blocked.speed, CRAWL)
+        through = v + (np.maximum(v, 2 * room / time - v) - v) / time * self._dt
+        near = np.where(to >= 0.0, np.maximum(follow, np.minimum(through, driver.stopping(v, room))), follow)
+        return np.where(held, near, np.inf)
+
+    def _giving_way(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+        """Whether it waits before its line: it can still stop there, and would be on the junction together with the
+        other one, who is expected to speed up."""
+        room = np.where(np.isfinite(self._line), self._line - front, -FAR)
+        left = blocked.meets - front
+        stops = (room > -0.5) & (room < SEES) & (room > v * v / (2 * self._driver.deceleration) - STOPS_BEFORE)
+        comes = seconds(blocked.before + blocked.zone, blocked.speed, FOE_ACCELERATION)
+        gone = seconds(blocked.behind, blocked.speed, FOE_ACCELERATION)
+        mine = seconds(room, v, self._driver.acceleration)
+        over = seconds(left + 2 * self._half + CLEARANCE, v, self._driver.acceleration)
+        waits = stops & np.isfinite(blocked.meets) & (blocked.behind > 0.0) & (over + AHEAD > comes) & (gone > mine)
+        return np.where(waits, self._driver.stopping(v, np.maximum(room, 0.0) - STOPS_BEFORE), np.inf)
+
+
+def seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:
+    """Seconds for a distance [m] (0 where it is behind) from a speed, with an even acceleration up to ``FOE_SPEED``."""
+    distance, least = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
+    most = np.maximum(np.minimum(np.sqrt(least * least + 2 * acceleration * distance), FOE_SPEED), least)
+    span = (most - least) / acceleration
+    return np.maximum(span + (distance - (least + most) / 2 * span) / most, 0.0)
