@@ -10,9 +10,13 @@ from pathlib import Path
 
 import pytest
 from cli_samples import ROOT, Program, Runs
+from hypothesis import settings
 
 from sumo_adv.errors import SimulationError
 from sumo_adv.world.library import load_libsumo
+
+settings.register_profile("patient", deadline=None)  # a busy machine fails no test
+settings.load_profile("patient")
 
 
 def pytest_sessionstart() -> None:
