@@ -20,27 +20,23 @@ from pathlib import Path as File
 from typing import NamedTuple
 
 import numpy as np
+from attempt_cost import library
 
 from sumo_adv.agents.expert import AVOIDABLE
 from sumo_adv.agents.ways import families
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import load_settings
 from sumo_adv.datatypes import EgoCourse, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import read_library
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.refine import ego_course
-from sumo_adv.episode.scoring import touch_of
-from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import Found
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import SceneSignature
-from sumo_adv.planning.predict import Rollouts, predict
+from sumo_adv.planning.predict import Rollouts
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import data_folder, load_input
+from sumo_adv.world.inputs import load_input
 
 INPUTS = ("motorway_cut_in_left", "priority_straight_from_left", "t_junction_left_from_stem")
 APART = 1.0  # m
@@ -55,32 +51,12 @@ class Compared(NamedTuple):
     near: float
 
 
-def library() -> list[LibraryEntry]:
-    """The shipped bank's intents and planners; the bank itself is not touched."""
-    with (
-        tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
-        MemoryBank.open(File(folder) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
-    ):
-        return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0)[0]
-
-
 def attacks(found: Found, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
     """So many, over all that applies round robin, with drawn numbers."""
     draw = random.Random(seed)
     ways = families(found.situations, entries)
     draw.shuffle(ways)
     return [ways[k % len(ways)].proposal(draw) for k in range(count)] if ways else []
-
-
-def rolled(found: Found, proposals: Sequence[Proposal], sandbox: Sandbox, settings: Settings) -> Rollouts:
-    """Where everybody is expected."""
-    roads = Roads(found.situations)
-    with Sessions(sandbox, roads, proposals, settings.seed, drivable=found.drivable) as sessions:
-        return predict(
-            found.situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
-            limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-            replan=settings.steps(settings.replan), touch=touch_of(found.situations, proposals),
-        )  # fmt: skip
 
 
 def seconds_near(rollouts: Rollouts, row: int, course: EgoCourse, path: Path, dt: float) -> float:
@@ -107,8 +83,8 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         if not drawn:
             print(f"  {source.name}: nothing applies")
             return []
-        expected = Foresight(sandbox, settings, found.drivable, found.situations).score(drawn)
-        rollouts = rolled(found, drawn, sandbox, settings)
+        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+        expected, rollouts = foresight.score(drawn), foresight.rolled(found.situations, drawn)
         brain = Brain(engine, sandbox, found, seed)
         came = [result for proposal in drawn for result in brain.attempt([proposal])]
     rows = []
@@ -118,7 +94,7 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
             continue
         said, path = proposal.predicted or {}, found.situations[proposal.delay].ego_path
         near = seconds_near(rollouts, k, course, path, settings.step_length)
-        collides, counts = bool(said.get("hit")), (proposal.score or 9.0) < AVOIDABLE
+        collides, counts = bool(said.get("hit")), proposal.score < AVOIDABLE
         rows.append(Compared(collides == result.verdict.collided, counts == bool(result.verdict.valid), near))
     print(line(source.name, rows), flush=True)
     return rows

@@ -55,7 +55,7 @@ class Foresight:
         seen = situation.ego_path.at(course.s, 0.0)
         errors = []
         for model in self._belief.models:
-            ego = self._rolled({tried.delay: replace(situation, ego_model=model)}, [tried], None).ego
+            ego = self.rolled({tried.delay: replace(situation, ego_model=model)}, [tried]).ego
             errors.append(apart((seen[0], seen[1]), (ego[0][0], ego[1][0]), course))
         changed = self._belief.hear(errors)
         if changed:
@@ -65,7 +65,7 @@ class Foresight:
         return changed
 
     def _together(self, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
-        rollouts = self._rolled(self._situations, proposals, seen)
+        rollouts = self.rolled(self._situations, proposals, seen)
         results = self._judged(proposals, rollouts)
         failed = {p.planner.hash for p in proposals} & set(self.failures)
         return [
@@ -75,9 +75,13 @@ class Foresight:
             for p, r in zip(proposals, results, strict=True)
         ]
 
-    def _rolled(
-        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None
+    def rolled(
+        self,
+        situations: Mapping[float, Situation],
+        proposals: Sequence[Proposal],
+        seen: Sequence[EgoCourse] | None = None,
     ) -> Rollouts:
+        """Where everybody is expected, row by row; ``situations``: by delay [s], ``seen``: egos that drive so."""
         settings = self._settings
         with Sessions(
             self._sandbox, self._roads, proposals, settings.seed, self.failures, drivable=self._drivable

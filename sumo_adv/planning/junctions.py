@@ -18,8 +18,8 @@ from sumo_adv.planning.scenes import Scenes
 FAR = 1e4  # m
 FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
 AHEAD = 1.0  # s by which a driver who gives way wants to be over before others come (SUMO's jmTimegapMinor)
-GOES = ("", "M", "O", "o", "w")  # right of way letters with which nobody is waited for: an all-way stop is whoever
-# stood there first's, and an adversary that comes does not stand
+GOES = ("", "M", "O", "o", "w")  # right of way letters with which no adversary is waited for; at an all-way stop (w)
+# who stood first goes first, and one that comes does not stand
 SEES = 4.5  # m before the line at which they decide (SUMO's visibility distance); until then they brake as to stop
 STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
 CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle on the other way takes up
@@ -30,12 +30,11 @@ CRAWL = 0.1  # m/s, SUMO's haltingSpeed
 class Blocked(NamedTuple):
     """Who could be in the ego's way at a junction, ``(n,)``.
 
-    on: its front is on the junction, its rear not yet past the place where the ways meet; yields: it came against a
-    red light (SUMO then never has it come); merging: they merge there,
-    else they cross; meets: the station of that place on the ego's path [m], inf where they do not meet; zone: half the
-    length [m] that each takes up there; before, back: metres that its front and its rear have to where that begins;
-    behind: that its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at
-    (merging); speed [m/s], length [m].
+    on: its front is on the junction, its rear not yet past the place where the ways meet; yields: it came against a red
+    light (SUMO then never has it come); merging: they merge there, else they cross; meets: the station of that place on
+    the ego's path [m], inf where they do not meet; zone: half the length [m] that each takes up there; before, back:
+    metres that its front and its rear have to where that begins; behind: that its rear has to the end of the junction;
+    begins: the station of the ego's path [m] that its rear is at (merging); speed [m/s], length [m].
     """
 
     on: Bools
