@@ -93,6 +93,7 @@ class Situation:
     ``rule``: SUMO's right of way letter of the ego there (``Connection.state``), empty where there is none.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
+    ``reacting``: whether the others have drivers, who brake for an adversary; not where a log moves them.
     """
 
     time: float
@@ -114,6 +115,7 @@ class Situation:
     junction: float = math.inf
     rule: str = ""
     left: float = math.inf
+    reacting: bool = True
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -209,7 +209,7 @@ def test_boxes_that_overlap_in_the_log_are_no_collision_and_no_candidates(tmp_pa
         assert why == "in the log itself it overlaps the ego"
 
 
-def test_a_situation_knows_how_long_the_log_goes_on(tmp_path: Path) -> None:
+def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_others(tmp_path: Path) -> None:
     """The log ends at 9.0 s; with a background that drives on by itself and an ego of SUMO's nothing ends."""
     path = write_scenario(tmp_path, [EGO, LEADER], routed=("e", "lead"))
     for ego, background in (("replay", "sumo"), ("idm", "log"), ("idm", "sumo")):
@@ -222,6 +222,7 @@ def test_a_situation_knows_how_long_the_log_goes_on(tmp_path: Path) -> None:
         for s in found.situations.values():
             ends = (ego, background) != ("idm", "sumo")
             assert s.left == (pytest.approx((9.0 - s.time) / 0.1) if ends else np.inf)
+            assert s.reacting is (background == "sumo")
 
 
 def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path: Path) -> None:

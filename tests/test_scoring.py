@@ -214,3 +214,22 @@ def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts()
         assert found["hit"]
         assert found["beyond"] == beyond
         assert (found["score"] == BEYOND) == beyond
+
+
+@pytest.mark.parametrize(("behind", "role", "reacting", "third"), [
+    (30.0, Role.BACKGROUND, True, False),  # it brakes
+    (30.0, Role.BACKGROUND, False, True),  # a log moves it
+    (30.0, Role.OBSTACLE, True, True),  # nobody drives it
+    (6.0, Role.BACKGROUND, True, True),  # 1 m behind: nobody can
+])  # fmt: skip
+def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
+    behind: float, role: Role, reacting: bool, third: bool
+) -> None:
+    """The adversary comes to the ego's lane 100 m away, at once half as fast as the one behind it at 20 m/s."""
+    ego, bv = motion(0.0, 0.0, 20.0), motion(60.0, 0.0, 10.0)
+    follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
+    now = replace(scene(bv, [follower]), reacting=reacting)
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
+    (found,) = judge_all(now, [PROPOSAL], rollouts, Drivable(box(-100.0, -4.8, 500.0, 2.3)), Limits())
+    assert found["third_party"] is third
+    assert (found["score"] == THIRD) is third

@@ -174,6 +174,10 @@ class Drive:
         """Whether a log is played back."""
         return self.playback is not None and self.playback.log is not None
 
+    def reacting(self) -> bool:
+        """Whether the others have drivers; not where a log moves them."""
+        return self.playback is None or self.playback.spec.background != "log"
+
     def replayed(self) -> bool:
         """Whether a log moves the ego."""
         return self.playback is not None and self.ego is not None and self.playback.replays(self.ego)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal, Role
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
 from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
@@ -27,6 +27,7 @@ from sumo_adv.metrics.feasibility import (
     STEP_SLACK,
 )
 from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.planning.bystanders import braking
 from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
@@ -132,7 +133,7 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
 
 
 def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
-    """Whether the adversary touches a vehicle in its unattacked motion before the ego."""
+    """Whether the adversary touches another vehicle before the ego, also one that brakes for it."""
     tracks = situation.others
     found = np.zeros(len(proposals), bool)
     if not tracks:
@@ -140,6 +141,7 @@ def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary:
     steps = adversary.x.shape[1]
     grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
     names = np.array([t.id for t in tracks])
+    pairs: list[tuple[int, int]] = []
     for k, proposal in enumerate(proposals):
         until = slice(0, int(last[k]) + 1)
         apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
@@ -148,7 +150,18 @@ def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary:
         i, j = np.nonzero(near)
         if len(i):
             rows = np.full(len(i), k)
-            found[k] = bool(overlaps(pick(grid, (i, j)), pick(adversary, (rows, j))).any())
+            touched = overlaps(pick(grid, (i, j)), pick(adversary, (rows, j)))
+            pairs += [(k, m) for m in np.unique(i[touched])]
+    if not pairs:
+        return found
+    rows, others = np.array(pairs).T
+    driven = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
+    found[rows[~driven]] = True
+    rows, others = rows[driven], others[driven]
+    mine = _rows(adversary, rows)
+    reacted = braking(_rows(grid, others), mine, situation.lane_width, situation.dt)
+    hit = _first(touching(reacted, mine)) <= last[rows]
+    found[rows[hit]] = True
     return found
 
 

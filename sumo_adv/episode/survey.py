@@ -38,10 +38,11 @@ def surveys(
     route: tuple[str, ...],
     signals: Mapping[str, tuple[Signal, ...]],
     left: float = math.inf,
+    reacting: bool = True,
 ) -> dict[float, Situation]:
     """A situation for every delay [s after ``time``] that may be tried; empty if the vehicles near leave at once.
 
-    ``left``: steps from ``time`` on until the log is over."""
+    ``left``: steps from ``time`` on until the log is over; ``reacting``: whether the others have drivers."""
     found = {}
     for delay in _delays(candidates, tracks[ego_id].between(time, math.inf), settings):
         situation = survey(
@@ -51,7 +52,7 @@ def surveys(
         if situation is not None and settings.forecast == "constant":
             situation = _at_constant_velocity(situation)
         if situation is not None:
-            found[delay] = replace(situation, left=left - settings.steps(delay))
+            found[delay] = replace(situation, left=left - settings.steps(delay), reacting=reacting)
     return found
 
 

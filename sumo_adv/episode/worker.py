@@ -179,7 +179,7 @@ class Worker:
         self._raw_ego = tracks[drive.ego]
         situations = surveys(
             self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
-            signals=signals, left=math.inf if left is None else left,
+            signals=signals, left=math.inf if left is None else left, reacting=drive.reacting(),
         )  # fmt: skip
         if not situations:
             return None, "the vehicles near it leave at once"

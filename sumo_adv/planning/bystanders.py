@@ -1,0 +1,77 @@
+"""Third parties as they are foreseen: along their own unattacked motion, and braking for the adversary.
+
+A driver of SUMO's who gets the adversary before it in its lane follows it by Krauss's safe speed (SUMO's default
+driver; Krauß 1998), and brakes with ``EMERGENCY`` where that is what it takes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats
+from sumo_adv.geometry import wrap_all
+from sumo_adv.planning.car_following import CarFollowing
+from sumo_adv.planning.drivers import ACROSS, EMERGENCY
+
+DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
+SLOWER = 0.05  # m/s less than unattacked: from then on it follows
+
+
+def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Boxes:
+    """Each other vehicle's motion where it brakes for the adversary.
+
+    others, adversary: ``(n, T)`` states a step ``dt`` [s] apart, row by row, sizes ``(n, 1)``; the others' motion is
+    the unattacked one, NaN where one is not there.  Returned: ``(n, T)``, along the same ways and never further on.
+    """
+    x, y, heading, there = _filled(others)
+    step = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))
+    way = np.concatenate([np.zeros((len(x), 1)), np.cumsum(step, axis=1)], axis=1)
+    s, d, turned = _beside(adversary, x, y, heading, way)
+    half = np.asarray(adversary.length) / 2
+    front_s, front_d = s + half * np.cos(turned), d + half * np.sin(turned)
+    across = (np.abs(turned) > ACROSS[0]) & (np.abs(turned) < ACROSS[1])
+    before = (np.abs(front_d) < lane_width / 2) & ~across
+    room = half[:, 0] + np.broadcast_to(np.asarray(others.length), way.shape)[:, 0] / 2
+    at = _followed(way, s, front_s, before, adversary.speed, room, dt)
+    turns, ways = np.unwrap(heading, axis=1), way + 1e-9 * np.arange(way.shape[1])  # also where one stands
+    found = np.empty((3, *way.shape))
+    for k in range(len(way)):
+        found[:, k] = [np.interp(at[k], ways[k], q[k]) for q in (x, y, turns)]
+    found[0][~there] = np.nan
+    return Boxes(found[0], found[1], found[2], np.gradient(at, dt, axis=1), others.length, others.width)
+
+
+def _filled(b: Boxes) -> tuple[Floats, Floats, Floats, Bools]:
+    """x, y, heading with the first and last state kept before and after a vehicle is there, and where it is."""
+    there = np.isfinite(b.x)
+    first, last = there.argmax(axis=1), there.shape[1] - 1 - there[:, ::-1].argmax(axis=1)
+    k = np.clip(np.arange(there.shape[1])[None, :], first[:, None], last[:, None])
+    rows = np.arange(len(k))[:, None]
+    return b.x[rows, k], b.y[rows, k], b.heading[rows, k], there
+
+
+def _beside(adversary: Boxes, x: Floats, y: Floats, heading: Floats, way: Floats) -> tuple[Floats, Floats, Floats]:
+    """Station, offset and heading of the adversary at each step along the ways, ``(n, T)``."""
+    dx, dy = adversary.x[:, :, None] - x[:, None, :], adversary.y[:, :, None] - y[:, None, :]
+    i = np.argmin(dx * dx + dy * dy, axis=2)
+    rows, steps = np.arange(len(i))[:, None], np.arange(i.shape[1])[None, :]
+    dx, dy, h = dx[rows, steps, i], dy[rows, steps, i], heading[rows, i]
+    c, s = np.cos(h), np.sin(h)
+    return way[rows, i] + c * dx + s * dy, c * dy - s * dx, wrap_all(adversary.heading - h)
+
+
+def _followed(way: Floats, s: Floats, front_s: Floats, before: Bools, speed: Floats, room: Floats, dt: float) -> Floats:
+    """Stations ``(n, T)`` of drivers that follow the adversary once it is before them."""
+    driver = CarFollowing(DRIVER, dt)
+    unattacked = np.diff(way, axis=1) / dt
+    at = way.copy()
+    v, brakes = unattacked[:, 0].copy(), np.zeros(len(way), bool)
+    for k in range(way.shape[1] - 1):
+        leads = before[:, k] & (front_s[:, k] > at[:, k])
+        bound = np.where(leads, driver.behind(v, s[:, k] - at[:, k] - room, speed[:, k]), np.inf)
+        brakes |= bound < unattacked[:, k] - SLOWER
+        free = np.minimum(driver.free(v), np.maximum(unattacked[:, k], v))
+        v = np.where(brakes, np.maximum(np.minimum(free, bound), v - EMERGENCY * dt), unattacked[:, k])
+        v = np.maximum(v, 0.0)
+        at[:, k + 1] = np.minimum(np.where(brakes, at[:, k] + v * dt, way[:, k + 1]), way[:, -1])
+    return at
