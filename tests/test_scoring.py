@@ -66,12 +66,12 @@ def vehicle(name: str, state: State) -> Track:
 @pytest.mark.parametrize(
     ("careful", "late", "manoeuvre", "score"),
     [
-        (False, False, (0, 0, 0, 0), 1.2),  # nobody
-        (False, False, (1, 0, 0, 0), 0.8),  # a manoeuvre begun 0.6 s after the hazard, no later
-        (False, False, (1, 1, 0, 0), 0.4),  # 0.8 s
-        (False, False, (1, 1, 1, 0), 0.25),  # 1.0 s
-        (False, False, (1, 1, 1, 1), 0.12),  # 1.4 s
-        (False, False, (0, 1, 0, 0), 0.4),  # the last one that helps, whether or not earlier ones do
+        (False, False, (0, 0, 0, 0), 1.3),  # nobody
+        (False, False, (1, 0, 0, 0), 1.0),  # a manoeuvre begun 0.6 s after the hazard, no later
+        (False, False, (1, 1, 0, 0), 0.6),  # 0.8 s
+        (False, False, (1, 1, 1, 0), 0.47),  # 1.0 s
+        (False, False, (1, 1, 1, 1), 0.34),  # 1.4 s
+        (False, False, (0, 1, 0, 0), 0.6),  # the last one that helps, whether or not earlier ones do
         (True, False, (0, 0, 0, 0), 0.08),  # the careful driver, who only brakes
         (True, False, (1, 1, 1, 1), 0.08),
         (True, True, (1, 1, 1, 1), 0.0),  # also one who is 0.4 s slower
@@ -80,15 +80,24 @@ def vehicle(name: str, state: State) -> Track:
 def test_the_score_goes_by_who_avoids_it_and_with_what_to_spare(
     careful: bool, late: bool, manoeuvre: tuple[int, ...], score: float
 ) -> None:
-    found = _score(np.array([careful]), np.array([late]), np.array([manoeuvre], bool), np.zeros(1))
+    found = _score(np.array([careful]), np.array([late]), np.zeros(1), np.array([manoeuvre], bool), np.zeros(1))
     assert found.tolist() == [score]
+
+
+def test_the_nearer_a_brake_comes_to_avoiding_it_the_better_but_never_as_good_as_avoided() -> None:
+    """At most 0.24 less: what nobody avoids does not come to be avoidable (0.75), nor that what a brake avoids."""
+    no, most = np.zeros(3, bool), np.full(3, 0.24)
+    manoeuvre = np.array([(0, 0, 0, 0), (1, 0, 0, 0), (1, 1, 1, 1)], bool)
+    found = _score(no, no, most, manoeuvre, np.full(3, 5.0))
+    assert found == pytest.approx([0.76, 0.76, 0.10])
+    assert _score(~no, no, most, manoeuvre, np.zeros(3)).tolist() == [0.08] * 3
 
 
 def test_of_those_that_nobody_avoids_one_with_more_warning_scores_better() -> None:
     """0.3 less for two seconds of it or more, in proportion for less."""
     nobody = np.zeros(4, bool)
-    found = _score(nobody, nobody, np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]))
-    assert found == pytest.approx([1.2, 1.05, 0.9, 0.9])
+    found = _score(nobody, nobody, np.zeros(4), np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]))
+    assert found == pytest.approx([1.3, 1.15, 1.0, 1.0])
 
 
 # ---- after the contact

@@ -199,18 +199,18 @@ def test_tries_cost_so_another_family_has_its_turn():
 
 
 @pytest.mark.parametrize(
-    ("scores", "at_first", "then", "next_time"),
+    ("scores", "at_first", "then", "after_two"),
     [
-        ([(1, 4.0)], 210, 30 + 12 * 60, 60),  # nothing reaches it: on until 720 are drawn, and 60 more an attempt
-        ([(1, 1.2)], 210, 30 + 12 * 60, 60),  # nor would a collision that nobody could avoid do
-        ([(1, 0.5)], 150, 30 + 2 * 60, 0),  # something is avoidable at once: 120 more
-        ([(40, 0.5), (1, 0.05)], 90, 30 + 1 * 60, 0),  # a brake would do after the first round
+        ([(1, 4.0)], 30 + 3 * 150, 30 + 14 * 150, 150),  # nothing reaches it: to 2000, and 100 more an attempt
+        ([(1, 1.2)], 30 + 3 * 150, 30 + 14 * 150, 150),  # nor would a collision that nobody could avoid do
+        ([(1, 0.5)], 30 + 3 * 150, 30 + 5 * 150, 0),  # something is avoidable at once: 750 more
+        ([(40, 0.5), (1, 0.05)], 30 + 150, 30 + 150, 0),  # a brake would do after the first round
         ([(1, 0.05)], 30, 30, 0),  # a brake would do already
     ],
 )
-def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, next_time):
-    """30 are wanted: the analysis draws up to six times as many, the tuner goes on from there; neighbours of the best
-    ones are not counted."""
+def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, after_two):
+    """30 are wanted: the analysis draws up to 14 times as many (420), 150 at once, the tuner goes on from there;
+    neighbours of the best ones are not counted."""
     tuner, taken = tuner_of(InTurn(*scores)), []
 
     def count():
@@ -219,8 +219,8 @@ def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brak
     assert count() == at_first
     taken.append(tuner.next())
     assert count() == then
-    taken.append(tuner.next())
-    assert count() == then + next_time
+    taken += [tuner.next(), tuner.next()]
+    assert count() == then + after_two
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
@@ -230,10 +230,10 @@ def test_half_of_what_is_redrawn_is_near_the_best_ones():
     best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in tuner.pool[:10]]
     tuner.pool[:10] = best
     tuner.next()
-    last_round = tuner.pool[-60:]
+    last_round = drawn(tuner.pool)[-150:]
     gaps = [p.parameters["gap"] for p in last_round]
-    assert np.mean(gaps[30:]) < -2.2
-    assert np.mean(gaps[:30]) > -1.0
+    assert np.mean(gaps[75:]) < -2.2
+    assert np.mean(gaps[:75]) > -1.0
 
 
 COURSE = EgoCourse(np.array([0.0, 1.0]), np.array([10.0, 10.0]))

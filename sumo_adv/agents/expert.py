@@ -21,14 +21,14 @@ from sumo_adv.situation import Situation
 
 NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
-AVOIDABLE = 0.7  # a score below is one that somebody could have avoided
-BRAKES = 0.1  # a score below is one that a careful driver who only brakes could have avoided
-REDRAW = 60  # proposals drawn at once where the first were not good
-FOR_BRAKES = 120  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
-MOST_DRAWN = 720  # drawn at most where nothing is avoidable, and ``REDRAW`` more for each attempt
+AVOIDABLE = 0.75  # a score below is one that somebody could have avoided
+BRAKES = 0.09  # a score below is one that a careful driver who only brakes could have avoided
+REDRAW = 150  # proposals drawn at once where the first were not good
+FOR_BRAKES = 750  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
+MOST_DRAWN, EACH = 2000, 100  # drawn at most where nothing is avoidable, and so many more for each attempt
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
-AT_FIRST = 6  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
-CLEAR = 0.15  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
+AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
+CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
 AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
 NEAREST = 10  # of the best ones whose numbers are varied
@@ -164,7 +164,7 @@ class Expert:
         """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing, and
         ever more as attempts go on."""
         best = min((p.score for p in pool), default=REACHES)
-        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + REDRAW * tried)
+        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + EACH * tried)
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
         """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""

@@ -32,13 +32,15 @@ from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
 
-NONE, MISS, OFF_ROAD, BEYOND, THIRD, REAR = 1.2, 1.5, 3.0, 3.0, 4.0, 5.0
+NONE, MISS, OFF_ROAD, BEYOND, THIRD, REAR = 1.3, 1.5, 3.0, 3.0, 4.0, 5.0
 WARNED, ENOUGH = 0.3, 2.0  # taken off ``NONE`` for so many s of warning: what nearly could have been avoided
 DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
-BY_MANOEUVRE = (0.8, 0.4, 0.25, 0.12)  # score by the last of them at which one still helps
+BY_MANOEUVRE = (1.0, 0.6, 0.47, 0.34)  # score by the last of them at which one still helps
+SOONER = (0.25, 0.5, 0.75, 1.0)  # s: where the careful driver would have avoided it, so much sooner,
+NEARLY = (0.24, 0.18, 0.12, 0.06)  # so much is taken off: the search is drawn to what a brake avoids
 BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
 SLOWER = 0.4  # s
-GRAZE, GRAZES = 0.3, 0.15  # m; score of a contact that one so much smaller would not have made: maybe a near miss
+GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
 
@@ -68,9 +70,10 @@ def judge_all(
     careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
     if len(good):
         found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
-        careful[good], late, manoeuvre[good], hazard[good] = found
+        careful[good], late, nearly, manoeuvre[good], hazard[good] = found
         warning = (last[good] - hazard[good]) * situation.dt
-        score[good] = _score(careful[good], late, manoeuvre[good], warning) + np.where(firm[good], 0.0, GRAZES)
+        score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning)
+        score[good] += np.where(firm[good], 0.0, GRAZES)
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
@@ -100,11 +103,12 @@ def _first(holds: Bools) -> Any:
     return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
 
 
-def _score(careful: Bools, late: Bools, manoeuvre: Bools, warning: Floats) -> Floats:
+def _score(careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warning: Floats) -> Floats:
     """By who avoids it and with what to spare: winners at the verdict's very edge do not survive a little noise."""
     score = NONE - WARNED * np.clip(warning / ENOUGH, 0.0, 1.0)
     for k, value in enumerate(BY_MANOEUVRE):
         score = np.where(manoeuvre[:, k], value, score)
+    score = score - nearly
     return np.where(careful, np.where(late, BY_LATE_CAREFUL, BY_CAREFUL), score)
 
 
@@ -207,13 +211,17 @@ def _leaps(b: Boxes, limits: Limits, dt: float) -> Bools:
 def _avoidable(
     situation: Situation, proposals: Sequence[Proposal], ego: Boxes, adversary: Boxes, good: Any, last: Any,
     drivable: Drivable,
-) -> tuple[Bools, Bools, Bools, Any]:  # fmt: skip
-    """Whether the careful driver avoids it, also if slower; whether some manoeuvre does, by ``DELAYS``; the hazard."""
+) -> tuple[Bools, Bools, Floats, Bools, Any]:  # fmt: skip
+    """Whether the careful driver avoids it, also if slower; what it is worth how nearly he does; whether some manoeuvre
+    does, by ``DELAYS``; the hazard."""
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
     hazard, _ = hazard_index(a, b, start, last, dt, lane_half_width=situation.lane_width / 2)
     found = avoidance(a, b, hazard, dt, delays=DELAYS, on_road=drivable)
-    late = avoidance(a, b, hazard, dt, delays=(), careful_delay=PERCEPTION + REACTION + SLOWER)["careful"]
+    late = _braked(a, b, hazard, dt, SLOWER)
+    nearly = np.zeros(len(good))
+    for sooner, worth in zip(SOONER, NEARLY, strict=True):
+        nearly = np.maximum(nearly, np.where(_braked(a, b, hazard, dt, -sooner), worth, 0.0))
     careful, manoeuvre = found["careful"], found["manoeuvre"]
     names = np.array([proposals[k].bv for k in good])
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
@@ -226,7 +234,12 @@ def _avoidable(
                 others=on_grid(others, time),
             )  # fmt: skip
             careful[rows], manoeuvre[rows] = room["careful"], room["manoeuvre"]
-    return careful, careful & late, manoeuvre, hazard
+    return careful, careful & late, nearly, manoeuvre, hazard
+
+
+def _braked(ego: Boxes, adversary: Boxes, hazard: Any, dt: float, later: float) -> Bools:
+    """Whether the careful driver would have avoided it had he been so much later [s]."""
+    return avoidance(ego, adversary, hazard, dt, delays=(), careful_delay=PERCEPTION + REACTION + later)["careful"]
 
 
 def _cut(b: Boxes, last: Any, dt: float) -> Boxes:
