@@ -172,11 +172,11 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(tmp_path: Path) -> None
 
 @pytest.fixture(scope="module")
 def real(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Path:
-    """A run in which a later attempt than the first counts: one seed in three or four has one."""
+    """A run in which a later attempt than the first counts: without a tuner one seed in three or four has one."""
     program = Program(tmp_path_factory.mktemp("real"), caches)
-    for seed in (7, 3, 6, *range(10, 20)):
+    for seed in range(3, 20):
         command = ("run", "motorway_cut_in_left", "--seed", str(seed), "--until", "valid", "--learn", "off")
-        done = program(*command, "--out", "out", "--force")
+        done = program(*command, "--tuner", "off", "--out", "out", "--force")
         assert done.status == 0, done.err
         if done.outcome["best"] > 0:
             return done.folder
