@@ -8,6 +8,7 @@ import pytest
 
 from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, compose
 from sumo_adv.agents.firmness import drawn
+from sumo_adv.agents.hindsight import WEIGHED
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
 from sumo_adv.agents.ways import Family, families
 from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, Proposal, Verdict
@@ -247,11 +248,13 @@ def test_the_pool_is_weighed_anew_only_where_the_prediction_was_wrong(score, val
     tuner = tuner_of(scorer, proposals=6, delays=(0.0, 1.5))
     (first,) = tried(tuner, 1)
     of_moment = sum(p.delay == first.delay for p in tuner.pool)
+    most = min(of_moment, WEIGHED)  # of the 2000 where nothing is avoidable not all
     tuner.heard(first, COURSE, valid)
-    assert scorer.again == (of_moment if weighed else 0)
+    assert scorer.again == (most if weighed else 0)
     assert {p.score for p in tuner.pool if p.delay != first.delay} == {score}
     expected = (score + 0.9) / 2 if weighed else score  # what was seen counts for half
-    assert [p.score for p in tuner.pool if p.delay == first.delay] == pytest.approx([expected] * of_moment)
+    scores = sorted((p.score for p in tuner.pool if p.delay == first.delay), key=lambda s: abs(s - expected))
+    assert scores[:most] == pytest.approx([expected] * most) and set(scores[most:]) <= {score}
 
 
 def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():

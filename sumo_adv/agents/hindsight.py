@@ -19,6 +19,7 @@ Key = tuple[str, float]  # BV, delay
 
 SURPRISE = 0.5  # share of what is left of a prediction's weight that goes to what was seen, each time
 WORST = 2.5  # a score above it (a miss by far, a rear-end) counts as this
+WEIGHED = 300  # of those that a surprise concerns so many are weighed anew at most, the best ones
 HOPELESS = ("off_road", "beyond", "third_party", "failed")
 
 
@@ -36,9 +37,11 @@ class Hindsight:
         return key
 
     def weigh(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
-        """The proposals, those that something was seen for (or ``only`` those of a key) with their new scores."""
+        """The proposals; those that something was seen for (of a key ``only`` the ``WEIGHED`` best) have new scores."""
         found = list(proposals)
         rows = [k for k, p in enumerate(found) if self._concerns(p, only)]
+        if only is not None:
+            rows = sorted(rows, key=lambda k: found[k].score)[:WEIGHED]
         if not rows:
             return found
         courses = [_nearest(found[k], self._seen[found[k].bv, found[k].delay]) for k in rows]
