@@ -161,8 +161,8 @@ class Expert:
         return p.score + self._bias.get(p.planner.hash, 0.0) + late - brakes
 
     def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
-        """How much is drawn at most: little more where nobody could avoid it by braking, a lot where by nothing, and
-        ever more as attempts go on."""
+        """How many are drawn at most: more where nobody could avoid it by braking, most where by nothing, and then ever
+        more as attempts go on."""
         best = min((p.score for p in pool), default=REACHES)
         return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + EACH * tried)
 

@@ -21,7 +21,8 @@ def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Bo
     """Each other vehicle's motion where it brakes for the adversary.
 
     others, adversary: ``(n, T)`` states a step ``dt`` [s] apart, row by row, sizes ``(n, 1)``; the others' motion is
-    the unattacked one, NaN where one is not there.  Returned: ``(n, T)``, along the same ways and never further on.
+    the unattacked one, NaN where one is not there.  ``lane_width`` [m]: the adversary is before one whose lane its
+    front's centre is in.  Returned: ``(n, T)``, along the same ways and never further on.
     """
     x, y, heading, there = _filled(others)
     step = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))
