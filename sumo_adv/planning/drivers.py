@@ -20,7 +20,7 @@ from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
-WANDERS = 0.1  # m, by which a driver of SUMO's leaves the middle of its lane now and then
+WITHIN = 0.001  # m by which a side lies within a strip's edge to count as in it (SUMO's NUMERICAL_EPS)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
@@ -114,8 +114,8 @@ class PredictedEgos:
 
 def seen_edges(lane: float, width: float) -> tuple[float, float]:
     """How far to the left and to the right [m] of the middle of its lane a driver of this width looks for leaders:
-    SUMO's strips of ``SUBLANE``, counted from the lane's right edge, that the ego is in as it wanders a little."""
-    wide = width + 2 * WANDERS
+    SUMO's strips of ``SUBLANE``, counted from the lane's right edge, that the ego is in (``MSLeaderInfo``)."""
+    wide = width - 2 * WITHIN
     right = max(0, math.floor((lane - wide) / 2 / SUBLANE)) * SUBLANE
     left = min(lane, (math.floor((lane + wide) / 2 / SUBLANE) + 1) * SUBLANE)
     return left - lane / 2, lane / 2 - right
