@@ -116,7 +116,7 @@ class Expert:
             loose = [p for p in found if p is not first and not firm(p) and p.score < AVOIDABLE]
             best = [first, *sorted(loose, key=self.price)[: FIRMED - 1]]
             taken = {id(p) for p in best}
-            weighed = firmed(best, lambda near: self.hindsight.weigh(self._scorer.score(near)), self._draw)
+            weighed = firmed(best, self._scored, self._draw)
             found = weighed + [p for p in found if id(p) not in taken]  # of equals a firm one comes first
         return found
 
@@ -128,18 +128,14 @@ class Expert:
         new = [] if good >= FEW or self._allowed else compose(situations, library)
         return reach + new + rest
 
-    def draw(self, ways: Sequence[Family], count: int, *, defaults: bool = True) -> list[Proposal]:
+    def draw(self, ways: Sequence[Family], count: int) -> list[Proposal]:
         """``count`` scored proposals, round robin; the first of each family with its author's numbers.
 
         What was learnt comes on top, with the numbers it was learnt with: it takes no draws from others, and these are
         the same as without it."""
-        own = sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
-        found = [
-            own[k % len(own)].proposal(None if defaults and k < len(own) else self._draw)
-            for k in range(max(count, len(own) if defaults else 0) if own else 0)
-        ]
-        found += [w.proposal(None) for w in ways if w.learnt and defaults]
-        return self.hindsight.weigh(self._scorer.score(found)) if found else []
+        own = _own(ways)
+        found = [w.proposal(None) for w in own] + self._any(own, count - len(own))
+        return self._scored(found + [w.proposal(None) for w in ways if w.learnt])
 
     def heard(self, pool: Sequence[Proposal], tried: Proposal, course: EgoCourse) -> list[Proposal]:
         """The pool after an attempt in which the ego went so: the ``AGAIN`` best predicted again where its driver is
@@ -168,14 +164,23 @@ class Expert:
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
         """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""
-        return self.draw(ways, REDRAW // 2, defaults=False) + self.vary(best[:NEAREST], REDRAW // 2)
+        near = best[:NEAREST]
+        return self._scored(self._any(_own(ways), REDRAW // 2) + self._near(near, REDRAW // 2))
 
     def vary(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         """``count`` scored proposals whose numbers are near those of the given ones, in turn."""
-        if not proposals:
-            return []
-        found = [varied(proposals[k % len(proposals)], self._draw) for k in range(count)]
-        return self.hindsight.weigh(self._scorer.score(found))
+        return self._scored(self._near(proposals, count))
+
+    def _any(self, ways: Sequence[Family], count: int) -> list[Proposal]:
+        """Proposals of the ways in turn, with drawn numbers."""
+        return [ways[k % len(ways)].proposal(self._draw) for k in range(count if ways else 0)]
+
+    def _near(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
+        return [varied(proposals[k % len(proposals)], self._draw) for k in range(count if proposals else 0)]
+
+    def _scored(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """Predicted together, which takes less time than in parts."""
+        return self.hindsight.weigh(self._scorer.score(proposals)) if proposals else []
 
     def _ranked(self, library: Sequence[LibraryEntry]) -> tuple[list[Intent], list[Intent]]:
         """The intents of the pool by which some way is predicted to collide, and those by which none is."""
@@ -190,6 +195,11 @@ class Expert:
 
         ranked = [(_share(drawn(g)), _intent(g, described[key[1]])) for key, g in sorted(groups.items(), key=order)]
         return [i for share, i in ranked if share > 0], [i for share, i in ranked if share == 0]
+
+
+def _own(ways: Sequence[Family]) -> list[Family]:
+    """What was not learnt, in the order in which it is drawn."""
+    return sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
 
 
 def _share(members: Sequence[Proposal]) -> float:

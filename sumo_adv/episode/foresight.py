@@ -1,4 +1,4 @@
-"""Proposals scored by prediction: numpy rollouts of the planners' own answers, each asked in its sandbox session."""
+"""Proposals scored by prediction: numpy rollouts of the planners' own answers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from sumo_adv.datatypes import EgoCourse, Proposal
 from sumo_adv.episode.belief import Belief, apart
 from sumo_adv.episode.scoring import judge_all, touch_of
 from sumo_adv.episode.sessions import Roads, Sessions
+from sumo_adv.planning.inprocess import is_own
 from sumo_adv.planning.predict import Rollouts, part, predict
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.situation import Situation
@@ -84,7 +85,13 @@ class Foresight:
         """Where everybody is expected, row by row; ``situations``: by delay [s], ``seen``: egos that drive so."""
         settings = self._settings
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, self.failures, drivable=self._drivable
+            self._sandbox,
+            self._roads,
+            proposals,
+            settings.seed,
+            self.failures,
+            drivable=self._drivable,
+            predicting=True,
         ) as sessions:
             rollouts = predict(
                 situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
@@ -107,6 +114,9 @@ class Foresight:
 
 
 def _batches(proposals: Sequence[Proposal]) -> list[set[str]]:
-    """What is predicted together: at most ``TOGETHER`` planners, each in a session of its own."""
-    hashes = list(dict.fromkeys(p.planner.hash for p in proposals))
-    return [set(hashes[k : k + TOGETHER]) for k in range(0, len(hashes), TOGETHER)]
+    """What is predicted together: at most ``TOGETHER`` planners that need the sandbox, each in a session of its own."""
+    planners = {p.planner.hash: p.planner for p in proposals}
+    ours = [name for name, planner in planners.items() if is_own(planner)]
+    others = [name for name in planners if name not in ours]
+    found = [set(others[k : k + TOGETHER]) for k in range(0, len(others), TOGETHER)]
+    return [found[0].union(ours), *found[1:]] if found else [set(ours)] if ours else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from sumo_adv.datatypes import Proposal, acceleration_at
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planning.follow import off_road
 from sumo_adv.planning.ground import road_of
+from sumo_adv.planning.inprocess import InProcessSession, is_own
 from sumo_adv.planning.predict import Answer, Told, world_endpoint
 from sumo_adv.planning.sandbox import Call, PlannerSession, Sandbox
 from sumo_adv.situation import Situation
@@ -42,7 +44,10 @@ def road_key(proposal: Proposal) -> str:
 
 
 class Sessions:
-    """One sandbox session for each planner of the proposals; those with a course of their own ask nobody."""
+    """One sandbox session for each planner of the proposals; those with a course of their own ask nobody.
+
+    ``predicting``: planners that are our own answer without the sandbox.
+    """
 
     def __init__(
         self,
@@ -53,11 +58,12 @@ class Sessions:
         failed: Mapping[str, str] | None = None,
         *,
         drivable: Drivable | None = None,
+        predicting: bool = False,
     ) -> None:
-        self._roads, self._drivable = roads, drivable
+        self._roads, self._drivable, self._predicting = roads, drivable, predicting
         self._spent: dict[str, float] = {}  # planner hash -> s in its trajectory()
         self._sandbox, self._seed = sandbox, seed
-        self._open: dict[str, PlannerSession] = {}
+        self._open: dict[str, PlannerSession | InProcessSession] = {}
         self.failures: dict[str, str] = dict(failed or {})  # planner hash -> sentence; those are not asked again
         self._asking: dict[str, list[Proposal]] = {}
         for p in proposals:
@@ -66,8 +72,13 @@ class Sessions:
 
     def __enter__(self) -> Sessions:
         for name, mine in self._asking.items():
+            planner, roads = mine[0].planner, self._roads.of(mine)
+            sandboxed = partial(self._sandbox.session, planner, roads, seed=self._seed)
+            if self._predicting and is_own(planner):
+                self._open[name] = InProcessSession(planner, roads, sandboxed)
+                continue
             try:
-                self._open[name] = self._sandbox.session(mine[0].planner, self._roads.of(mine), seed=self._seed)
+                self._open[name] = sandboxed()
             except SandboxError as error:
                 self.failures[name] = str(error)
         return self
@@ -95,7 +106,7 @@ class Sessions:
         """An endpoint in the world, with the planner's own trajectory to it if it defines one and it is on the road."""
         situation, session = self._situation(proposal), self._open[proposal.planner.hash]
         endpoint = world_endpoint(situation, end)
-        if not session.has_trajectory:
+        if isinstance(session, InProcessSession) or not session.has_trajectory:
             return Answer(endpoint)
         own = session.trajectory(road_key(proposal), told[0], end, situation.dt)
         states = np.array([(*situation.frame.to_world(x, y, h), v) for x, y, h, v in own])
@@ -133,6 +144,8 @@ class Sessions:
     def _timed(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:
         """``_answer`` within what all predictions of a batch may take. Raises SandboxError."""
         name = proposal.planner.hash
+        if isinstance(self._open[name], InProcessSession):
+            return Answer(world_endpoint(self._situation(proposal), end))
         if self._spent.get(name, 0.0) > TRAJECTORY_SECONDS:
             who = f"Planner {proposal.label}/{proposal.planner.mode}"
             raise PlannerLimitError(f"{who}: trajectory() is too slow for predictions: make it faster.")

@@ -21,7 +21,14 @@ MAX_TRAJECTORY = 400  # states
 MAX_MESSAGE = 500  # characters
 AWAY = 3.0  # m from the vehicle at which its trajectory begins at most
 JUMP = 150.0  # m/s2: a change from one step to the next that is none of a motion
-RANGES = {"x": (-1e5, 1e5), "y": (-1e5, 1e5), "heading": (-1e3, 1e3), "speed": (0.0, 100.0), "time": (0.0, 60.0)}
+FAR, TURNED, FASTEST, LATEST = 1e5, 1e3, 100.0, 60.0
+RANGES = {
+    "x": (-FAR, FAR),
+    "y": (-FAR, FAR),
+    "heading": (-TURNED, TURNED),
+    "speed": (0.0, FASTEST),
+    "time": (0.0, LATEST),
+}
 """Metres, radians, m/s and s; ``time`` must also be more than 0."""
 
 REDUCERS = """
@@ -123,6 +130,12 @@ def check_endpoint(who: str, value: Any) -> dict[str, float]:
     """
     if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
         raise _bad(who, value)
+    x, y, heading, speed, time = value
+    if type(x) is type(y) is type(heading) is type(speed) is type(time) is float and (
+        -FAR <= x <= FAR and -FAR <= y <= FAR and -TURNED <= heading <= TURNED
+        and 0.0 <= speed <= FASTEST and 0.0 < time <= LATEST
+    ):  # as below, at once  # fmt: skip
+        return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
     result = {name: _number(who, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
     if result["time"] <= 0.0:
         raise PlannerResultError(f"{who}: time must be more than 0 s, it is {result['time']!r}.")

@@ -1,0 +1,119 @@
+"""Planners that are our own answer in this process: which they are, that they answer the same, and what fails."""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from situation_samples import crossing, leader, neighbour, situation
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.errors import PlannerRuntimeError
+from sumo_adv.planning.ground import Ground, road_of
+from sumo_adv.planning.inprocess import OWN, InProcessSession, body, is_own
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.session import Call
+from sumo_adv.planning.source import make_planner
+
+BANK = Path(__file__).parents[1] / "memory_bank"
+SHIPPED = sorted(BANK.glob("*/*.py"))
+SIDE = (BANK / "straight_lane_shift" / "side.py").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    with Sandbox() as box:
+        yield box
+
+
+def planner(source: str) -> Planner:
+    return make_planner("Any", "any", source, "somebody")
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_every_planner_of_the_shipped_bank_is_our_own(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    fingerprint = hashlib.sha256(body(source).encode()).hexdigest()
+    assert is_own(planner(source)), f"write {fingerprint} into OWN (sumo_adv/planning/inprocess.py)"
+
+
+def test_nothing_is_our_own_that_the_bank_does_not_have() -> None:
+    assert {hashlib.sha256(body(p.read_text(encoding="utf-8")).encode()).hexdigest() for p in SHIPPED} == OWN
+
+
+def test_other_numbers_and_another_movement_leave_it_our_own() -> None:
+    direct = (BANK / "intersection_rush_through_turn_left" / "direct.py").read_text(encoding="utf-8")
+    assert is_own(planner(direct.replace('MOVEMENT = "left"', 'MOVEMENT = "right"')))
+    assert is_own(planner(SIDE.replace('"gap": (', '"gap": (2.5, 1.0, 12.0, "m", "x"), "gap_2": (')))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("import math", "import math\nimport os"),
+        ("}\n\nimport math", "}; import os\n\nimport math"),  # on the table's own line
+        ("base = base_lane", "base = 0.0 * base_lane"),
+        ("import math", 'import math\nMOVEMENT = "left" + str(1)'),
+        ("def beside(", "def trajectory(bv, endpoint, road, dt):\n    return []\n\n\ndef beside("),
+    ],
+)
+def test_a_text_with_one_line_changed_is_not(old: str, new: str) -> None:
+    assert old in SIDE
+    assert not is_own(planner(SIDE.replace(old, new, 1)))
+
+
+def questions(p: Planner, count: int) -> tuple[Mapping[str, Mapping[str, Any]], list[Call]]:
+    """What the planner is asked of three vehicles at the trigger and, moved at random, later on."""
+    draw = random.Random(3)
+    calls: list[Call] = []
+    roads = {}
+    for k, target in enumerate((neighbour(), leader(), crossing())):
+        sit = situation([target])
+        ground = Ground([sit] * count, ["bv"] * count)
+        motion = ground.begin()
+        motion = motion._replace(
+            s=motion.s + np.linspace(0.0, 60.0, count), d=motion.d + np.linspace(-2.0, 2.0, count), v=motion.v * 0.7
+        )
+        ego = (np.linspace(0.0, 40.0, count), np.zeros(count), np.full(count, 9.0), np.zeros(count))
+        last = [
+            None if j % 2 else {"x": 1.0, "y": 0.0, "heading": 0.0, "speed": 3.0, "time": 1.0} for j in range(count)
+        ]
+        roads[str(k)] = road_of(sit, "bv")
+        for bv, told in ground.tell(motion, 1.5, ego, last):
+            numbers = {q.name: draw.uniform(q.low, q.high) for q in p.parameters}
+            calls.append((str(k), bv, told, numbers, draw.choice([0.0, -6.0]), 3.0))
+    return roads, calls
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
+def test_the_answers_are_the_sandbox_s_to_the_last_bit(path: Path, sandbox: Sandbox) -> None:
+    p = planner(path.read_text(encoding="utf-8"))
+    roads, calls = questions(p, 8)
+    inside = InProcessSession(p, roads, lambda: sandbox.session(p, roads))
+    with sandbox.session(p, roads) as session:
+        theirs = session.endpoints(calls)
+    ours = inside.endpoints(calls)
+    inside.close()
+    assert [a if isinstance(a, dict) else type(a) for a in ours] == [
+        a if isinstance(a, dict) else type(a) for a in theirs
+    ]
+    assert any(isinstance(a, dict) for a in ours)
+
+
+def test_what_fails_here_is_asked_in_the_sandbox_which_has_the_sentence(sandbox: Sandbox) -> None:
+    p = planner(SIDE)
+    roads, calls = questions(p, 2)
+    broken = {**roads, "1": {}}
+    inside = InProcessSession(p, broken, lambda: sandbox.session(p, broken))
+    found = inside.endpoints(calls)
+    assert [isinstance(a, PlannerRuntimeError) for a in found] == [False, False, True, True, False, False]
+    assert "KeyError" in str(found[2])
+    with pytest.raises(PlannerRuntimeError, match="KeyError"):
+        inside.endpoint(*calls[2])
+    inside.close()
+    inside.close()
