@@ -66,8 +66,9 @@ def test_a_braking_ego_never_rolls_back() -> None:
 def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a_standing_ego() -> None:
     s = one(20.0, 20.0, 20.0, 20.0, 20.0)
     v = one(10.0, 10.0, 0.0, 5.0, 10.0)
-    found = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), one(50.0, 17.0, 50.0, 30.0, math.inf))
-    assert found == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
+    at = one(50.0, 17.0, 50.0, 30.0, math.inf)[:, None]
+    found = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), at)
+    assert found[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
 
 
 # ---- rollouts
@@ -87,7 +88,7 @@ def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tupl
 
     def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
         heard.append(told[0])
-        given = [answers[k] for k in rows]
+        given = [answers[k] if k in rows else None for k in range(len(told))]
         return [None if a is None else Answer(world_endpoint(sit, a)) for a in given]
 
     fixed: Ask = ask
@@ -147,7 +148,8 @@ def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind:
 @pytest.mark.parametrize(
     ("lane", "width", "left", "right"),
     [
-        (3.2, 1.8, 1.6, 1.6),  # 0.7 - 0.1 .. 2.5 + 0.1 m from the right edge: the strips 0 .. 0.8 up to 2.4 .. 3.2
+        (3.2, 1.8, 1.6, 1.6),  # 0.7 .. 2.5 m from the right edge: the strips 0 .. 0.8 up to 2.4 .. 3.2
+        (3.4, 1.8, 1.5, 0.9),  # 0.8 .. 2.6 m, a side on an edge is not over it: 0.8 .. 1.6 up to 2.4 .. 3.2
         (4.0, 1.8, 1.2, 1.2),  # 1.0 .. 3.0 m: the strips 0.8 .. 1.6 up to 2.4 .. 3.2
         (3.0, 2.5, 1.5, 1.5),  # wider than the lane nearly: all of it, no more
     ],

@@ -29,13 +29,19 @@ def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: 
 
 
 def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
-    """Seconds until egos (n,) are at ``conflict_s`` (n,); negative once past, ``NO_ARRIVAL`` if not foreseen."""
+    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k); negative once past, ``NO_ARRIVAL`` if not
+    foreseen."""
+    found = np.full(conflict_s.shape, NO_ARRIVAL)
+    if not np.isfinite(conflict_s).any():
+        return found
     way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
-    reached = way >= conflict_s[:, None]
-    i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
     rows = np.arange(len(s))
-    before, after = way[rows, i - 1], way[rows, i]
-    w = np.clip((conflict_s - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
-    time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
-    left = conflict_s - s
-    return np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
+    for k, at in enumerate(conflict_s.T):
+        reached = way >= at[:, None]
+        i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
+        before, after = way[rows, i - 1], way[rows, i]
+        w = np.clip((at - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
+        time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
+        left = at - s
+        found[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
+    return found

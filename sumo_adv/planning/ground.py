@@ -44,6 +44,9 @@ class Ground:
         self._ego = np.stack(
             [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
         )
+        at = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
+        most = int(self._count.max())
+        self._conflicts = np.array([at[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
         self._roads: dict[int, PathRow] = {}
         self._junctions = np.array([_junction(w) for w in lines])
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
@@ -101,23 +104,23 @@ class Ground:
         have = np.array([e is not None for e in ends])
         values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
         x, y, h, v, time = np.array(values, float).T
-        best_cost = np.full(len(ends), np.inf)
-        best_row, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
-        several = int(self._count.max()) > 1
-        here = pose(Batch, motion, self.rows) if several else None
+        least = np.full(len(ends), np.inf)
+        best, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
+        here = pose(Batch, motion, self.rows) if int(self._count.max()) > 1 else None
         for k in range(int(self._count.max())):
-            row = np.minimum(self._base + k, self._base + self._count - 1)
-            s, d, turned = self._project(row, x, y, h)
-            same = row == self.rows.row
+            mine = np.flatnonzero(have & (self._count > k))
+            row = self._base[mine] + k
+            s, d, turned = self._project(row, x[mine], y[mine], h[mine])
+            same = row == self.rows.row[mine]
             cost = np.abs(d) + TURN_COST * turned - LOYALTY * same
-            better = have & (cost < best_cost)
+            better = cost < least[mine]
             if here is not None:
-                there = pose(Batch, motion, self._on(row))
-                better &= (np.hypot(there[0] - here[0], there[1] - here[1]) < SAME_PLACE) | same
-            best_cost = np.where(better, cost, best_cost)
-            best_row, best_s = np.where(better, row, best_row), np.where(better, s, best_s)
-            best_d = np.where(better, d, best_d)
-        self.rows.row = best_row
+                part = motion._replace(s=motion.s[mine], d=motion.d[mine], slope=motion.slope[mine])
+                there = pose(Batch, part, self._on(row))
+                better &= (np.hypot(there[0] - here[0][mine], there[1] - here[1][mine]) < SAME_PLACE) | same
+            which = mine[better]
+            least[which], best[which], best_s[which], best_d[which] = cost[better], row[better], s[better], d[better]
+        self.rows.row = best
         return Goal(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
     def _on(self, row: Any) -> PathRows:
@@ -127,16 +130,18 @@ class Ground:
         return other
 
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
-        table, last = self.rows.table[row], self.rows.last[row]
-        dx, dy = x[:, None] - table[:, 0], y[:, None] - table[:, 1]
-        i = np.argmin(dx * dx + dy * dy, axis=1)
-        k = np.arange(len(i))
-        heading = table[k, 2, i]
-        c, s = np.cos(heading), np.sin(heading)
-        along, aside = c * dx[k, i] + s * dy[k, i], -s * dx[k, i] + c * dy[k, i]
+        table, last = self.rows.table, self.rows.last[row]
+        i = np.empty(len(x), np.intp)
+        for k in np.unique(row):
+            mine = np.flatnonzero(row == k)
+            until = self.rows.last[k] + 1
+            dx, dy = x[mine, None] - table[k, 0, :until], y[mine, None] - table[k, 1, :until]
+            i[mine] = np.argmin(dx * dx + dy * dy, axis=1)
+        px, py, heading = table[row, :3, i].T
+        dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
+        along, aside = c * dx + s * dy, -s * dx + c * dy
         along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
-        turned = np.abs(wrap_all(h - heading))
-        return np.minimum(i, last) * PATH_STEP + along, aside, turned
+        return i * PATH_STEP + along, aside, np.abs(wrap_all(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
         """What leads vehicle ``k`` after a planner's states (n, 4) on the way it is on.
@@ -157,8 +162,10 @@ class Ground:
         now: float,
         ego: tuple[Floats, Floats, Floats, Floats],
         last: Sequence[Mapping[str, float] | None],
+        rows: Sequence[int] | None = None,
     ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-        """``(bv, ego)`` for each vehicle. ``ego``: station, offset [m], speed, acceleration of the egos, each (n,)."""
+        """``(bv, ego)`` for each vehicle (of ``rows``: empty for others). ``ego``: station, offset [m], speed,
+        acceleration of the egos, each (n,)."""
         scenes = self.scenes
         es, ed, ev, ea = ego
         x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
@@ -168,43 +175,33 @@ class Ground:
         table = np.empty((*px.shape, 5))
         for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
             table[:, :, column] = values
-        path = table.tolist()
         road_h = wrap_all(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
         meet = self._arrivals(now, es, ev, ea)
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.maximum(motion.span - motion.clock, 0.0) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
             [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
-             motion.v * np.cos(rh)],
-        ).T.tolist()  # fmt: skip
-        told = []
-        for k, target in enumerate(self.targets):
-            bv = dict(zip(BV_FIELDS, columns[k], strict=True))
-            bv |= {"length": target.state.length, "width": target.state.width, "time": now, "last": last[k]}
-            e = {
-                "x": path[k][0][1], "y": path[k][0][2], "heading": path[k][0][3], "speed": float(ev[k]),
-                "acceleration": float(ea[k]), "length": scenes.ego.length, "width": scenes.ego.width,
-                "path": path[k], "arrivals": meet[k],
+             motion.v * np.cos(rh), ev, ea],
+        ).T  # fmt: skip
+        asked = range(len(self.targets)) if rows is None else rows
+        told: list[tuple[dict[str, Any], dict[str, Any]]] = [({}, {})] * len(self.targets)
+        for k, (*of_bv, speed, acceleration), path in zip(
+            asked, columns[asked].tolist(), table[asked].tolist(), strict=True
+        ):
+            bv = dict(zip(BV_FIELDS, of_bv, strict=True))
+            state = self.targets[k].state
+            bv |= {"length": state.length, "width": state.width, "time": now, "last": last[k]}
+            _, ego_x, ego_y, heading, _ = path[0]
+            told[k] = bv, {
+                "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
+                "length": scenes.ego.length, "width": scenes.ego.width, "path": path, "arrivals": meet[k],
             }  # fmt: skip
-            told.append((bv, e))
         return told
 
     def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
         """Per vehicle and way: seconds until the ego is at the conflict."""
-        found: list[list[float]] = [[] for _ in self.targets]
-        for k in range(int(self._count.max())):
-            at = [
-                t.ways[k].conflict.ego_s if k < len(t.ways) and t.ways[k].conflict is not None else np.inf  # type: ignore[union-attr]
-                for t in self.targets
-            ]
-            if not np.isfinite(at).any():
-                times = [NO_ARRIVAL] * len(at)
-            else:
-                times = arrivals(self.scenes, now, s, v, a, np.asarray(at)).tolist()
-            for j, t in enumerate(self.targets):
-                if k < len(t.ways):
-                    found[j].append(times[j])
-        return found
+        times = arrivals(self.scenes, now, s, v, a, self._conflicts)
+        return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
 
 
 def _junction(way: WayLine) -> tuple[float, float, float, float, float]:

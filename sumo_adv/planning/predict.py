@@ -16,6 +16,7 @@ from sumo_adv.errors import PlannerResultError
 from sumo_adv.planning.drivers import PredictedEgos
 from sumo_adv.planning.follow import Follower
 from sumo_adv.planning.ground import Ground
+from sumo_adv.planning.parting import Parting
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
 from sumo_adv.situation import Situation
 
@@ -69,7 +70,7 @@ def predict(
     ``situations``: by delay [s], the moment at which a proposal's attack begins.
 
     ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
-    egos drive so. Those that touched follow what they had planned, as in an attempt.
+    egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted.
     """
     ground = Ground([situations[p.delay] for p in proposals], [p.bv for p in proposals])
     n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
@@ -79,9 +80,11 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
     followers: dict[int, Follower] = {}
-    over = np.zeros(n, bool)
+    over, parting = np.zeros(n, bool), Parting(ground)
     for k in range(steps):
         now = k * dt
+        if k % replan == 0:
+            over |= parting.gone(motion, egos.s)
         if k % replan == 0 and not over.all():
             rows = np.flatnonzero(~over).tolist()
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
@@ -100,7 +103,7 @@ def _replan(
     ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None],
     followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
-    told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last)
+    told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last, rows)
     answers = ask(rows, told)
     for k in rows:
         answer = answers[k]
