@@ -34,6 +34,8 @@ OWN = frozenset(
         "766e0c42bf2b383c8f20384758d9a4401a0a8cf7238b1d49cc241dbf29a4e7e1",  # tail
         "3f585326b826aa1423820b9942fb70dcc7d31807052d25234cddd783d1fe8ef3",  # weave
         "81f44b9a814836a281074662bd9a325e8868558b5d270afec19c2c13f4ae0b91",  # intrude
+        "feb689cd98b768a336d9bd7943cc23ba8b7f6510a8d431142de0c6e60c8aa07a",  # straddle
+        "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
         "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail (a lane shift's)
     }
 )
