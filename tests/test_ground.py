@@ -190,9 +190,23 @@ def test_one_that_merges_takes_up_what_it_is_ahead_by_and_moves_on() -> None:
 
 
 def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
-    ground = Ground([situation([neighbour()])], ["bv"])
-    found = ground.blocked(at_station(ground, 50.0, 12.0))
-    assert (found.on[0], found.meets[0]) == (False, math.inf)
+    both = situation([neighbour(), replace(crossing(), state=replace(crossing().state, id="other"))])
+    beside = Ground([both], ["bv"])
+    assert beside.blocked(at_station(beside, 50.0, 12.0)) is None
+    ground = Ground([both, both], ["bv", "other"])
+    found = ground.blocked(ground.begin()._replace(s=one(50.0, 20.0)))
+    assert found is not None
+    assert (found.on.tolist(), found.meets.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
+
+
+def test_a_move_that_hardly_goes_on_is_told_as_one_of_20_s() -> None:
+    """At 0.2 m/s, planned as if at 6 m/s, half of 3 s has gone: 45 s at this speed; told are the seconds of its clock,
+    and never more than 20."""
+    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
+    motion = ground.begin()._replace(target=one(-3.2, -3.2), clock=one(1.5, 0.0), span=one(3.0, 73.0))
+    still = one(0.0, 0.0)
+    told = ground.tell(motion, 0.0, (still, still, still, still), [None, None])
+    assert [bv["lateral_time"] for bv, _ in told] == pytest.approx([1.5, 20.0])
 
 
 def test_each_is_in_the_way_by_the_way_it_is_on() -> None:

@@ -66,32 +66,26 @@ class Foresight:
         return changed
 
     def _together(self, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
-        rollouts = self.rolled(self._situations, proposals, seen)
+        rollouts, broken = self._rolled(self._situations, proposals, seen)
         results = self._judged(proposals, rollouts)
-        failed = {p.planner.hash for p in proposals} & set(self.failures)
         return [
-            replace(p, score=FAILED, predicted={"failed": self.failures[p.planner.hash]})
-            if p.planner.hash in failed
+            replace(p, score=FAILED, predicted={"failed": broken[k]})
+            if k in broken
             else replace(p, score=r["score"], predicted=r)
-            for p, r in zip(proposals, results, strict=True)
+            for k, (p, r) in enumerate(zip(proposals, results, strict=True))
         ]
 
-    def rolled(
-        self,
-        situations: Mapping[float, Situation],
-        proposals: Sequence[Proposal],
-        seen: Sequence[EgoCourse] | None = None,
-    ) -> Rollouts:
-        """Where everybody is expected, row by row; ``situations``: by delay [s], ``seen``: egos that drive so."""
-        settings = self._settings
+    def rolled(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Rollouts:
+        """Where everybody is expected, row by row; ``situations``: by delay [s]."""
+        return self._rolled(situations, proposals, None)[0]
+
+    def _rolled(
+        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None
+    ) -> tuple[Rollouts, dict[int, str]]:
+        """As ``rolled``, with egos that drive as ``seen``; and by their places those whose planner failed, and why."""
+        settings, known, road = self._settings, self.failures, self._drivable
         with Sessions(
-            self._sandbox,
-            self._roads,
-            proposals,
-            settings.seed,
-            self.failures,
-            drivable=self._drivable,
-            predicting=True,
+            self._sandbox, self._roads, proposals, settings.seed, known, drivable=road, predicting=True
         ) as sessions:
             rollouts = predict(
                 situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
@@ -99,7 +93,8 @@ class Foresight:
                 replan=settings.steps(settings.replan), seen=seen, touch=touch_of(situations, proposals),
             )  # fmt: skip
             self.failures |= sessions.failures
-        return rollouts
+        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}
+        return rollouts, {**sessions.broken, **failed}
 
     def _judged(self, proposals: Sequence[Proposal], rollouts: Rollouts) -> list[dict[str, Any]]:
         """What each rollout comes to; those of one moment are judged at once."""

@@ -65,6 +65,7 @@ class Sessions:
         self._sandbox, self._seed = sandbox, seed
         self._open: dict[str, PlannerSession | InProcessSession] = {}
         self.failures: dict[str, str] = dict(failed or {})  # planner hash -> sentence; those are not asked again
+        self.broken: dict[int, str] = {}  # the same of single proposals, by their places, that ``ask`` asks no more
         self._asking: dict[str, list[Proposal]] = {}
         for p in proposals:
             if p.course is None and p.planner.hash not in self.failures:
@@ -119,12 +120,13 @@ class Sessions:
         return Answer(endpoint, states)
 
     def ask(self, proposals: Sequence[Proposal], rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
-        """Answers for the proposals ``rows``; None where the planner failed, and for the others."""
+        """Answers for the proposals ``rows``; None where the planner failed, and for the others. A planner that failed
+        for all of its proposals has failed."""
         answers: list[Answer | None] = [None] * len(told)
         asked: dict[str, list[int]] = {}
         for k in rows:
             name = proposals[k].planner.hash
-            if name in self._open and name not in self.failures:
+            if name in self._open and name not in self.failures and k not in self.broken:
                 asked.setdefault(name, []).append(k)
         for name, mine in asked.items():
             try:
@@ -138,7 +140,10 @@ class Sessions:
                         raise answer
                     answers[k] = self._timed(proposals[k], told[k], answer)
                 except SandboxError as error:
-                    self.failures.setdefault(name, str(error))
+                    self.broken[k] = str(error)
+            bad = [self.broken[k] for k in sorted(self.broken) if proposals[k].planner.hash == name]
+            if len(bad) >= len(self._asking[name]):
+                self.failures[name] = bad[0]
         return answers
 
     def _timed(self, proposal: Proposal, told: Told, end: dict[str, float]) -> Answer:

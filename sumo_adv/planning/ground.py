@@ -25,6 +25,7 @@ from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
 SAME_PLACE = 0.4  # m: two ways still coincide
+LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
@@ -73,11 +74,14 @@ class Ground:
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
 
-    def blocked(self, motion: Motion) -> Blocked:
-        """How the vehicles stand in the ego's way at the junction where their ways meet its path.
+    def blocked(self, motion: Motion) -> Blocked | None:
+        """How the vehicles stand in the ego's way at the junction where their ways meet its path; None where no way
+        meets it at one.
 
         Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
         """
+        if not np.isfinite(self._junctions[:, 2]).any():
+            return None
         entry, meets, ego, merging, wide = self._junctions[self.rows.row].T
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
@@ -178,7 +182,7 @@ class Ground:
         road_h = wrap_all(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
         meet = self._arrivals(now, es, ev, ea)
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
-        busy = np.maximum(motion.span - motion.clock, 0.0) * (np.abs(motion.target - motion.d) > 0.05)
+        busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
             [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
              motion.v * np.cos(rh), ev, ea],

@@ -57,6 +57,7 @@ class Junctions:
         self._driver, self._half, self._dt = driver, scenes.ego.length / 2, scenes.dt
         self._begins = scenes.each(lambda s: s.junction)
         self._line = scenes.each(lambda s: math.inf if s.rule in GOES else s.junction)
+        self._waits = bool(np.isfinite(self._line).any())
         n = len(self._begins)
         self._came_first, self._other_came = np.zeros(n, bool), np.zeros(n, bool)
 
@@ -71,7 +72,7 @@ class Junctions:
         there = (front > self._begins) & (blocked.meets < self._begins + LONGEST)
         self._came_first |= there & ~self._other_came
         clear = np.where(blocked.merging, self._merging(blocked, front, v), self._crossing(blocked, front, v))
-        return np.minimum(clear, self._giving_way(blocked, front, v))
+        return np.minimum(clear, self._giving_way(blocked, front, v)) if self._waits else clear
 
     def _merging(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
         """Behind who merges as behind a leader."""

@@ -1,0 +1,61 @@
+"""Predictions where planners fail: of one proposal, of all, and what is asked again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from situation_samples import neighbour, situation
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Planner, Proposal
+from sumo_adv.episode.foresight import FAILED, Foresight
+from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planning.source import make_planner
+
+FRAGILE = """
+PARAMETERS = {"worst": (0.0, 0.0, 9.0, "s", "from when on it fails")}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    share = 1.0 / (bv["time"] < parameters["worst"])
+    return {"x": bv["x"] + 10.0 * share, "y": 3.2, "heading": 0.0, "speed": 5.0, "time": 2.0}
+"""
+
+
+@pytest.fixture(scope="module")
+def sandbox() -> Iterator[Sandbox]:
+    with Sandbox() as box:
+        yield box
+
+
+def everywhere(x: object, y: object) -> object:
+    return np.ones(np.shape(x), bool)
+
+
+def attack(planner: Planner, worst: float) -> Proposal:
+    return Proposal("bv", "Any", planner, {"worst": worst}, 0.0, 0.0)
+
+
+def foresight(sandbox: Sandbox) -> Foresight:
+    return Foresight(sandbox, Settings(), everywhere, {0.0: situation([neighbour()])})  # type: ignore[arg-type]
+
+
+def test_a_planner_that_fails_for_one_proposal_answers_for_the_others(sandbox: Sandbox) -> None:
+    """From 3 s on it divides by zero with the second one's number, and never with the others'."""
+    planner = make_planner("Any", "fragile", FRAGILE, "person")
+    foreseen = foresight(sandbox)
+    first, second, third = foreseen.score([attack(planner, worst) for worst in (99.0, 3.0, 99.0)])
+    assert second.score == FAILED and "ZeroDivisionError" in second.predicted["failed"]
+    assert first.score == third.score < FAILED and "failed" not in first.predicted
+    assert foreseen.failures == {}
+
+
+def test_one_that_fails_for_all_has_failed_and_is_asked_no_more(sandbox: Sandbox) -> None:
+    planner = make_planner("Any", "fragile", FRAGILE, "person")
+    foreseen = foresight(sandbox)
+    assert [p.score for p in foreseen.score([attack(planner, 2.0), attack(planner, 3.0)])] == [FAILED, FAILED]
+    assert list(foreseen.failures) == [planner.hash]
+    again = foreseen.score([attack(planner, 99.0)])[0]
+    assert again.score == FAILED and again.predicted["failed"] == foreseen.failures[planner.hash]
