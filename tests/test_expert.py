@@ -123,6 +123,14 @@ def test_a_later_contact_costs_a_little() -> None:
     assert expert().price(replace(proposal(), score=2.0, predicted={"time": 5.0})) == 2.0
 
 
+def test_against_an_unknown_driver_a_contact_at_the_very_end_costs_more() -> None:
+    """It comes later than foreseen, and then there is no time left: 0.3 at the end, half of it a second before."""
+    unsure = Expert(Same(), proposals=10, seed=1, unsure=True)
+    ends = [replace(proposal(), predicted={"spare": spare}) for spare in (0.0, 1.0, 2.0, 5.0)]
+    assert [unsure.price(p) for p in ends] == pytest.approx([0.6, 0.45, 0.3, 0.3])
+    assert [expert().price(p) for p in ends] == pytest.approx([0.3] * 4)
+
+
 def test_what_a_brake_would_avoid_comes_before_what_is_a_little_firmer() -> None:
     """0.35 off where the proposal alone scores below 0.09, whatever its neighbours make of it: 0.4 before 0.12."""
     braked = replace(proposal(), score=0.4, predicted={ALONE: 0.08})

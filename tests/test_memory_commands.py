@@ -66,7 +66,7 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     assert merged == {
         "merged": "Trailing Along",
         "into": "Straight Lane Shift",
-        "modes": ["side", "tail", "trail", "weave"],
+        "modes": ["nudge", "side", "tail", "trail", "weave"],
     }
     retired = told(program("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
     assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["side", "tail", "weave"]}
@@ -171,7 +171,7 @@ def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:
             for planner in bank.planners(record.label)
         }
     assert set(results.values()) == {None}
-    assert len(results) == 20
+    assert len(results) == 22
 
 
 HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]

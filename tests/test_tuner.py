@@ -202,8 +202,8 @@ def test_tries_cost_so_another_family_has_its_turn():
 @pytest.mark.parametrize(
     ("scores", "at_first", "then", "after_two"),
     [
-        ([(1, 4.0)], 30 + 3 * 150, 30 + 14 * 150, 150),  # nothing reaches it: to 2000, and 100 more an attempt
-        ([(1, 1.2)], 30 + 3 * 150, 30 + 14 * 150, 150),  # nor would a collision that nobody could avoid do
+        ([(1, 4.0)], 30 + 3 * 150, 30 + 14 * 150, 600),  # nothing reaches it: to 2000, and 300 more an attempt
+        ([(1, 1.2)], 30 + 3 * 150, 30 + 14 * 150, 600),  # nor would a collision that nobody could avoid do
         ([(1, 0.5)], 30 + 3 * 150, 30 + 5 * 150, 0),  # something is avoidable at once: 750 more
         ([(40, 0.5), (1, 0.05)], 30 + 150, 30 + 150, 0),  # a brake would do after the first round
         ([(1, 0.05)], 30, 30, 0),  # a brake would do already

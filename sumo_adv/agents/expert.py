@@ -25,11 +25,16 @@ AVOIDABLE = 0.75  # a score below is one that somebody could have avoided
 BRAKES = 0.09  # a score below is one that a careful driver who only brakes could have avoided
 REDRAW = 150  # proposals drawn at once where the first were not good
 FOR_BRAKES = 750  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
-MOST_DRAWN, EACH = 2000, 100  # drawn at most where nothing is avoidable, and so many more for each attempt
+MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so many more for each attempt
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
+SPARE, AT_THE_END = (
+    2.0,
+    0.3,
+)  # s before the end, and what a contact at the very end costs where the ego's driver is none
+# that is known: it comes later than foreseen, which is too late
 AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
 NEAREST = 10  # of the best ones whose numbers are varied
 FIRMED = 8  # of the best ones whose neighbours are predicted at once,
@@ -72,13 +77,16 @@ class Expert:
         seed: int,
         allowed: Sequence[str] = (),
         bias: Mapping[str, float] | None = None,
+        unsure: bool = False,
     ) -> None:
+        """``unsure``: nobody knows the ego's driver; ``bias``: planner hash -> what evidence adds to its scores."""
         self._scorer = scorer
         self._count = proposals
         self._draw = random.Random(seed)
         self._allowed = tuple(allowed)
         self.hindsight = Hindsight(scorer)
-        self._bias = bias or {}  # planner hash -> what evidence adds to its proposals' scores
+        self._bias = bias or {}
+        self._at_the_end = AT_THE_END if unsure else 0.0
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -152,7 +160,8 @@ class Expert:
     def price(self, p: Proposal) -> float:
         """The predicted score, what evidence of its planner adds to it, how late the contact comes, and whether a brake
         would do."""
-        late = LATE * float(p.predicted.get("time", 0.0)) if p.score < REACHES else 0.0
+        hurried = self._at_the_end * max(1.0 - float(p.predicted.get("spare", SPARE)) / SPARE, 0.0)
+        late = LATE * float(p.predicted.get("time", 0.0)) + hurried if p.score < REACHES else 0.0
         brakes = CLEAR if alone(p) < BRAKES else 0.0
         return p.score + self._bias.get(p.planner.hash, 0.0) + late - brakes
 

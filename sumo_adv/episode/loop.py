@@ -199,7 +199,7 @@ def foresee(
     settings = episode.settings
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
-        bias=evidence_bias(episode.bandit),
+        bias=evidence_bias(episode.bandit), unsure=bool(found.first.ego_model.get("unknown", False)),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:

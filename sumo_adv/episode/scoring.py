@@ -48,7 +48,8 @@ LEAST_STEPS = 3
 def judge_all(
     situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
 ) -> list[dict[str, Any]]:
-    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, and the score."""
+    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
+    comes, and the score."""
     n, steps = rollouts.ego[0].shape
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
     widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
@@ -57,7 +58,8 @@ def judge_all(
     contact = _first(touching(ego, adversary))
     hit = contact < min(steps, situation.left + 1)
     firm = np.asarray(touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
-    last = np.minimum(contact, int(min(steps - 1, situation.left)))
+    end = int(min(steps - 1, situation.left))
+    last = np.minimum(contact, end)
     third = _third_party(situation, proposals, adversary, last)
     off_road = _off_road(adversary, last, drivable)
     beyond = _beyond(adversary, last, limits, situation.dt)
@@ -80,7 +82,8 @@ def judge_all(
             "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
             "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
             "beyond": bool(beyond[k]),
-            "time": float(last[k] * situation.dt), "warning": float((last[k] - hazard[k]) * situation.dt),
+            "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
+            "warning": float((last[k] - hazard[k]) * situation.dt),
         }
         for k in range(n)
     ]  # fmt: skip
