@@ -69,12 +69,12 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
         "modes": ["nudge", "side", "tail", "trail", "weave"],
     }
     retired = told(program("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
-    assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["side", "tail", "weave"]}
+    assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["nudge", "side", "tail", "weave"]}
     found = told(program("memory", "find", "Trailing along", *use, "--json"))
     assert found["hit"] == "Straight Lane Shift"
     assert found["band"] is False
     counts = told(program("memory", "stats", *use, "--json"))
-    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 21, 0)
+    assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 23, 0)
     assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
     shown = told(program("memory", "show", "Straight Lane Shift", *use, "--json"))
     assert [(p["mode"], p["origin"], p["status"]) for p in shown["planners"]] == [
