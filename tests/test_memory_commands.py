@@ -78,8 +78,8 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
     shown = told(program("memory", "show", "Straight Lane Shift", *use, "--json"))
     assert [(p["mode"], p["origin"], p["status"]) for p in shown["planners"]] == [
-        ("side", "seed", "active"), ("tail", "seed", "active"), ("trail", "person", "retired"),
-        ("weave", "seed", "active"),
+        ("nudge", "seed", "active"), ("side", "seed", "active"), ("tail", "seed", "active"),
+        ("trail", "person", "retired"), ("weave", "seed", "active"),
     ]  # fmt: skip
 
 
