@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import random
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,9 +12,9 @@ import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.errors import PlannerRuntimeError
+from sumo_adv.errors import PlannerRuntimeError, SandboxError
 from sumo_adv.planning.ground import Ground, road_of
-from sumo_adv.planning.inprocess import OWN, InProcessSession, body, is_own
+from sumo_adv.planning.inprocess import OWN, InProcessSession, fingerprint, is_own
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.session import Call
 from sumo_adv.planning.source import make_planner
@@ -38,12 +37,11 @@ def planner(source: str) -> Planner:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_every_planner_of_the_shipped_bank_is_our_own(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
-    fingerprint = hashlib.sha256(body(source).encode()).hexdigest()
-    assert is_own(planner(source)), f"write {fingerprint} into OWN (sumo_adv/planning/inprocess.py)"
+    assert is_own(planner(source)), f"write {fingerprint(source)} into OWN (sumo_adv/planning/inprocess.py)"
 
 
 def test_nothing_is_our_own_that_the_bank_does_not_have() -> None:
-    assert {hashlib.sha256(body(p.read_text(encoding="utf-8")).encode()).hexdigest() for p in SHIPPED} == OWN
+    assert {fingerprint(p.read_text(encoding="utf-8")) for p in SHIPPED} == OWN
 
 
 def test_other_numbers_and_another_movement_leave_it_our_own() -> None:
@@ -64,7 +62,24 @@ def test_other_numbers_and_another_movement_leave_it_our_own() -> None:
 )
 def test_a_text_with_one_line_changed_is_not(old: str, new: str) -> None:
     assert old in SIDE
-    assert not is_own(planner(SIDE.replace(old, new, 1)))
+    changed = planner(SIDE.replace(old, new, 1))
+    assert not is_own(changed)
+    with pytest.raises(SandboxError, match="none of ours"):
+        InProcessSession(changed, {}, lambda: pytest.fail("no session is opened"))
+
+
+@pytest.mark.parametrize("before", ['PARAMETERS: open("owned", "w")', '"""Ours."""\nPARAMETERS'])
+def test_of_a_text_that_is_our_own_only_the_part_that_was_compared_is_run(
+    before: str, sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An annotation of the table would be evaluated; it stands before what is compared, and is never run here."""
+    monkeypatch.chdir(tmp_path)
+    p = planner(SIDE.replace("PARAMETERS", before, 1))
+    assert is_own(p)
+    roads, calls = questions(p, 2)
+    inside = InProcessSession(p, roads, lambda: sandbox.session(p, roads))
+    assert all(isinstance(a, dict) for a in inside.endpoints(calls))
+    assert list(tmp_path.iterdir()) == []
 
 
 def questions(p: Planner, count: int) -> tuple[Mapping[str, Mapping[str, Any]], list[Call]]:

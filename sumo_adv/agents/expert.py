@@ -30,11 +30,8 @@ FEW = 5  # where so few proposals are avoidable, intents that the library lacks 
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
-SPARE, AT_THE_END = (
-    2.0,
-    0.3,
-)  # s before the end, and what a contact at the very end costs where the ego's driver is none
-# that is known: it comes later than foreseen, which is too late
+SPARE = 2.0  # s before the end: against a driver that nobody knows a contact comes later than foreseen, maybe too late
+AT_THE_END = 0.3  # what a contact at the very end costs there
 AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
 NEAREST = 10  # of the best ones whose numbers are varied
 FIRMED = 8  # of the best ones whose neighbours are predicted at once,

@@ -1,9 +1,8 @@
 """Planners whose text is our own run in this process, for predictions: the same answers, some 20 times as fast.
 
-Our own is what we ship (``OWN``), and what differs from it in nothing but the table ``PARAMETERS`` (literals, which
-are read and never run) and the word ``MOVEMENT``: so the expert writes new versions.  Whatever else a bank or a model
-brings runs in the sandbox, and so does what fails here, for the sandbox's sentence.  Attempts ask the sandbox in any
-case.
+Our own is what we ship (``OWN``), and what differs from it in nothing but the table ``PARAMETERS`` (which is read and
+never run here) and the word ``MOVEMENT``: so the expert writes new versions.  Whatever else a bank or a model brings
+runs in the sandbox, and so does what fails here, for the sandbox's sentence.  Attempts ask the sandbox in any case.
 """
 
 from __future__ import annotations
@@ -45,29 +44,47 @@ FIELDS = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 
-@lru_cache(maxsize=1024)
 def body(source: str) -> str:
-    """A planner's text from behind its table on, without the word ``MOVEMENT``; what stands before the table are
-    comments. Raises PlannerSyntaxError."""
-    read_source(source)  # the table is the first statement, and all literals
+    """A planner's text from behind its table on. Raises PlannerSyntaxError."""
+    read_source(source)  # the table is the first statement
     tree = ast.parse(source)
     table = next(node for node in tree.body if not isinstance(node, ast.Expr))
     lines = source.encode().splitlines(keepends=True)[(table.end_lineno or 1) - 1 :]
     lines[0] = lines[0][table.end_col_offset or 0 :]
-    return MOVEMENT.sub('MOVEMENT = "any"', b"".join(lines).decode())
+    return b"".join(lines).decode()
+
+
+def fingerprint(source: str) -> str:
+    """What ``OWN`` has of a planner's text: SHA-256 of its body, whatever its movement. Raises PlannerSyntaxError."""
+    return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(source)).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1024)
+def _owned(source: str) -> bool:
+    try:
+        return fingerprint(source) in OWN
+    except SandboxError:
+        return False
 
 
 def is_own(planner: Planner) -> bool:
     """Whether the text is one of ours, but for its numbers."""
-    return hashlib.sha256(body(planner.source).encode()).hexdigest() in OWN
+    return _owned(planner.source)
 
 
 class InProcessSession:
-    """Answers as a ``PlannerSession`` does; ``sandboxed`` opens one, where a call fails here."""
+    """Answers as a ``PlannerSession`` does, for a planner that is our own; ``sandboxed`` opens one, where a call fails
+    here. Of the text the body alone is run, which is the part that was compared.
+
+    Raises:
+        SandboxError: the planner is none of ours.
+    """
 
     def __init__(
         self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], sandboxed: Callable[[], PlannerSession]
     ) -> None:
+        if not is_own(planner):
+            raise SandboxError(f"The planner {planner.label}/{planner.mode} is none of ours: run it in the sandbox.")
         self._endpoint, self._roads, self._sandboxed = _loaded(planner.source), roads, sandboxed
         self._who = f"Planner {planner.label}/{planner.mode}"
         self._instead: PlannerSession | None = None
@@ -103,5 +120,5 @@ class InProcessSession:
 def _loaded(source: str) -> Callable[..., Any]:
     names: dict[str, Any] = {}
     exec(compile(HELPERS_CODE, "<helpers>", "exec"), names)
-    exec(compile(source, "<planner>", "exec"), names)
+    exec(compile(body(source), "<planner>", "exec"), names)
     return names["endpoint"]

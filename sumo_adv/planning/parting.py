@@ -1,7 +1,7 @@
 """Predicted attacks that are over: adversaries that will not meet the ego any more need not be asked any further.
 
-Of 617 hits of random attacks on 27 encounters of suite81 the rules here would have missed none (``python
-benchmarks/prediction.py`` has the classes); without them a quarter more is asked.
+Of 617 predicted hits of random attacks on 27 encounters of suite81 (idm) the rules here miss none; a quarter less is
+asked.
 """
 
 from __future__ import annotations
