@@ -68,13 +68,10 @@ def test_a_text_with_one_line_changed_is_not(old: str, new: str) -> None:
         InProcessSession(changed, {}, lambda: pytest.fail("no session is opened"))
 
 
-@pytest.mark.parametrize("before", ['PARAMETERS: open("owned", "w")', '"""Ours."""\nPARAMETERS'])
-def test_of_a_text_that_is_our_own_only_the_part_that_was_compared_is_run(
-    before: str, sandbox: Sandbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_a_text_that_is_our_own_only_the_part_that_was_compared_is_run(sandbox: Sandbox, tmp_path: Path) -> None:
     """An annotation of the table would be evaluated; it stands before what is compared, and is never run here."""
-    monkeypatch.chdir(tmp_path)
-    p = planner(SIDE.replace("PARAMETERS", before, 1))
+    annotated = f'"""Ours."""\nPARAMETERS: open({str(tmp_path / "owned")!r}, "w")'
+    p = planner(SIDE.replace("PARAMETERS", annotated, 1))
     assert is_own(p)
     roads, calls = questions(p, 2)
     inside = InProcessSession(p, roads, lambda: sandbox.session(p, roads))
