@@ -8,6 +8,7 @@ that crosses or merges), those that cannot meet it in time fall away (arrival wi
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,8 @@ CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
 SAME_LANE = 1.2  # m
 LEAST_WAY = 1.0  # m: a log that goes less far shows no way
 BESIDE = 8.5  # m
+BEHIND = 45.0  # m
+AHEAD, FAR_AHEAD = 60.0, 100.0  # m: how far ahead in the ego's direction; the second where nobody else is found
 CLASSES = frozenset(
     {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
 )
@@ -77,13 +80,16 @@ class Encounter:
         path = ego_path(self.road, drive)
         if path is None or ego.speed < self._slowest:
             return []
-        found = []
-        for name in self._near(drive, ego):
-            candidate = self._place(drive, name, ego, path)
-            if candidate is not None and candidate.risk > 0:
-                found.append(candidate)
-        found.sort(key=lambda c: (-c.risk, c.id))
-        return found[: self.shortlist]
+        names = self._near(drive, ego)
+        found = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
+        return sorted(found, key=lambda c: (-c.risk, c.id))[: self.shortlist]
+
+    def _placed(
+        self, drive: Drive, names: Sequence[str], ego: VehicleState, path: Path, ahead: float
+    ) -> list[Candidate]:
+        """Those who could, of the same direction at most so far ahead [m]."""
+        placed = [self._place(drive, name, ego, path, ahead) for name in names]
+        return [c for c in placed if c is not None and c.risk > 0]
 
     def _near(self, drive: Drive, ego: VehicleState) -> list[str]:
         names, obstacles = [], drive.obstacles
@@ -99,7 +105,9 @@ class Encounter:
                 names.append(name)
         return names
 
-    def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path) -> Candidate | None:
+    def _place(
+        self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float
+    ) -> Candidate | None:
         bv = drive.state(name)
         if bv.lane not in self.road.lanes:
             return None
@@ -111,7 +119,7 @@ class Encounter:
         relation, risk = "", 0.0
         if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
-            risk = self._beside(relation, s, d, bv, ego)
+            risk = self._beside(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
         elif turned > 2.64 and 1.2 < d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # nothing but a line between the two
@@ -128,7 +136,7 @@ class Encounter:
 
     def _beside(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
         """Risk of a vehicle that drives our way; less where no lane is free to come from."""
-        if not -45.0 < s < 60.0 or bv.speed < 2.0:
+        if bv.speed < 2.0:
             return 0.0
         wanted = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)
