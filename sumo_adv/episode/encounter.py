@@ -105,9 +105,7 @@ class Encounter:
                 names.append(name)
         return names
 
-    def _place(
-        self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float
-    ) -> Candidate | None:
+    def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> Candidate | None:
         bv = drive.state(name)
         if bv.lane not in self.road.lanes:
             return None
