@@ -138,9 +138,11 @@ COARSE = 8  # samples of the ego's path between those that are looked at first
 
 def _nearest(path: Path, ego_path: Path) -> NDArray[np.intp]:
     """For each sample of a way the nearest sample of the ego's path: first every eighth, then those around the best."""
-    dx, dy = path.x[:, None] - ego_path.x[None, ::COARSE], path.y[:, None] - ego_path.y[None, ::COARSE]
-    first = np.argmin(dx * dx + dy * dy, axis=1) * COARSE
-    around = np.clip(first[:, None] + np.arange(-COARSE, COARSE + 1), 0, len(ego_path.x) - 1)
+    way = np.column_stack([path.x - ego_path.x[0], path.y - ego_path.y[0]])
+    places = np.column_stack([ego_path.x - ego_path.x[0], ego_path.y - ego_path.y[0]])[::COARSE]
+    squares = (places * places).sum(axis=1) - 2.0 * way @ places.T  # of the distances, less those of the way's samples
+    first = np.argmin(squares, axis=1) * COARSE
+    around = np.minimum(np.maximum(first[:, None] + np.arange(-COARSE, COARSE + 1), 0), len(ego_path.x) - 1)
     dx, dy = path.x[:, None] - ego_path.x[around], path.y[:, None] - ego_path.y[around]
     return np.asarray(around[np.arange(len(first)), np.argmin(dx * dx + dy * dy, axis=1)])
 

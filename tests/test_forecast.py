@@ -210,6 +210,25 @@ def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
     assert first[-1] > second[-1] + 2.0  # it was to keep 12 m/s, the other one has been told to come down to 4
 
 
+def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
+    """At 10 m/s it is at 7 m when it touches after 0.7 s, and at 29 m in the last step, 2.9 s from the trigger; the
+    adversary follows what it had planned, and nobody is asked any more."""
+    asked: list[float] = []
+
+    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+        asked.append(told[0][0]["time"])
+        return [Answer(world_endpoint(SIT, end(60.0, 3.2, 12.0, 3.0)))]
+
+    def touch(ego: Floats, adversary: Floats) -> Bools:
+        return np.array([ego[0, 0] >= 7.0 - 1e-9])
+
+    found = predict({0.0: SIT}, proposals(1), ask, limits=Limits(), steps=30, replan=5, touch=touch)
+    assert asked == pytest.approx([0.0, 0.5])
+    assert found.ego[0][0].tolist() == pytest.approx([float(k) for k in range(30)])
+    assert found.ego[3][0].tolist() == pytest.approx([10.0] * 30)
+    assert (np.diff(found.adversary[0][0]) > 0.9).all()
+
+
 def test_planners_are_told_time_and_their_last_endpoint_every_half_second() -> None:
     answer = end(60.0, 3.2, 12.0)
     _, heard = roll(SIT, [answer], steps=12)

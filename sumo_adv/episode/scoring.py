@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal, Role
 from sumo_adv.geometry import wrap_all
-from sumo_adv.metrics.avoidance import PERCEPTION, REACTION, avoidance
+from sumo_adv.metrics.avoidance import avoidance, careful_after
 from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.feasibility import (
@@ -216,33 +216,41 @@ def _avoidable(
     drivable: Drivable,
 ) -> tuple[Bools, Bools, Floats, Bools, Any]:  # fmt: skip
     """Whether the careful driver avoids it, also if slower; what it is worth how nearly he does; whether some manoeuvre
-    does, by ``DELAYS``; the hazard."""
+    does, by ``DELAYS`` (asked only where he does not); the hazard."""
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
     hazard, _ = hazard_index(a, b, start, last, dt, lane_half_width=situation.lane_width / 2)
-    found = avoidance(a, b, hazard, dt, delays=DELAYS, on_road=drivable)
-    late = _braked(a, b, hazard, dt, SLOWER)
-    nearly = np.zeros(len(good))
-    for sooner, worth in zip(SOONER, NEARLY, strict=True):
-        nearly = np.maximum(nearly, np.where(_braked(a, b, hazard, dt, -sooner), worth, 0.0))
-    careful, manoeuvre = found["careful"], found["manoeuvre"]
-    names = np.array([proposals[k].bv for k in good])
+    careful, late, *sooner = careful_after(a, b, hazard, dt, (0.0, SLOWER, *(-t for t in SOONER)))
+    nearly = np.where(sooner, np.array(NEARLY)[:, None], 0.0).max(axis=0)
+    manoeuvre = np.zeros((len(good), len(DELAYS)), bool)
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
-    for bv in np.unique(names):  # where others leave no room
-        rows = np.flatnonzero((names == bv) & (careful | manoeuvre.any(axis=1)))
+    names = np.array([proposals[k].bv for k in good])
+    for bv in np.unique(names):
         others = [t for t in situation.others if t.id != bv]
-        if len(rows) and others:
-            room = avoidance(
-                _rows(a, rows), _rows(b, rows), hazard[rows], dt, delays=DELAYS, on_road=drivable,
-                others=on_grid(others, time),
-            )  # fmt: skip
-            careful[rows], manoeuvre[rows] = room["careful"], room["manoeuvre"]
+        around = on_grid(others, time) if others else None
+
+        def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
+            return _rows(a, rows), _rows(b, rows), hazard[rows], dt
+
+        rows = np.flatnonzero((names == bv) & careful)
+        if len(rows) and around is not None:  # others may leave no room
+            careful[rows] = careful_after(*where(rows), (0.0,), others=around)[0]
+        rows = np.flatnonzero((names == bv) & ~careful)
+        if len(rows):
+            manoeuvre[rows] = _manoeuvre(*where(rows), drivable)
+        rows = np.flatnonzero((names == bv) & manoeuvre.any(axis=1))
+        if len(rows) and around is not None:
+            manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around)
     return careful, careful & late, nearly, manoeuvre, hazard
 
 
-def _braked(ego: Boxes, adversary: Boxes, hazard: Any, dt: float, later: float) -> Bools:
-    """Whether the careful driver would have avoided it had he been so much later [s]."""
-    return avoidance(ego, adversary, hazard, dt, delays=(), careful_delay=PERCEPTION + REACTION + later)["careful"]
+def _manoeuvre(
+    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None = None
+) -> Bools:
+    """Whether some manoeuvre avoids it, by ``DELAYS``."""
+    return avoidance(
+        ego, adversary, hazard, dt, delays=DELAYS, careful=False, on_road=drivable, others=others
+    )["manoeuvre"]  # fmt: skip
 
 
 def _cut(b: Boxes, last: Any, dt: float) -> Boxes:

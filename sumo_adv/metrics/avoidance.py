@@ -74,6 +74,30 @@ def avoidance(
     careful_driver = Manoeuvre(careful_delay, CAREFUL_BRAKING, CAREFUL_RAMP)
     table = ((careful_driver,) if careful else ()) + tuple(m for d in delays for m in manoeuvres(d))
     steps = round(horizon / dt)
+    clear = _clear(ego, adversary, hazard_index, dt, table, steps, on_road, others, reacting)
+    first = 1 if careful else 0
+    groups = clear[first:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
+    result: dict[str, Bools] = {"manoeuvre": np.asarray(groups.any(axis=1).T)}
+    if careful:
+        result["careful"] = clear[0]
+    return result
+
+
+def careful_after(
+    ego: Boxes, adversary: Boxes, hazard_index: NDArray[np.integer], dt: float, later: Sequence[float],
+    *, horizon: float = 6.0, others: Boxes | None = None,
+) -> Bools:  # fmt: skip
+    """Whether the careful driver of :func:`avoidance` avoids it who begins to brake so much ``later`` [s] than he does,
+    ``(len(later), N)``."""
+    table = [Manoeuvre(PERCEPTION + REACTION + t, CAREFUL_BRAKING, CAREFUL_RAMP) for t in later]
+    return _clear(ego, adversary, hazard_index, dt, table, round(horizon / dt), None, others, None)
+
+
+def _clear(
+    ego: Boxes, adversary: Boxes, hazard_index: NDArray[np.integer], dt: float, table: Sequence[Manoeuvre], steps: int,
+    on_road: OnRoad | None, others: Boxes | None, reacting: Manoeuvre | None,
+) -> Bools:  # fmt: skip
+    """Which of the table's manoeuvres avoid it, ``(len(table), N)``."""
     own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
     poses = _poses(own, table, dt)
     foe_poses = _straight(foe) if reacting is None else _poses(foe, (reacting,), dt)
@@ -82,12 +106,7 @@ def avoidance(
         clear &= _clear_of_others(poses, own, others, hazard_index, dt)
     if on_road is not None:
         clear &= _on_road(poses, own, table, clear, on_road, dt)
-    first = 1 if careful else 0
-    groups = clear[first:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
-    result: dict[str, Bools] = {"manoeuvre": np.asarray(groups.any(axis=1).T)}
-    if careful:
-        result["careful"] = clear[0]
-    return result
+    return clear
 
 
 def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes:

@@ -6,6 +6,8 @@ driver; Krauß 1998), and brakes with ``EMERGENCY`` where that is what it takes.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats
@@ -14,6 +16,7 @@ from sumo_adv.planning.car_following import CarFollowing
 from sumo_adv.planning.drivers import ACROSS, EMERGENCY
 
 DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
+COARSE = 6  # steps: the nearest place on a way is looked for among every so many, then between these
 SLOWER = 0.05  # m/s less than unattacked: from then on it follows
 
 
@@ -53,12 +56,20 @@ def _filled(b: Boxes) -> tuple[Floats, Floats, Floats, Bools]:
 
 def _beside(adversary: Boxes, x: Floats, y: Floats, heading: Floats, way: Floats) -> tuple[Floats, Floats, Floats]:
     """Station, offset and heading of the adversary at each step along the ways, ``(n, T)``."""
-    dx, dy = adversary.x[:, :, None] - x[:, None, :], adversary.y[:, :, None] - y[:, None, :]
-    i = np.argmin(dx * dx + dy * dy, axis=2)
-    rows, steps = np.arange(len(i))[:, None], np.arange(i.shape[1])[None, :]
-    dx, dy, h = dx[rows, steps, i], dy[rows, steps, i], heading[rows, i]
+    rows = np.arange(len(x))[:, None]
+    i = _nearest(adversary, x[:, None, ::COARSE], y[:, None, ::COARSE]) * COARSE
+    near = np.clip(i[:, :, None] + np.arange(1 - COARSE, COARSE), 0, x.shape[1] - 1)
+    k = _nearest(adversary, x[rows[:, :, None], near], y[rows[:, :, None], near])
+    i = np.take_along_axis(near, k[:, :, None], axis=2)[:, :, 0]
+    dx, dy, h = adversary.x - x[rows, i], adversary.y - y[rows, i], heading[rows, i]
     c, s = np.cos(h), np.sin(h)
     return way[rows, i] + c * dx + s * dy, c * dy - s * dx, wrap_all(adversary.heading - h)
+
+
+def _nearest(adversary: Boxes, x: Floats, y: Floats) -> Any:
+    """Which of the places along the last axis is nearest to the adversary, ``(n, T)``."""
+    dx, dy = adversary.x[:, :, None] - x, adversary.y[:, :, None] - y
+    return np.argmin(dx * dx + dy * dy, axis=2)
 
 
 def _followed(way: Floats, s: Floats, front_s: Floats, before: Bools, speed: Floats, room: Floats, dt: float) -> Floats:

@@ -92,6 +92,11 @@ class PredictedEgos:
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
 
+    def onwards(self, steps: int) -> Floats:
+        """x, y, heading, speed of the next ``steps`` at even speeds, ``(4, n, steps)``."""
+        s = self.s[:, None] + self.v[:, None] * self.scenes.dt * np.arange(steps)
+        return np.stack([*self.scenes.ego_at(s), np.broadcast_to(self.v[:, None], s.shape)])
+
     def _in_lane(self, front_d: Floats) -> Bools:
         """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines (another
         driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),

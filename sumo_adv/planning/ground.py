@@ -26,6 +26,8 @@ TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chos
 LOYALTY = 0.5  # m: how much better another way must be
 SAME_PLACE = 0.4  # m: two ways still coincide
 LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
+COARSE = 12  # a way's points by which the nearest one is looked for first, then between these
+AROUND = np.arange(1 - COARSE, COARSE)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
@@ -138,9 +140,10 @@ class Ground:
         i = np.empty(len(x), np.intp)
         for k in np.unique(row):
             mine = np.flatnonzero(row == k)
-            until = self.rows.last[k] + 1
-            dx, dy = x[mine, None] - table[k, 0, :until], y[mine, None] - table[k, 1, :until]
-            i[mine] = np.argmin(dx * dx + dy * dy, axis=1)
+            coarse = np.arange(0, self.rows.last[k] + 1, COARSE)
+            first = _nearest(table[k, :2, coarse].T[:, None, :], x[mine], y[mine]) * COARSE
+            near = np.minimum(np.maximum(first[:, None] + AROUND, 0), self.rows.last[k])
+            i[mine] = near[np.arange(len(mine)), _nearest(table[k, :2][:, near], x[mine], y[mine])]
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
@@ -206,6 +209,12 @@ class Ground:
         """Per vehicle and way: seconds until the ego is at the conflict."""
         times = arrivals(self.scenes, now, s, v, a, self._conflicts)
         return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
+
+
+def _nearest(places: Floats, x: Floats, y: Floats) -> Any:
+    """Which of the places (x and y, ``(2, n or 1, k)``) is nearest to each point, ``(n,)``."""
+    dx, dy = x[:, None] - places[0], y[:, None] - places[1]
+    return np.argmin(dx * dx + dy * dy, axis=1)
 
 
 def _junction(way: WayLine) -> tuple[float, float, float, float, float]:

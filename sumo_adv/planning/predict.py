@@ -70,7 +70,8 @@ def predict(
     ``situations``: by delay [s], the moment at which a proposal's attack begins.
 
     ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
-    egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted.
+    egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted;
+    once that is all of them, the egos go on at even speeds where ``touch`` is given.
     """
     ground = Ground([situations[p.delay] for p in proposals], [p.bv for p in proposals])
     n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
@@ -80,7 +81,7 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
     followers: dict[int, Follower] = {}
-    over, parting = np.zeros(n, bool), Parting(ground)
+    over, parting, driven = np.zeros(n, bool), Parting(ground), -1
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
@@ -89,12 +90,15 @@ def predict(
             rows = np.flatnonzero(~over).tolist()
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
-        ego[:, :, k] = (*scenes.ego_at(egos.s), egos.v)
-        if touch is not None:
-            over |= touch(ego[:, :, k], adversary[:, :, k])
-        egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
+        if touch is None or not over.all():
+            ego[:, :, k] = (*scenes.ego_at(egos.s), egos.v)
+            driven = k
+            if touch is not None:
+                over |= touch(ego[:, :, k], adversary[:, :, k])
+            egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
+    ego[:, :, driven + 1 :] = egos.onwards(steps - driven - 1)
     x, y, h, v = ego
     return Rollouts(np.arange(steps) * dt, (x, y, h, v), tuple(adversary), egos.disturbed)  # type: ignore[arg-type]
 

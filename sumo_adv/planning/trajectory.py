@@ -46,11 +46,17 @@ class Scalar:
 
     any_ = staticmethod(bool)
     samples: Sequence[Any] = SAMPLES
+    ahead: Sequence[Any] = LOOK_AHEAD
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
         """The largest of the values at all samples."""
         return max(values)
+
+    @staticmethod
+    def least(values: Sequence[Any]) -> Any:
+        """The smallest of the values at all times ahead."""
+        return min(values)
 
 
 class Batch:
@@ -60,11 +66,17 @@ class Batch:
     cos, sin = np.cos, np.sin
     where, any_ = staticmethod(np.where), staticmethod(np.any)
     samples: Sequence[Any] = (np.array(SAMPLES)[:, None],)  # all at once
+    ahead: Sequence[Any] = (np.array(LOOK_AHEAD)[:, None],)
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
         """The largest of the values at all samples, for each vehicle."""
         return values[0].max(axis=0)
+
+    @staticmethod
+    def least(values: Sequence[Any]) -> Any:
+        """The smallest of the values at all times ahead, for each vehicle."""
+        return values[0].min(axis=0)
 
 
 class Motion(NamedTuple):
@@ -143,9 +155,17 @@ class PathRows:
         )
         self.last = np.array([len(p.x) - 1 for p in paths])
         self.row = np.asarray(row)
+        self._asked: tuple[Any, Any] = (None, None)
+        self._found: tuple[Any, Any, Any, Any] = (None, None, None, None)
 
     def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
-        """x, y, heading, curvature; straight on beyond both ends."""
+        """x, y, heading, curvature; straight on beyond both ends. Arrays are not changed in place: for the one that was
+        asked for last the answer is still there."""
+        if self._asked[0] is not s or self._asked[1] is not self.row:
+            self._asked, self._found = (s, self.row), self._look_up(s)
+        return self._found
+
+    def _look_up(self, s: Any) -> tuple[Any, Any, Any, Any]:
         row = self.row
         last = self.last[row]
         u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
@@ -158,8 +178,9 @@ class PathRows:
 
     def bend_speed(self, s: Any, d: Any) -> Any:
         """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
-        i = np.minimum(np.maximum((s / PATH_STEP).astype(np.intp), 0), self.last[self.row])
-        curvature, speed = self.table[self.row, 3:5, i].T
+        row = self.row
+        i = np.minimum(np.maximum((s / PATH_STEP).astype(np.intp), 0), self.last[row])
+        curvature, speed = self.table[row, 3, i], self.table[row, 4, i]
         return speed * np.sqrt(np.maximum(1.0 - curvature * d, 0.2))
 
 
@@ -265,11 +286,12 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     time = m.maximum(goal.time, LEAST_TIME)
     left = goal.s - s + goal.v * (time - goal.time)  # nearer than LEAST_TIME, or past: the goal goes on at its speed
     want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
-    for t in LOOK_AHEAD:
+    bounds = []
+    for t in m.ahead:
         ahead = m.maximum(v * t, 0.5)
         fastest = road.bend_speed(s + ahead, motion.d)
-        bound = (fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0)
-        want = m.minimum(want, bound)
+        bounds.append((fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0))
+    want = m.minimum(want, m.least(bounds))
     _, _, _, curvature = road.at(s)
     lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
     speed, a = faster(m, v, a, want, lateral, limits, cap, dt)
