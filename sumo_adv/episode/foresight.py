@@ -13,7 +13,7 @@ from sumo_adv.episode.belief import Belief, apart
 from sumo_adv.episode.scoring import judge_all, touch_of
 from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.planning.inprocess import is_own
-from sumo_adv.planning.predict import Rollouts, Touch, part, predict
+from sumo_adv.planning.predict import Rollouts, part, predict
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable
@@ -66,7 +66,7 @@ class Foresight:
         return changed
 
     def _together(self, proposals: list[Proposal], seen: Sequence[EgoCourse] | None) -> list[Proposal]:
-        rollouts, broken = self._rolled(self._situations, proposals, seen, touch_of(self._situations, proposals))
+        rollouts, broken = self._rolled(self._situations, proposals, seen)
         results = self._judged(proposals, rollouts)
         return [
             replace(p, score=FAILED, predicted={"failed": broken[k]})
@@ -77,11 +77,11 @@ class Foresight:
 
     def rolled(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Rollouts:
         """Where everybody is expected, row by row, also after they touched; ``situations``: by delay [s]."""
-        return self._rolled(situations, proposals, None, None)[0]
+        return self._rolled(situations, proposals, None, to_the_end=True)[0]
 
     def _rolled(
         self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None,
-        touch: Touch | None,
+        to_the_end: bool = False,
     ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
         """As ``rolled``, with egos that drive as ``seen``; and by their places those whose planner failed, and why."""
         settings, known, road = self._settings, self.failures, self._drivable
@@ -91,7 +91,8 @@ class Foresight:
             rollouts = predict(
                 situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan), seen=seen, touch=touch,
+                replan=settings.steps(settings.replan), seen=seen,
+                touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures
         failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}

@@ -64,6 +64,7 @@ def predict(
     replan: int,
     seen: Sequence[EgoCourse] | None = None,
     touch: Touch | None = None,
+    to_the_end: bool = False,
 ) -> Rollouts:
     """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
 
@@ -71,7 +72,7 @@ def predict(
 
     ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
     egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted;
-    once that is all of them, the egos go on at even speeds where ``touch`` is given.
+    once that is all of them, the egos go on at even speeds, but ``to_the_end`` as their drivers.
     """
     ground = Ground([situations[p.delay] for p in proposals], [p.bv for p in proposals])
     n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
@@ -90,7 +91,7 @@ def predict(
             rows = np.flatnonzero(~over).tolist()
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
-        if touch is None or not over.all():
+        if to_the_end or not over.all():
             ego[:, :, k] = (*scenes.ego_at(egos.s), egos.v)
             driven = k
             if touch is not None:
