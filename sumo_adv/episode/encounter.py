@@ -32,8 +32,8 @@ CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
 SAME_LANE = 1.2  # m
 LEAST_WAY = 1.0  # m: a log that goes less far shows no way
 BESIDE = 8.5  # m
-BEHIND = 45.0  # m
-AHEAD, FAR_AHEAD = 60.0, 100.0  # m: how far ahead in the ego's direction; the second where nobody else is found
+BEHIND = 45.0  # m: how far behind who drives the ego's way may be,
+AHEAD, FAR_AHEAD = 60.0, 100.0  # m: and how far ahead; the second where nobody else is found
 CLASSES = frozenset(
     {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
 )

@@ -225,13 +225,13 @@ def _avoidable(
     manoeuvre = np.zeros((len(good), len(DELAYS)), bool)
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
     names = np.array([proposals[k].bv for k in good])
+
+    def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
+        return _rows(a, rows), _rows(b, rows), hazard[rows], dt
+
     for bv in np.unique(names):
         others = [t for t in situation.others if t.id != bv]
         around = on_grid(others, time) if others else None
-
-        def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
-            return _rows(a, rows), _rows(b, rows), hazard[rows], dt
-
         rows = np.flatnonzero((names == bv) & careful)
         if len(rows) and around is not None:  # others may leave no room
             careful[rows] = careful_after(*where(rows), (0.0,), others=around)[0]
