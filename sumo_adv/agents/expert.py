@@ -34,8 +34,8 @@ SPARE = 2.0  # s before the end: against a driver that nobody knows a contact co
 AT_THE_END = 0.3  # what a contact at the very end costs there
 AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
 NEAREST = 10  # of the best ones whose numbers are varied
-FIRMED = 8  # of the best ones whose neighbours are predicted at once,
-ROUNDS = 3  # and how often at most, until the best one is among them
+FIRMED, AT_LEAST_FIRMED = 8, 3  # of the best ones whose neighbours are predicted at once; before the first attempt,
+ROUNDS = 4  # and how often at most, until the best one is among them
 MakePlanner = Callable[[str, str, str, str, str | None], Planner]
 
 NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
@@ -109,17 +109,20 @@ class Expert:
         self.pool = self.firmed(self.pool)
 
     def firmed(
-        self, pool: Sequence[Proposal], choose: Callable[[Sequence[Proposal]], Proposal] | None = None
+        self,
+        pool: Sequence[Proposal],
+        choose: Callable[[Sequence[Proposal]], Proposal] | None = None,
+        at_once: int = AT_LEAST_FIRMED,
     ) -> list[Proposal]:
-        """The pool with the best ones weighed together with their neighbours, and these, until what would be chosen
-        (the one with the least price, if not said otherwise) is firm."""
+        """The pool with the best ones, ``at_once``, weighed together with their neighbours, and these, until what would
+        be chosen (the one with the least price, if not said otherwise) is firm."""
         found = list(pool)
         for _ in range(ROUNDS if found else 0):
             first = choose(found) if choose is not None else min(found, key=self.price)
             if firm(first) or first.score >= AVOIDABLE:
                 break
             loose = [p for p in found if p is not first and not firm(p) and p.score < AVOIDABLE]
-            best = [first, *sorted(loose, key=self.price)[: FIRMED - 1]]
+            best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
             taken = {id(p) for p in best}
             weighed = firmed(best, self._scored, self._draw)
             found = weighed + [p for p in found if id(p) not in taken]  # of equals a firm one comes first

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sumo_adv.agents.expert import AVOIDABLE, REACHES, Expert
+from sumo_adv.agents.expert import AT_LEAST_FIRMED, AVOIDABLE, FIRMED, REACHES, Expert
 from sumo_adv.agents.firmness import alone, drawn
 from sumo_adv.agents.ways import Family
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal
@@ -71,7 +71,7 @@ class Tuner:
             open_, closed = self._split()
         if not open_:
             return None
-        open_ = self._expert.firmed(open_, self._chosen)
+        open_ = self._expert.firmed(open_, self._chosen, FIRMED if self._count else AT_LEAST_FIRMED)
         self.pool = closed + open_
         return self._take(self._chosen(open_))
 
