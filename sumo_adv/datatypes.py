@@ -271,12 +271,14 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class EgoCourse:
-    """How the ego went in an attempt: station on its path [m] and speed [m/s] by step from the takeover, ``(n,)``.
+    """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
+    step from the takeover, ``(n,)``.
 
     ``seen``: so many steps of it were seen, the rest is at an even speed.
     """
 
     s: Floats
+    d: Floats
     v: Floats
     seen: int = 0
 

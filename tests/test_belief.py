@@ -39,7 +39,7 @@ def everywhere(x: object, y: object) -> object:
 
 
 def course(x: list[float], seen: int) -> EgoCourse:
-    return EgoCourse(np.array(x), np.zeros(len(x)), seen)
+    return EgoCourse(np.array(x), np.zeros(len(x)), np.zeros(len(x)), seen)
 
 
 def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
@@ -75,7 +75,7 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
             {0.0: wide}, [tried], lambda rows, told: sessions.ask([tried], rows, told), limits=Limits(), steps=60,
             replan=6,
         )  # fmt: skip
-    went = EgoCourse(real.ego[0][0], real.ego[3][0], 60)  # its path is the x axis
+    went = EgoCourse(real.ego[0][0], real.ego[1][0], real.ego[3][0], 60)  # its path is the x axis
     assert went.v[-1] < 7.0
 
     foresight, told = (

@@ -261,8 +261,8 @@ def test_nobody_waits_for_one_whose_way_does_not_meet_theirs() -> None:
 
 def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     speed = np.array([10.0, 9.0, 7.0, 4.0])
-    course = EgoCourse(np.array([0.0, 0.9, 1.6, 2.0]), speed)
-    other = EgoCourse(2.0 * course.s, 2.0 * speed)
+    course = EgoCourse(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
+    other = EgoCourse(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), 5.0 * both, 2.0 * both, [course, other])
     here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))

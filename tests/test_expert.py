@@ -160,7 +160,7 @@ def test_where_the_ego_is_thought_to_be_another_driver_all_is_predicted_again_bu
         replace(proposal(gap=2.0), predicted={"neighbour": True, "alone": 0.1}),
         replace(proposal(gap=3.0), by="memory", score=0.0),
     ]
-    course = EgoCourse(np.zeros(9), np.zeros(9), 9)
+    course = EgoCourse(np.zeros(9), np.zeros(9), np.zeros(9), 9)
     after = some.heard(pool, pool[0], course)
     assert [p.score for p in after] == [0.9, 0.9, 0.0]
     assert [p.predicted for p in after] == [{"hit": True}, {"hit": True, "neighbour": True}, {}]

@@ -13,8 +13,8 @@ from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.datatypes import EgoCourse, Parameter, Planner, Proposal
 
 PLANNER = Planner("any", "plain", "", (), "seed")
-SLOW = EgoCourse(np.array([0.0, 0.5]), np.array([5.0, 5.0]))
-SLOWER = EgoCourse(np.array([0.0, 0.3]), np.array([3.0, 3.0]))
+SLOW = EgoCourse(np.array([0.0, 0.5]), np.zeros(2), np.array([5.0, 5.0]))
+SLOWER = EgoCourse(np.array([0.0, 0.3]), np.zeros(2), np.array([3.0, 3.0]))
 
 
 class BySpeed:

@@ -237,7 +237,7 @@ def test_half_of_what_is_redrawn_is_near_the_best_ones():
     assert np.mean(gaps[:75]) > -1.0
 
 
-COURSE = EgoCourse(np.array([0.0, 1.0]), np.array([10.0, 10.0]))
+COURSE = EgoCourse(np.array([0.0, 1.0]), np.zeros(2), np.array([10.0, 10.0]))
 
 
 @pytest.mark.parametrize(

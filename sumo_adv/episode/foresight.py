@@ -53,7 +53,7 @@ class Foresight:
         if not self._belief.open or tried.course is not None:
             return False
         began, situation = time.perf_counter(), self._situations[tried.delay]
-        seen = situation.ego_path.at(course.s, 0.0)
+        seen = situation.ego_path.at(course.s, course.d)
         errors = []
         for model in self._belief.models:
             ego = self.rolled({tried.delay: replace(situation, ego_model=model)}, [tried]).ego

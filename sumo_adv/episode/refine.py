@@ -89,15 +89,17 @@ def ego_course(result: AttemptResult, found: Found, delay: float, settings: Sett
         return None
     now, dt = found.situations[delay], settings.step_length
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
-    path, station, stations = now.ego_path, 0.0, [float(now.profile_s[k]) for k in missing]
+    path, station = now.ego_path, 0.0
+    places = [(float(now.profile_s[k]), 0.0) for k in missing]
     speeds = np.concatenate([now.profile_v[: len(missing)], track.speed])
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
-        station, _ = path.project(x, y, near=station, reach=REACH)
-        stations.append(station)
+        station, offset = path.project(x, y, near=station, reach=REACH)
+        places.append((station, offset))
     steps = settings.steps(settings.duration)
-    over = np.maximum(np.arange(steps + 1) - (len(stations) - 1), 0) * dt
-    k = np.minimum(np.arange(steps + 1), len(stations) - 1)
-    return EgoCourse(np.array(stations)[k] + over * float(speeds[-1]), speeds[k], len(stations))
+    over = np.maximum(np.arange(steps + 1) - (len(places) - 1), 0) * dt
+    k = np.minimum(np.arange(steps + 1), len(places) - 1)
+    stations, offsets = np.array(places)[k].T
+    return EgoCourse(stations + over * float(speeds[-1]), offsets, speeds[k], len(places))
 
 
 class Attempts(Protocol):

@@ -198,9 +198,10 @@ class Worker:
         drive = self._drive
         assert drive.ego is not None
         name = drive.controller.name
-        known = name in ("krauss", "idm", "eidm", "careful", "replay")
+        follows_sumo = name in ("krauss", "idm", "eidm", "careful", "replay")
+        known = follows_sumo or name == "lattice"
         numbers = drive.simulation.model(drive.ego)
-        return {"kind": name if known else "idm", "passes_right": not known, "unknown": not known, **numbers}
+        return {"kind": name if known else "idm", "passes_right": not follows_sumo, "unknown": not known, **numbers}
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

@@ -2,7 +2,8 @@
 
 An ego follows its unattacked profile until the adversary counts as its leader, or is in its way at a junction, and a
 safe speed falls below the profile; from then on its driver's model drives (Krauss's safe speed, IDM, the careful
-driver's brake), never a steering.  How SUMO's drivers see others is in ENGINE.md; at junctions they follow ``MSLink``.
+driver's brake); only the lattice driver steers.  How SUMO's drivers see others is in ENGINE.md; at junctions they
+follow ``MSLink``.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from sumo_adv.datatypes import Bools, EgoCourse, Floats
 from sumo_adv.planning.car_following import CarFollowing
 from sumo_adv.planning.careful import REACTION, CarefulDrivers
 from sumo_adv.planning.junctions import Blocked, Junctions
+from sumo_adv.planning.lattice import LatticeDrivers
 from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
@@ -24,6 +26,7 @@ WITHIN = 0.001  # m by which a side lies within a strip's edge to count as in it
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
+LEAST_STEP = 0.05  # m: over less way an ego that was seen has the path's heading, or nearly
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
 
 
@@ -34,13 +37,14 @@ class PredictedEgos:
     """
 
     def __init__(self, scenes: Scenes, length: Floats, width: Floats, seen: Sequence[EgoCourse] | None = None) -> None:
-        self._seen = None if seen is None else (np.stack([c.s for c in seen]), np.stack([c.v for c in seen]))
+        self._seen = None if seen is None else np.stack([np.stack([c.s, c.d, c.v]) for c in seen])
         self.scenes, self._length, self._width = scenes, length, width
         n = len(length)
         self.model: Mapping[str, Any] = scenes.driver
         self.s, self.v, self.a = (
             scenes.each(lambda s, name=name: getattr(s, name)[0]) for name in ("profile_s", "profile_v", "profile_a")
         )  # fmt: skip
+        self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
         self._was_inside = np.zeros(n, bool)
         mine = (scenes.ego.length, scenes.ego.width)
@@ -53,6 +57,8 @@ class PredictedEgos:
         careful = self.model["kind"] == "careful"
         reaction = self.model.get("reaction", REACTION)
         self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
+        lattice = self.model["kind"] == "lattice"
+        self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
 
     def step(
@@ -63,9 +69,10 @@ class PredictedEgos:
         in the way on a junction (``Ground.blocked``)."""
         dt, mine = self.scenes.dt, self.scenes.ego.length
         if self._seen is not None:
-            k = min(round(now / dt) + 1, self._seen[0].shape[1] - 1)
-            v = self._seen[1][:, k]
-            self.s, self.a, self.v = self._seen[0][:, k], (v - self.v) / dt, v
+            k = min(round(now / dt) + 1, self._seen.shape[2] - 1)
+            s, d, v = self._seen[:, :, k].T
+            self.turn = np.arctan2(d - self.d, np.maximum(s - self.s, LEAST_STEP))
+            self.s, self.d, self.a, self.v = s, d, (v - self.v) / dt, v
             return
         next_s, next_v = self.scenes.profile_now(now + dt)
         if self.model["kind"] == "replay":
@@ -85,6 +92,11 @@ class PredictedEgos:
         if blocked is not None:
             bound = np.minimum(bound, self._junctions.bound(blocked, self.s, self.v))
         bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
+        if self._lattice is not None:
+            self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
+            self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
+            self.d, self.turn = self._lattice.d, self._lattice.turn
+            return
         self.disturbed |= bound < next_v - 0.05
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
@@ -92,10 +104,15 @@ class PredictedEgos:
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
 
+    def pose(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """x, y, heading, speed, each ``(n,)``."""
+        x, y, h = self.scenes.ego_at(self.s, self.d)
+        return x, y, h + self.turn, self.v
+
     def onwards(self, steps: int) -> Floats:
-        """x, y, heading, speed of the next ``steps`` at even speeds, ``(4, n, steps)``."""
+        """x, y, heading, speed of the next ``steps`` at even speeds and offsets, ``(4, n, steps)``."""
         s = self.s[:, None] + self.v[:, None] * self.scenes.dt * np.arange(steps)
-        return np.stack([*self.scenes.ego_at(s), np.broadcast_to(self.v[:, None], s.shape)])
+        return np.stack([*self.scenes.ego_at(s, self.d[:, None]), np.broadcast_to(self.v[:, None], s.shape)])
 
     def _in_lane(self, front_d: Floats) -> Bools:
         """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines (another

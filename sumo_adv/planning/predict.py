@@ -92,7 +92,7 @@ def predict(
             goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
-            ego[:, :, k] = (*scenes.ego_at(egos.s), egos.v)
+            ego[:, :, k] = egos.pose()
             driven = k
             if touch is not None:
                 over |= touch(ego[:, :, k], adversary[:, :, k])
@@ -108,7 +108,7 @@ def _replan(
     ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None],
     followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
-    told = ground.tell(motion, now, (egos.s, egos.s * 0.0, egos.v, egos.a), last, rows)
+    told = ground.tell(motion, now, (egos.s, egos.d, egos.v, egos.a), last, rows)
     answers = ask(rows, told)
     for k in rows:
         answer = answers[k]
