@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Floats, Track, VehicleState
-from sumo_adv.geometry import Frame, Path, wrap_all
+from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap_all
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
 NO_ARRIVAL = 1e3  # s: an arrival that is never
@@ -84,6 +84,18 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
+class OnPath:
+    """A vehicle's unattacked motion in the ego path's frame by step from the trigger: station s, offset d of its centre
+    [m], speed [m/s], each ``(n,)``, nan while it is not there; its length [m]."""
+
+    id: str
+    s: Floats
+    d: Floats
+    speed: Floats
+    length: float
+
+
+@dataclass(frozen=True, slots=True)
 class Situation:
     """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``.
 
@@ -94,6 +106,7 @@ class Situation:
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
     ``reacting``: whether the others have drivers, who brake for an adversary; not where a log moves them.
+    ``ahead``: who is ahead of the unattacked ego, in its lane or beside, at some time.
     """
 
     time: float
@@ -116,19 +129,33 @@ class Situation:
     rule: str = ""
     left: float = math.inf
     reacting: bool = True
+    ahead: tuple[OnPath, ...] = ()
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""
         return sorted(self.targets.values(), key=lambda t: (-t.risk, t.state.id))
 
 
+def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnPath:
+    """A track in the frame of the ego's ``path``, for ``steps`` steps from ``time``."""
+    s, d, speed = np.full((3, steps), math.nan)
+    k = np.round((track.time - time) / dt).astype(np.intp)
+    mine = (k >= 0) & (k < steps)
+    x, y = track.x[mine], track.y[mine]
+    i = _nearest(x, y, path)
+    cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
+    dx, dy = x - path.x[i], y - path.y[i]
+    s[k[mine]], d[k[mine]], speed[k[mine]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx, track.speed[mine]
+    return OnPath(track.id, s, d, speed, track.length)
+
+
 def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> WayLine:
     """Describe a way relative to the ego's path and find where they meet."""
-    nearest = _nearest(path, ego_path)
+    nearest = _nearest(path.x, path.y, ego_path)
     ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
     along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
-    s = nearest * 0.5 + along
+    s = nearest * PATH_STEP + along
     h = wrap_all(path.heading - eh)
     return WayLine(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length))
 
@@ -136,14 +163,14 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
 COARSE = 8  # samples of the ego's path between those that are looked at first
 
 
-def _nearest(path: Path, ego_path: Path) -> NDArray[np.intp]:
-    """For each sample of a way the nearest sample of the ego's path: first every eighth, then those around the best."""
-    way = np.column_stack([path.x - ego_path.x[0], path.y - ego_path.y[0]])
+def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
+    """For each point the nearest sample of the ego's path: first every eighth, then those around the best."""
+    way = np.column_stack([x - ego_path.x[0], y - ego_path.y[0]])
     places = np.column_stack([ego_path.x - ego_path.x[0], ego_path.y - ego_path.y[0]])[::COARSE]
-    squares = (places * places).sum(axis=1) - 2.0 * way @ places.T  # of the distances, less those of the way's samples
+    squares = (places * places).sum(axis=1) - 2.0 * way @ places.T  # of the distances, less those of the points
     first = np.argmin(squares, axis=1) * COARSE
     around = np.minimum(np.maximum(first[:, None] + np.arange(-COARSE, COARSE + 1), 0), len(ego_path.x) - 1)
-    dx, dy = path.x[:, None] - ego_path.x[around], path.y[:, None] - ego_path.y[around]
+    dx, dy = x[:, None] - ego_path.x[around], y[:, None] - ego_path.y[around]
     return np.asarray(around[np.arange(len(first)), np.argmin(dx * dx + dy * dy, axis=1)])
 
 

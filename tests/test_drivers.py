@@ -54,7 +54,7 @@ def drive(
 
 
 def egos_of(sit: Situation) -> PredictedEgos:
-    return PredictedEgos(Scenes([sit]), np.array([5.0]), np.array([2.0]))
+    return PredictedEgos(Scenes([sit]), ["bv"], np.array([5.0]), np.array([2.0]))
 
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], Blocked]:
@@ -264,7 +264,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     course = EgoCourse(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
     other = EgoCourse(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
-    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), 5.0 * both, 2.0 * both, [course, other])
+    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, other])
     here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)

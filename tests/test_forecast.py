@@ -165,7 +165,7 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
     sit = situation([leader(gap=15.0)], model=KRAUSS)
     one = np.ones(2)
-    egos = PredictedEgos(Scenes([sit] * 2), 5.0 * one, 1.8 * one)
+    egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)
     before = np.array([0.0, 2.3])
     for k, d in ((0, before), (1, 2.3 * one)):
         egos.step(0.1 * k, (20.0 * one, d, 0.0 * one), 10.0 * one)

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Track, VehicleState
+from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
 from sumo_adv.metrics.case import closest
-from sumo_adv.situation import Signal, Situation, Target, relate
+from sumo_adv.situation import OnPath, Signal, Situation, Target, on_path, relate
 from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
@@ -23,6 +23,7 @@ FULL_LANE = 3.2  # m, where the ego's lane is unknown
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
 MOST_SHIFT = 8.0  # s
+IN_SIGHT = 120.0  # m
 HISTORY = 1.1  # s of everybody's past that a situation keeps (the paper's)
 
 
@@ -172,8 +173,24 @@ def survey(
         ego_track.acceleration, dict(ego_model), targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
-        *_junction_ahead(road, ego, route),
+        *_junction_ahead(road, ego, route), ahead=_ahead(tracks, ego_track, path, stations, dt, width),
     )  # fmt: skip
+
+
+def _ahead(
+    tracks: Mapping[str, Track], ego: Track, path: Path, stations: Floats, dt: float, lane: float
+) -> tuple[OnPath, ...]:
+    """Who is ahead of the unattacked ego within ``IN_SIGHT``, in its lane or in one beside it, at some time."""
+    found = []
+    for name, track in tracks.items():
+        mine = track.between(float(ego.time[0]), math.inf)
+        if name == ego.id or len(mine.time) < 2:
+            continue
+        one = on_path(mine, float(ego.time[0]), dt, len(stations), path)
+        before = one.s - stations
+        if ((before > 0.0) & (before < IN_SIGHT) & (np.abs(one.d) < 1.5 * lane)).any():  # nan is nowhere
+            found.append(one)
+    return tuple(found)
 
 
 def _junction_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> tuple[float, str]:

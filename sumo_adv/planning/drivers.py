@@ -19,24 +19,28 @@ from sumo_adv.planning.car_following import CarFollowing
 from sumo_adv.planning.careful import REACTION, CarefulDrivers
 from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.lattice import LatticeDrivers
+from sumo_adv.planning.leaders import JAM, Leaders
 from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
 WITHIN = 0.001  # m by which a side lies within a strip's edge to count as in it (SUMO's NUMERICAL_EPS)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
-JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
 LEAST_STEP = 0.05  # m: over less way an ego that was seen has the path's heading, or nearly
+NOTICED = 0.005  # m/s: so much slower than unattacked within a step its driver drives it, no longer its profile
 EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
 
 
 class PredictedEgos:
-    """Copies of the ego along its path, one against each adversary of a length and width [m], ``(n,)``.
+    """Copies of the ego along its path, one against each adversary (``names``) of a length and width [m], ``(n,)``.
 
     ``seen``: egos that drive as they were seen to in an attempt, whatever the adversary does.
     """
 
-    def __init__(self, scenes: Scenes, length: Floats, width: Floats, seen: Sequence[EgoCourse] | None = None) -> None:
+    def __init__(
+        self, scenes: Scenes, names: Sequence[str], length: Floats, width: Floats,
+        seen: Sequence[EgoCourse] | None = None,
+    ) -> None:  # fmt: skip
         self._seen = None if seen is None else np.stack([np.stack([c.s, c.d, c.v]) for c in seen])
         self.scenes, self._length, self._width = scenes, length, width
         n = len(length)
@@ -46,7 +50,7 @@ class PredictedEgos:
         )  # fmt: skip
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
-        self._was_inside = np.zeros(n, bool)
+        self._was_inside, self._was_beside = np.zeros(n, bool), np.zeros(n, bool)
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
         self._left, self._right = (
@@ -54,6 +58,8 @@ class PredictedEgos:
         )  # fmt: skip
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
+        self._passes_right = bool(self.model.get("passes_right", False))
+        self._leaders = Leaders(scenes, names, self._driver)
         careful = self.model["kind"] == "careful"
         reaction = self.model.get("reaction", REACTION)
         self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
@@ -84,8 +90,8 @@ class PredictedEgos:
         ahead = front_s > self.s + mine / 2
         leads = self._in_lane(front_d) & ahead & ~across
         gap = s - self.s - (length + mine) / 2
-        pace = np.maximum(self.scenes.pace(self.s), next_v)
-        free = np.where(self.disturbed, np.minimum(self._driver.free(self.v), pace), next_v)
+        held = self._leaders.held(self.s)
+        pace = np.maximum(np.where(held, self._driver.most, self.scenes.pace(self.s)), next_v)
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
@@ -97,7 +103,10 @@ class PredictedEgos:
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
             self.d, self.turn = self._lattice.d, self._lattice.turn
             return
-        self.disturbed |= bound < next_v - 0.05
+        self.disturbed |= (bound < next_v - NOTICED) | (held & (bound > next_v + NOTICED))
+        if self.disturbed.any():
+            bound = np.minimum(bound, self._leaders.bound(now, dt, self.s, self.v))
+        free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
         self.a = (v - self.v) / dt
@@ -124,14 +133,17 @@ class PredictedEgos:
         return inside | (self._was_inside & partly)
 
     def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
-        """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind who is slower in
-        the lane to the left it brakes as for a leader, but gently. Other drivers (``passes_right``) do not."""
-        if self.model.get("passes_right", False):
+        """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind whoever is in the
+        lane to the left, or was there and is partly, it drives as behind a leader, but brakes gently. Other drivers
+        (``passes_right``) do not."""
+        if self._passes_right:
             return np.full(len(self.s), np.inf)
         beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
-        slower = beside & ahead & (speed < self.v) & (self.v > JAM)
+        self._was_beside |= beside
+        beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
+        rules = beside & ahead & (self.v > JAM)
         gently = self.v - self.model["deceleration"] * self.scenes.dt
-        return np.where(slower, np.maximum(self._driver.behind(self.v, gap, speed), gently), np.inf)
+        return np.where(rules, np.maximum(self._driver.behind(self.v, gap, speed), gently), np.inf)
 
 
 def seen_edges(lane: float, width: float) -> tuple[float, float]:

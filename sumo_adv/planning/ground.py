@@ -35,7 +35,7 @@ class Ground:
     """``n`` vehicles (``names``: BV ids, repeats allowed) on their ways, each in a situation of one encounter."""
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
-        self.scenes = Scenes(situations)
+        self.scenes, self.names = Scenes(situations), list(names)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
         first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))

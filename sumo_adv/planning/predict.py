@@ -77,7 +77,7 @@ def predict(
     ground = Ground([situations[p.delay] for p in proposals], [p.bv for p in proposals])
     n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(scenes, ground.length, width, seen)
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, seen)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))

@@ -1,0 +1,121 @@
+"""Whom an ego follows besides the adversary, and when the adversary was why it went no faster.
+
+Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's driver, who would go 15 m/s, keeps
+10 m/s behind a car of that speed at a gap of 12.5 m (2.5 m and one second).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from situation_samples import KRAUSS, leader, line, situation
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.planning.car_following import CarFollowing
+from sumo_adv.planning.drivers import PredictedEgos
+from sumo_adv.planning.leaders import Leaders
+from sumo_adv.planning.scenes import Scenes
+from sumo_adv.situation import OnPath, Situation, on_path
+
+HERE = 17.5  # m: centre of a car of 5 m with 12.5 m to the ego's front
+
+
+def other(name: str, s: float, d: float = 0.0, speed: float = 10.0) -> OnPath:
+    """A car that goes along the ego's path for the 5 s of the profile."""
+    time = 0.1 * np.arange(51)
+    return OnPath(name, s + speed * time, np.full(51, d), np.full(51, speed), 5.0)
+
+
+def behind(*others: OnPath, model: Mapping[str, Any] = KRAUSS) -> Situation:
+    return replace(situation([leader(12.5)], model=model), ahead=others)
+
+
+def leaders(sit: Situation) -> Leaders:
+    return Leaders(Scenes([sit]), ["bv"], CarFollowing(sit.ego_model, 0.1))
+
+
+def gone(sit: Situation, seconds: float) -> PredictedEgos:
+    """The egos after so long with the adversary far aside."""
+    egos = PredictedEgos(Scenes([sit]), ["bv"], np.array([5.0]), np.array([2.0]))
+    aside = (np.array([0.0]), np.array([50.0]), np.array([0.0]))
+    for k in range(round(seconds / 0.1)):
+        egos.step(0.1 * k, aside, np.array([0.0]))
+    return egos
+
+
+def test_an_ego_whose_leader_leaves_goes_faster_than_it_did() -> None:
+    """By 2.6 m/s2 for a second: 12.6 m/s; in the end 15 m/s."""
+    sit = behind(other("bv", HERE))
+    assert leaders(sit).held(np.array([0.0]))[0]
+    assert gone(sit, 1.0).v[0] == pytest.approx(12.6)
+    assert gone(sit, 4.0).v[0] == pytest.approx(15.0, abs=0.3)
+
+
+def test_where_somebody_else_is_why_it_goes_no_faster_it_stays_behind_that_one() -> None:
+    """The other keeps 10 m/s, 20 m before the one that leaves: at first there is room, then there are 12.5 m again."""
+    assert gone(behind(other("bv", HERE), other("second", HERE + 20.0)), 4.9).v[0] < 13.0
+    sit = replace(behind(other("bv", 60.0), other("second", HERE)))
+    assert not leaders(sit).held(np.array([0.0]))[0]
+    assert gone(sit, 4.0).v[0] == pytest.approx(10.0)
+
+
+def test_one_far_ahead_or_in_another_lane_holds_nobody_up() -> None:
+    """At 10 m/s, below 60 km/h, SUMO's drivers pass on the right of a slower one."""
+    assert not leaders(behind(other("bv", 80.0))).held(np.array([0.0]))[0]
+    assert not leaders(behind(other("bv", HERE, d=3.2))).held(np.array([0.0]))[0]
+
+
+def test_faster_than_60_km_h_one_in_the_lane_to_the_left_holds_it_up_as_well() -> None:
+    """At 20 m/s the gap is 22.5 m."""
+    fast = {**KRAUSS, "speed": 30.0}
+    beside = other("bv", 27.5, d=3.2, speed=20.0)
+    sit = replace(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
+    assert leaders(sit).held(np.array([0.0]))[0]
+    passes = replace(sit, ego_model={**fast, "passes_right": True})
+    assert not leaders(passes).held(np.array([0.0]))[0]
+
+
+@pytest.mark.parametrize("model", [{**KRAUSS, "kind": "eidm"}, {**KRAUSS, "unknown": True}])
+def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model: Mapping[str, Any]) -> None:
+    assert not leaders(behind(other("bv", HERE), model=model)).held(np.array([0.0]))[0]
+
+
+def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
+    """Its leader turns off after 2 s; the ego speeds up, and brakes from 4 s on."""
+    one = other("bv", HERE)
+    one.d[20:] = 20.0
+    sit = behind(one)
+    a = np.where(np.arange(51) < 20, 0.0, np.where(np.arange(51) < 40, 1.0, -2.0))
+    v = 10.0 + np.concatenate([[0.0], np.cumsum(a[:-1]) * 0.1])
+    sit = replace(sit, profile_a=a, profile_v=v, profile_s=np.concatenate([[0.0], np.cumsum(v[:-1]) * 0.1]))
+    at = sit.profile_s[[5, 25, 39, 45]]
+    held = [bool(leaders(sit).held(np.array([s]))[0]) for s in at]
+    assert held == [True, True, True, False]
+
+
+def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
+    """12.5 m behind a car of 10 m/s: 10 m/s; with nobody ahead in the lane there is no such speed; a second later the
+    others are 10 m farther."""
+    found = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
+    at, v = np.array([0.0]), np.array([10.0])
+    assert found.bound(0.0, 0.1, at, v)[0] == pytest.approx(10.0)
+    assert found.bound(1.0, 0.1, at + 10.0, v)[0] == pytest.approx(10.0)
+    assert leaders(behind(other("bv", 10.0))).bound(0.0, 0.1, at, v)[0] == math.inf
+
+
+def test_a_track_in_the_frame_of_the_egos_path() -> None:
+    """A car 3 m to the left that appears after half a second, on a path that goes north."""
+    path = line((0.0, 0.0), (0.0, 300.0))
+    time, k = 100.5 + 0.1 * np.arange(3), np.arange(3.0)
+    full = np.full(3, 10.0)
+    track = Track("a", Role.BACKGROUND, time, full * 0.0 - 3.0, 20.0 + k, full * 0.0, full, full * 0.0, 5.0, 2.0)
+    found = on_path(track, 100.0, 0.1, 10, path)
+    assert np.isnan(found.s[:5]).all()
+    assert found.s[5:8] == pytest.approx([20.0, 21.0, 22.0])
+    assert found.d[5:8] == pytest.approx([3.0, 3.0, 3.0])
+    assert np.isnan(found.speed[8:]).all()
