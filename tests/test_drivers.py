@@ -285,10 +285,11 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
         (20.0, 15.0, -3.2, False),  # on the right: passing on the left is free
         (20.0, 15.0, 6.4, False),  # two lanes away
         (20.0, 22.0, 3.2, False),  # faster
+        (20.0, 21.0, 3.2, True),  # faster, but nearer than the driver would follow it
         (16.0, 12.0, 3.2, False),  # below 60 km/h: as in a jam
     ],
 )
-def test_behind_a_slower_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
+def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
     ego: float, other: float, left: float, brakes: bool
 ) -> None:
     """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
@@ -297,6 +298,19 @@ def test_behind_a_slower_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), blocked())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
+
+
+def test_who_was_in_the_lane_to_the_left_is_followed_as_long_as_it_is_partly_there() -> None:
+    """A car 2 m wide goes on to the next lane but one: at 5.7 m to the left its right side is 0.1 m over the line at
+    4.8 m, at 5.9 m no more. One that comes from there is not followed until its middle is over the line."""
+    sit = situation([leader()], model=KRAUSS)
+    sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
+    for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
+        egos = egos_of(sit)
+        egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), blocked())
+        assert egos.v[0] == pytest.approx(20.0)
+        egos.step(0.1, (np.array([22.0]), np.array([now]), np.array([0.0])), np.array([15.0]), blocked())
+        assert egos.v[0] == pytest.approx(19.55 if brakes else 20.0)
 
 
 def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
