@@ -55,6 +55,11 @@ class WayLine:
     conflict: Conflict | None
 
 
+def fastest_of(speed: float) -> float:
+    """The speed [m/s] that a BV goes for at most that has ``speed`` at the trigger (ALGORITHM: max(1.4 v0, v0 + 5))."""
+    return max(1.4 * speed, speed + 5.0)
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A background vehicle that could be the adversary. Its ways begin where it is at the trigger."""
@@ -70,8 +75,8 @@ class Target:
 
     @property
     def fastest(self) -> float:
-        """The speed it goes for at most [m/s] (ALGORITHM: max(1.4 v0, v0 + 5))."""
-        return max(1.4 * self.state.speed, self.state.speed + 5.0)
+        """The speed it goes for at most [m/s]."""
+        return fastest_of(self.state.speed)
 
     def applies(self) -> tuple[str, ...]:
         """Words an intent's ``applies`` list is matched with."""
@@ -161,17 +166,21 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
 
 
 COARSE = 8  # samples of the ego's path between those that are looked at first
+BLOCK = 64  # points at a time: larger arrays would be new memory every time, which costs more than the sums
 
 
 def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
     """For each point the nearest sample of the ego's path: first every eighth, then those around the best."""
-    way = np.column_stack([x - ego_path.x[0], y - ego_path.y[0]])
-    places = np.column_stack([ego_path.x - ego_path.x[0], ego_path.y - ego_path.y[0]])[::COARSE]
-    squares = (places * places).sum(axis=1) - 2.0 * way @ places.T  # of the distances, less those of the points
-    first = np.argmin(squares, axis=1) * COARSE
-    around = np.minimum(np.maximum(first[:, None] + np.arange(-COARSE, COARSE + 1), 0), len(ego_path.x) - 1)
-    dx, dy = x[:, None] - ego_path.x[around], y[:, None] - ego_path.y[around]
-    return np.asarray(around[np.arange(len(first)), np.argmin(dx * dx + dy * dy, axis=1)])
+    px, py = ego_path.x[::COARSE], ego_path.y[::COARSE]
+    around, last = np.arange(-COARSE, COARSE + 1), len(ego_path.x) - 1
+    found = np.empty(len(x), np.intp)
+    for k in range(0, len(x), BLOCK):
+        bx, by = x[k : k + BLOCK, None], y[k : k + BLOCK, None]
+        first = ((bx - px) ** 2 + (by - py) ** 2).argmin(axis=1)
+        near = np.minimum(np.maximum(first[:, None] * COARSE + around, 0), last)
+        best = ((bx - ego_path.x[near]) ** 2 + (by - ego_path.y[near]) ** 2).argmin(axis=1)
+        found[k : k + BLOCK] = near[np.arange(len(near)), best]
+    return found
 
 
 def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach: float) -> Conflict | None:

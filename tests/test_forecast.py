@@ -199,7 +199,7 @@ def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
         place = end(60.0, 3.2, 12.0, 3.0) if len(asked) <= 2 else end(60.0, 3.2, 4.0, 3.0)
         return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(told))]
 
-    def touch(ego: Floats, adversary: Floats) -> Bools:
+    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
         assert ego.shape == adversary.shape == (4, 2)
         return np.array([ego[0, 0] >= 7.0 - 1e-9, False])  # 0.7 s at 10 m/s
 
@@ -219,7 +219,7 @@ def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
         asked.append(told[0][0]["time"])
         return [Answer(world_endpoint(SIT, end(60.0, 3.2, 12.0, 3.0)))]
 
-    def touch(ego: Floats, adversary: Floats) -> Bools:
+    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
         return np.array([ego[0, 0] >= 7.0 - 1e-9])
 
     found = predict({0.0: SIT}, proposals(1), ask, limits=Limits(), steps=30, replan=5, touch=touch)

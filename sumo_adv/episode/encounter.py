@@ -49,6 +49,11 @@ class Candidate:
     ways: tuple[WayLine, ...]
     lane: str
 
+    @property
+    def meets_ahead(self) -> bool:
+        """Whether the ego can meet it only where their ways do."""
+        return self.relation in ("crossing", "merging")
+
 
 class Encounter:
     """Watches one ego. ``look`` is called every half second and answers with the shortlist once it is time."""

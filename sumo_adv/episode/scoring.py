@@ -94,10 +94,16 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
     states = [situations[p.delay].targets[p.bv].state for p in proposals]
     length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
     mine = next(iter(situations.values())).ego
+    reach = (np.hypot(length, width) + np.hypot(mine.length, mine.width)) / 2
 
-    def touch(ego: Floats, adversary: Floats) -> Bools:
-        one = Boxes(ego[0], ego[1], ego[2], ego[3], mine.length, mine.width)
-        return touching(one, Boxes(adversary[0], adversary[1], adversary[2], adversary[3], length, width))
+    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
+        found = np.asarray(asked & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
+        k = np.flatnonzero(found)
+        if len(k):
+            (ax, ay, ah, av), (bx, by, bh, bv) = ego[:, k], adversary[:, k]
+            one = Boxes(ax, ay, ah, av, mine.length, mine.width)
+            found[k] = overlaps(one, Boxes(bx, by, bh, bv, length[k], width[k]))
+        return found
 
     return touch
 

@@ -15,7 +15,7 @@ from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
 from sumo_adv.metrics.case import closest
-from sumo_adv.situation import OnPath, Signal, Situation, Target, on_path, relate
+from sumo_adv.situation import OnPath, Signal, Situation, Target, fastest_of, on_path, relate
 from sumo_adv.world.network import RoadMap
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
@@ -23,6 +23,7 @@ FULL_LANE = 3.2  # m, where the ego's lane is unknown
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
 MOST_SHIFT = 8.0  # s
+FARTHEST_TIME = 20.0  # s at its fastest: so far no vehicle comes in an attempt and what is planned at its end
 IN_SIGHT = 120.0  # m
 HISTORY = 1.1  # s of everybody's past that a situation keeps (the paper's)
 
@@ -77,7 +78,7 @@ def _delays(candidates: Sequence[Candidate], ego: Track, settings: Settings) -> 
 
 def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
     """When the unattacked ego is where it can meet a candidate [s]: at once in its own lanes, else at the conflict."""
-    if candidate.relation not in ("crossing", "merging"):
+    if not candidate.meets_ahead:
         return 0.0
     stations = [w.conflict.ego_s for w in candidate.ways if w.conflict is not None]
     return float(min(np.searchsorted(travelled, s) * dt for s in stations)) if stations else 0.0
@@ -207,7 +208,8 @@ def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: floa
         return None
     bv, _ = found
     position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
-    ways = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH)]
+    on = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
+    ways = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in on]
     if not ways:
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)

@@ -11,6 +11,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -168,7 +169,7 @@ class Worker:
         time, left = drive.now, drive.left()
         model, route = self._ego_model(), drive.route()
         signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
-        raw = self._branch([self._unattacked])[0]
+        raw = self._branch([partial(self._unattacked, all(c.meets_ahead for c in ranking))])[0]
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
         sizes, roles = raw[1], drive.roles()
         tracks = {t.id: t for t in tracks_of([*before, *raw[0]], sizes, roles, settings.step_length)}
@@ -188,9 +189,11 @@ class Worker:
         drivable = self._map.drivable(*area)
         return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
 
-    def _unattacked(self) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
+    def _unattacked(self, late: bool) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
+        """To the end of the last attempt; ``late``: also of those that begin only near where the ways meet."""
         drive, settings = self._drive, self._settings
-        for _ in range(drive.within(settings.steps(settings.duration + max(settings.delays) + MOST_SHIFT))):
+        seconds = settings.duration + max(settings.delays) + (MOST_SHIFT if late else 0.0)
+        for _ in range(drive.within(settings.steps(seconds))):
             drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
 

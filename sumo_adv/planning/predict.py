@@ -34,8 +34,8 @@ class Answer:
 
 
 Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
-Touch = Callable[[Floats, Floats], Bools]
-"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, ``(n,)``."""
+Touch = Callable[[Floats, Floats, Bools], Bools]
+"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of those that are asked about, ``(n,)``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ def predict(
             ego[:, :, k] = egos.pose()
             driven = k
             if touch is not None:
-                over |= touch(ego[:, :, k], adversary[:, :, k])
+                over |= touch(ego[:, :, k], adversary[:, :, k], ~over)
             egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)

@@ -139,8 +139,11 @@ class RoadMap:
             found.append((opposite, "opposite"))
         return found
 
-    def ways(self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = ()) -> list[Way]:
-        """Ways on from ``position`` metres along a lane for ``reach`` metres.
+    def ways(
+        self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
+    ) -> list[Way]:
+        """Ways on from ``position`` metres along a lane for ``reach`` metres, on to ``farthest`` [m] where the last lane
+        goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
         junction, then the straightest.
@@ -148,7 +151,7 @@ class RoadMap:
         found: list[Way] = []
         for chain, movement, junction, rule in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
-            path = make_path(_cut(points, position), tightest=TIGHTEST)
+            path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             found.append(Way(tuple(chain), movement, path, junction, rule))
@@ -238,13 +241,15 @@ class Drivable:
         return Drivable, (self.area,)
 
 
-def _cut(points: Floats, position: float) -> Floats:
-    """The polyline from ``position`` metres on."""
+def _cut(points: Floats, position: float, length: float) -> Floats:
+    """The polyline from ``position`` metres on, for ``length`` metres."""
     step = np.hypot(*np.diff(points, axis=0).T)
     station = np.concatenate([[0.0], np.cumsum(step)])
     position = min(max(position, 0.0), station[-1] - 0.1)
-    start = [np.interp(position, station, points[:, 0]), np.interp(position, station, points[:, 1])]
-    return np.vstack([start, points[station > position + 1e-6]])
+    ends = np.array([position, min(position + length, station[-1])])
+    start, end = np.column_stack([np.interp(ends, station, points[:, k]) for k in range(2)])
+    inside = (station > position + 1e-6) & (station < ends[1] - 1e-6)
+    return np.vstack([start, points[inside], end])
 
 
 def read_network(path: FilePath) -> RoadMap:
