@@ -157,7 +157,8 @@ def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind:
 def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
     lane: float, width: float, left: float, right: float
 ) -> None:
-    assert seen_edges(lane, width) == pytest.approx((left, right))
+    found = seen_edges(np.array([lane]), width, np.array([0.0]))
+    assert [float(q[0]) for q in found] == pytest.approx([left, right])
 
 
 def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front() -> None:

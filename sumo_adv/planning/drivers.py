@@ -8,7 +8,6 @@ follow ``MSLink``.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,9 +20,9 @@ from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.lattice import LatticeDrivers
 from sumo_adv.planning.leaders import JAM, Leaders
 from sumo_adv.planning.scenes import Scenes
+from sumo_adv.planning.sidestep import SUBLANE, Sidestep
 
-SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
-WITHIN = 0.001  # m by which a side lies within a strip's edge to count as in it (SUMO's NUMERICAL_EPS)
+WITHIN = 0.045  # m by which a side lies within a strip's edge to count as in it (measured: between 0.034 and 0.058)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 LEAST_STEP = 0.05  # m: over less way an ego that was seen has the path's heading, or nearly
@@ -53,9 +52,6 @@ class PredictedEgos:
         self._was_inside, self._was_beside = np.zeros(n, bool), np.zeros(n, bool)
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
-        self._left, self._right = (
-            scenes.each(lambda s, k=k: seen_edges(s.lane_width, s.ego.width)[k]) for k in range(2)
-        )  # fmt: skip
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
         self._passes_right = bool(self.model.get("passes_right", False))
@@ -65,6 +61,7 @@ class PredictedEgos:
         self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
         lattice = self.model["kind"] == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
+        self._sidestep = Sidestep(scenes, length, width)
         self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
 
     def step(
@@ -109,6 +106,8 @@ class PredictedEgos:
         free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
+        self._sidestep.step(s - self.s, front_d, self._was_inside)
+        self.d = self._sidestep.d
         self.a = (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
@@ -128,7 +127,8 @@ class PredictedEgos:
         driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),
         its side is within the strips that the ego takes up."""
         inside, half = np.abs(front_d) < self._sees, self._width / 2
-        partly = (front_d - half < self._left) & (front_d + half > -self._right)
+        left, right = seen_edges(self._lane, self.scenes.ego.width, self.d)
+        partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly)
 
@@ -146,10 +146,10 @@ class PredictedEgos:
         return np.where(rules, np.maximum(self._driver.behind(self.v, gap, speed), gently), np.inf)
 
 
-def seen_edges(lane: float, width: float) -> tuple[float, float]:
+def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floats]:
     """How far to the left and to the right [m] of the middle of its lane a driver of this width looks for leaders:
     SUMO's strips of ``SUBLANE``, counted from the lane's right edge, that the ego is in (``MSLeaderInfo``)."""
-    wide = width - 2 * WITHIN
-    right = max(0, math.floor((lane - wide) / 2 / SUBLANE)) * SUBLANE
-    left = min(lane, (math.floor((lane + wide) / 2 / SUBLANE) + 1) * SUBLANE)
+    wide, middle = width - 2 * WITHIN, lane / 2 + offset
+    right = np.maximum(np.floor((middle - wide / 2) / SUBLANE), 0.0) * SUBLANE
+    left = np.minimum((np.floor((middle + wide / 2) / SUBLANE) + 1.0) * SUBLANE, lane)
     return left - lane / 2, lane / 2 - right

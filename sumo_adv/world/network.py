@@ -142,8 +142,8 @@ class RoadMap:
     def ways(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
     ) -> list[Way]:
-        """Ways on from ``position`` metres along a lane for ``reach`` metres, on to ``farthest`` [m] where the last lane
-        goes as far.
+        """Ways on from ``position`` metres along a lane for ``reach`` metres, on to ``farthest`` [m] where the last
+        lane goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
         junction, then the straightest.
