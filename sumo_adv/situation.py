@@ -43,6 +43,7 @@ class WayLine:
     """One way on for a BV, with its place relative to the ego's path at every sample of the way.
 
     ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
+    ``before_ego``: whether SUMO's rules let whoever goes this way go before the ego, where that has to give way.
     """
 
     path: Path
@@ -53,6 +54,7 @@ class WayLine:
     ego_d: Floats
     ego_h: Floats
     conflict: Conflict | None
+    before_ego: bool = True
 
 
 def fastest_of(speed: float) -> float:
@@ -91,11 +93,12 @@ class Target:
 @dataclass(frozen=True, slots=True)
 class OnPath:
     """A vehicle's unattacked motion in the ego path's frame by step from the trigger: station s, offset d of its centre
-    [m], speed [m/s], each ``(n,)``, nan while it is not there; its length [m]."""
+    [m], heading [rad], speed [m/s], each ``(n,)``, nan while it is not there; its length [m]."""
 
     id: str
     s: Floats
     d: Floats
+    heading: Floats
     speed: Floats
     length: float
 
@@ -143,15 +146,16 @@ class Situation:
 
 def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnPath:
     """A track in the frame of the ego's ``path``, for ``steps`` steps from ``time``."""
-    s, d, speed = np.full((3, steps), math.nan)
+    s, d, heading, speed = np.full((4, steps), math.nan)
     k = np.round((track.time - time) / dt).astype(np.intp)
     mine = (k >= 0) & (k < steps)
     x, y = track.x[mine], track.y[mine]
     i = _nearest(x, y, path)
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
     dx, dy = x - path.x[i], y - path.y[i]
-    s[k[mine]], d[k[mine]], speed[k[mine]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx, track.speed[mine]
-    return OnPath(track.id, s, d, speed, track.length)
+    s[k[mine]], d[k[mine]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
+    heading[k[mine]], speed[k[mine]] = wrap_all(track.heading[mine] - path.heading[i]), track.speed[mine]
+    return OnPath(track.id, s, d, heading, speed, track.length)
 
 
 def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> WayLine:

@@ -35,9 +35,10 @@ def crossroads(
 def blocked(
     on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
     meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
+    first: bool = True,
 ) -> Blocked:  # fmt: skip
     """A car of 5 m; ``before``: metres from its front to the zone."""
-    flags = (np.array([q]) for q in (on, yields, merging))
+    flags = (np.array([q]) for q in (on, yields, first, merging))
     return Blocked(
         *flags, *(np.array([float(q)]) for q in (meets, zone, before, before + 5.0, behind, begins, speed, 5.0))
     )
@@ -248,6 +249,13 @@ def test_one_with_priority_does_not_wait_at_a_line() -> None:
     drive(egos, 5.0, crossing_at(3.0, before=20.0, behind=40.0), 3.0)
     assert not egos.disturbed[0]
     assert egos.s[0] == pytest.approx(50.0)
+
+
+def test_nobody_waits_for_one_who_has_to_give_way_to_them() -> None:
+    """At 6 m there is a line at which it gives way, but not to this one."""
+    egos = egos_of(crossroads(6.0, speed=5.0))
+    drive(egos, 2.0, lambda _: blocked(before=15.0, behind=35.0, meets=10.0, speed=3.0, first=False), 3.0)
+    assert not egos.disturbed[0]
 
 
 def test_nobody_waits_for_one_whose_way_does_not_meet_theirs() -> None:

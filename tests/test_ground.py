@@ -157,6 +157,15 @@ def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_
     assert ground.blocked(at_station(ground, 38.0)).behind[0] == pytest.approx(-0.5)
 
 
+def test_on_a_junction_one_counts_as_on_the_way_that_it_is_nearest_to() -> None:
+    """Of the two ways on from the south only the one straight on meets the ego's path. 4 m to the left of that, at
+    (26, -3), the turn is 1 m off and turned by 60 degrees; before the junction it counts by the way it is on."""
+    ground = Ground([situation([crossing()])], ["bv"])
+    for station, offset, meets in ((22.0, 0.0, 30.0), (22.0, 4.0, math.inf), (5.0, 4.0, 30.0)):
+        found = ground.blocked(at_station(ground, station)._replace(d=one(offset)))
+        assert found.meets[0] == pytest.approx(meets)
+
+
 def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> None:
     """At 30 degrees twice 2 / 0.5 - 1 = 3 lanes' widths (half of it counts), at 90 degrees one."""
     for degrees, zone in ((90.0, 1.6), (30.0, 4.8), (150.0, 4.8)):

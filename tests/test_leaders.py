@@ -28,7 +28,7 @@ HERE = 17.5  # m: centre of a car of 5 m with 12.5 m to the ego's front
 def other(name: str, s: float, d: float = 0.0, speed: float = 10.0) -> OnPath:
     """A car that goes along the ego's path for the 5 s of the profile."""
     time = 0.1 * np.arange(51)
-    return OnPath(name, s + speed * time, np.full(51, d), np.full(51, speed), 5.0)
+    return OnPath(name, s + speed * time, np.full(51, d), np.zeros(51), np.full(51, speed), 5.0)
 
 
 def behind(*others: OnPath, model: Mapping[str, Any] = KRAUSS) -> Situation:
@@ -108,14 +108,24 @@ def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
     assert leaders(behind(other("bv", 10.0))).bound(0.0, 0.1, at, v)[0] == math.inf
 
 
+def test_one_that_crosses_is_no_leader() -> None:
+    """It stands across the ego's lane: what the ego does about that is a matter of the junction."""
+    across = other("second", HERE, speed=0.0)
+    across.heading[:] = 1.5
+    assert leaders(behind(other("bv", 60.0), across)).bound(0.0, 0.1, np.array([0.0]), np.array([10.0]))[0] == math.inf
+
+
 def test_a_track_in_the_frame_of_the_egos_path() -> None:
     """A car 3 m to the left that appears after half a second, on a path that goes north."""
     path = line((0.0, 0.0), (0.0, 300.0))
     time, k = 100.5 + 0.1 * np.arange(3), np.arange(3.0)
     full = np.full(3, 10.0)
-    track = Track("a", Role.BACKGROUND, time, full * 0.0 - 3.0, 20.0 + k, full * 0.0, full, full * 0.0, 5.0, 2.0)
+    track = Track(
+        "a", Role.BACKGROUND, time, full * 0.0 - 3.0, 20.0 + k, full * 0.0 + math.pi / 2, full, full * 0.0, 5.0, 2.0
+    )
     found = on_path(track, 100.0, 0.1, 10, path)
     assert np.isnan(found.s[:5]).all()
     assert found.s[5:8] == pytest.approx([20.0, 21.0, 22.0])
     assert found.d[5:8] == pytest.approx([3.0, 3.0, 3.0])
+    assert found.heading[5:8] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
     assert np.isnan(found.speed[8:]).all()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import pytest
 from situation_samples import car
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.episode.survey import _junction_ahead
+from sumo_adv.episode.survey import _goes_first, _onward
 from sumo_adv.world.inputs import data_folder
 from sumo_adv.world.network import RoadMap, read_network
 
@@ -17,6 +18,12 @@ from sumo_adv.world.network import RoadMap, read_network
 @cache
 def road(name: str) -> RoadMap:
     return read_network(data_folder("networks") / f"{name}.net.xml")
+
+
+def ahead(network: str, ego: VehicleState, route: tuple[str, ...]) -> tuple[float, str] | None:
+    """Metres to the junction, and the right of way letter there."""
+    way = _onward(road(network), ego, route)
+    return None if way is None else (way.junction, way.rule)
 
 
 def before_the_end(network: str, lane: str, metres: float) -> VehicleState:
@@ -32,25 +39,46 @@ def before_the_end(network: str, lane: str, metres: float) -> VehicleState:
 @pytest.mark.parametrize("metres", [100.0, 30.0, 6.0])
 def test_from_the_side_road_it_has_to_give_way_where_the_lane_ends(metres: float) -> None:
     ego = before_the_end("priority_crossing", "south_in_0", metres)
-    at, rule = _junction_ahead(road("priority_crossing"), ego, ("south_in", "north_out"))
-    assert at == pytest.approx(metres, abs=0.01)
-    assert rule == "m"
+    found = ahead("priority_crossing", ego, ("south_in", "north_out"))
+    assert found == (pytest.approx(metres, abs=0.01), "m")
 
 
 def test_on_the_main_road_it_need_not_unless_it_turns_left() -> None:
-    crossing = road("priority_crossing")
     right, left = (before_the_end("priority_crossing", lane, 60.0) for lane in ("west_in_0", "west_in_1"))
     for ego, way, rule in ((right, "east_out", "M"), (left, "east_out", "M"), (left, "north_out", "m")):
-        found = _junction_ahead(crossing, ego, ("west_in", way))
+        found = ahead("priority_crossing", ego, ("west_in", way))
         assert found == (pytest.approx(60.0, abs=0.01), rule)
 
 
 def test_an_all_way_stop_has_a_letter_of_its_own() -> None:
     ego = before_the_end("allway_stop", "west_in_0", 20.0)
-    assert _junction_ahead(road("allway_stop"), ego, ("west_in", "east_out")) == (pytest.approx(20.0, abs=0.01), "w")
+    assert ahead("allway_stop", ego, ("west_in", "east_out")) == (pytest.approx(20.0, abs=0.01), "w")
 
 
 def test_where_no_junction_comes_or_no_lane_is_known_there_is_none() -> None:
     ego = before_the_end("two_way", "eastbound_0", 50.0)
-    assert _junction_ahead(road("two_way"), ego, ()) == (math.inf, "")
-    assert _junction_ahead(road("two_way"), car("ego", 0.0, 0.0), ()) == (math.inf, "")  # on no lane
+    assert ahead("two_way", ego, ()) == (math.inf, "")
+    assert ahead("two_way", car("ego", 0.0, 0.0), ()) is None  # on no lane
+
+
+# ---- who goes first
+
+
+def test_from_the_side_road_one_waits_for_the_main_road_and_not_the_other_way_round() -> None:
+    """Of two who both give way, from the south and from the north, straight on, neither waits for the other."""
+    lanes = ("south_in_0", "west_in_1", "north_in_0")
+    south, west, north = (road("priority_crossing").ways(lane, 100.0, 200.0)[0].first for lane in lanes)
+    assert _goes_first(west, south)
+    assert not _goes_first(south, west)
+    assert not _goes_first(north, south)
+
+
+def test_where_they_meet_at_another_junction_either_may_go_first() -> None:
+    here = road("priority_crossing").ways("west_in_1", 100.0, 200.0)[0].first
+    other = road("allway_stop").ways("west_in_0", 0.0, 200.0)[0].first
+    assert here is not None
+    assert other is not None
+    elsewhere = replace(other, link=("another", 0))
+    assert _goes_first(elsewhere, here)
+    assert _goes_first(None, here)
+    assert _goes_first(here, None)

@@ -16,7 +16,7 @@ from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.situation import OnPath, Signal, Situation, Target, fastest_of, on_path, relate
-from sumo_adv.world.network import RoadMap
+from sumo_adv.world.network import Connection, RoadMap, Way
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
@@ -154,9 +154,11 @@ def survey(
     path = path_of(ego_track, road, route)
     step = np.hypot(np.diff(ego_track.x), np.diff(ego_track.y))
     stations = np.concatenate([[0.0], np.cumsum(step)])
+    onward = _onward(road, ego, route)
+    first, junction, rule = (None, math.inf, "") if onward is None else (onward.first, onward.junction, onward.rule)
     targets = {}
     for candidate in candidates:
-        target = _target(road, tracks.get(candidate.id), candidate, time, path)
+        target = _target(road, tracks.get(candidate.id), candidate, time, path, first)
         if target is not None:
             targets[candidate.id] = target
     if not targets:
@@ -174,7 +176,7 @@ def survey(
         ego_track.acceleration, dict(ego_model), targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
-        *_junction_ahead(road, ego, route), ahead=_ahead(tracks, ego_track, path, stations, dt, width),
+        float(junction), rule, ahead=_ahead(tracks, ego_track, path, stations, dt, width),
     )  # fmt: skip
 
 
@@ -194,22 +196,35 @@ def _ahead(
     return tuple(found)
 
 
-def _junction_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> tuple[float, str]:
-    """Metres to the junction ahead, inf where there is none, and SUMO's right of way letter of the ego there."""
+def _onward(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> Way | None:
+    """The ego's way on; None where it is on no lane."""
     if ego.lane not in road.lanes:
-        return math.inf, ""
+        return None
     ways = road.ways(ego.lane, _position(road.lanes[ego.lane].shape, ego.x, ego.y), REACH, route)
-    return (float(ways[0].junction), ways[0].rule) if ways else (math.inf, "")
+    return ways[0] if ways else None
 
 
-def _target(road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path) -> Target | None:
+def _goes_first(other: Connection | None, ego: Connection | None) -> bool:
+    """Whether the other has the right of way before the ego; where they meet at another junction nobody knows."""
+    if other is None or ego is None or other.link[0] != ego.link[0]:
+        return True
+    return other.link[1] in ego.yields_to
+
+
+def _target(
+    road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path, ego: Connection | None
+) -> Target | None:
+    """``ego``: how the ego goes on at its junction."""
     found = state_at(track, time) if track is not None else None
     if found is None or track is None or found[0].lane not in road.lanes:
         return None
     bv, _ = found
     position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
     on = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
-    ways = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in on]
+    ways = [
+        replace(relate(w.path, w.movement, w.junction, w.gives_way, path), before_ego=_goes_first(w.first, ego))
+        for w in on
+    ]
     if not ways:
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)

@@ -28,6 +28,8 @@ SAME_PLACE = 0.4  # m: two ways still coincide
 LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
 COARSE = 12  # a way's points by which the nearest one is looked for first, then between these
 AROUND = np.arange(1 - COARSE, COARSE)
+TURNED, AFTER = 2.0, 10.0  # m per rad: how much its heading counts for the way it is on; m behind where ways meet
+BESIDE = np.arange(-12, 13)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
@@ -52,6 +54,8 @@ class Ground:
         self._conflicts = np.array([at[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
         self._roads: dict[int, PathRow] = {}
         self._junctions = np.array([_junction(w) for w in lines])
+        self._first = np.array([w.before_ego for w in lines])
+        self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
         self.length = np.array([t.state.length for t in self.targets])
@@ -84,17 +88,42 @@ class Ground:
         """
         if not np.isfinite(self._junctions[:, 2]).any():
             return None
-        entry, meets, ego, merging, wide = self._junctions[self.rows.row].T
+        row = self._nearest_ways(motion)
+        entry, meets, ego, merging, wide = self._junctions[row].T
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
         late = motion.v * self.scenes.dt  # SUMO's drivers see who comes a step later
         front, rear = motion.s + half, motion.s - half
         return Blocked(
             on=(front - late > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
-            yields=self._yields, merging=merges, meets=ego, zone=zone,
+            yields=self._yields, first=self._first[row], merging=merges, meets=ego, zone=zone,
             before=meets - zone - front, back=meets - zone - rear,
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
+
+    def _nearest_ways(self, motion: Motion) -> Any:
+        """The ways that SUMO takes vehicles to be on: until they are on a junction those they are on, on it those whose
+        lines they are nearest to."""
+        found = self.rows.row
+        on = np.flatnonzero((motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1))
+        if not len(on):
+            return found
+        found = found.copy()
+        x, y, h = (q[on] for q in pose(Batch, motion, self.rows))
+        least = np.full(len(on), np.inf)
+        near = np.clip((motion.s[on] / PATH_STEP).astype(np.intp)[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
+        for k in range(int(self._count[on].max())):
+            mine = self._count[on] > k
+            way = np.where(mine, self._base[on] + k, self._base[on])
+            px, py, ph = (self.rows.table[way[:, None], c, near] for c in range(3))
+            square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
+            at = square.argmin(axis=1)
+            each = np.arange(len(on))
+            turned = np.abs(wrap_all(h - ph[each, at]))
+            cost = np.where(mine, np.sqrt(square[each, at]) + TURNED * turned, np.inf)
+            better = cost < least - 1e-6
+            least, found[on] = np.where(better, cost, least), np.where(better, way, found[on])
+        return found
 
     def road(self, k: int) -> PathRow:
         """The way vehicle ``k`` is on, for floats."""
@@ -215,6 +244,13 @@ def _nearest(places: Floats, x: Floats, y: Floats) -> Any:
     """Which of the places (x and y, ``(2, n or 1, k)``) is nearest to each point, ``(n,)``."""
     dx, dy = x[:, None] - places[0], y[:, None] - places[1]
     return np.argmin(dx * dx + dy * dy, axis=1)
+
+
+def _inside(target: Target) -> tuple[float, float]:
+    """Stations [m] of a BV's ways between which it is on the junction where they part."""
+    begins = min(w.junction for w in target.ways)
+    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
+    return begins, max(meets, default=begins) + AFTER
 
 
 def _junction(way: WayLine) -> tuple[float, float, float, float, float]:

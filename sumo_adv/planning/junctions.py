@@ -31,14 +31,16 @@ class Blocked(NamedTuple):
     """Who could be in the ego's way at a junction, ``(n,)``.
 
     on: its front is on the junction, its rear not yet past the place where the ways meet; yields: it came against a red
-    light (SUMO then never has it come); merging: they merge there, else they cross; meets: the station of that place on
-    the ego's path [m], inf where they do not meet; zone: half the length [m] that each takes up there; before, back:
-    metres that its front and its rear have to where that begins; behind: that its rear has to the end of the junction;
-    begins: the station of the ego's path [m] that its rear is at (merging); speed [m/s], length [m].
+    light (SUMO then never has it come); first: it goes before an ego that has to give way; merging: they merge there,
+    else they cross; meets: the station of that place on the ego's path [m], inf where they do not meet; zone: half the
+    length [m] that each takes up there; before, back: metres that its front and its rear have to where that begins;
+    behind: that its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at
+    (merging); speed [m/s], length [m].
     """
 
     on: Bools
     yields: Bools
+    first: Bools
     merging: Bools
     meets: Floats
     zone: Floats
@@ -107,7 +109,14 @@ class Junctions:
         gone = seconds(blocked.behind, blocked.speed, FOE_ACCELERATION)
         mine = seconds(room, v, self._driver.acceleration)
         over = seconds(left + 2 * self._half + CLEARANCE, v, self._driver.acceleration)
-        waits = stops & np.isfinite(blocked.meets) & (blocked.behind > 0.0) & (over + AHEAD > comes) & (gone > mine)
+        waits = (
+            stops
+            & blocked.first
+            & np.isfinite(blocked.meets)
+            & (blocked.behind > 0.0)
+            & (over + AHEAD > comes)
+            & (gone > mine)
+        )
         return np.where(waits, self._driver.stopping(v, np.maximum(room, 0.0) - STOPS_BEFORE), np.inf)
 
 

@@ -16,6 +16,7 @@ from sumo_adv.planning.scenes import Scenes
 from sumo_adv.situation import Situation
 
 HELD = 0.02  # m/s: so near to what it would drive behind the other, the other is why
+ALONG = 0.9  # rad: a vehicle at more of an angle crosses, and is no leader
 BRAKES = -0.3  # m/s2: an ego that was held up and brakes harder does so for something else
 EXACT = ("krauss", "idm", "careful")  # drivers whose following ``car_following.py`` has as SUMO has it
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
@@ -40,7 +41,7 @@ class Leaders:
         self._others = np.full((3, len(cases), most, steps), np.inf)  # rear's station, centre's station, speed
         for g, (situation, _) in enumerate(cases):
             for m, other in enumerate(others[g]):
-                inside = np.abs(other.d) < situation.lane_width / 2
+                inside = (np.abs(other.d) < situation.lane_width / 2) & (np.abs(other.heading) < ALONG)
                 values = np.stack([other.s - other.length / 2, other.s, other.speed])
                 self._others[:, g, m, : len(other.s)] = np.where(inside, values, np.inf)
 
@@ -78,9 +79,10 @@ def _held_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
         return found
     d, half = other.d[:-1], situation.lane_width / 2
     follows = np.abs(d) < half
+    alike = np.abs(other.heading[:-1]) < ALONG
     if not model.get("passes_right", False):
         follows |= (d >= half) & (d < 3 * half) & (v[:-1] > JAM)
-    follows &= other.s[:-1] > s[:-1]
+    follows &= (other.s[:-1] > s[:-1]) & alike
     if not follows.any():
         return found
     gap = np.where(follows, other.s[:-1] - s[:-1] - (other.length + situation.ego.length) / 2, 1e3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -24,12 +24,16 @@ MAX_PATHS = 6  # ways on that are followed for one vehicle
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane."""
+    """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane.
+
+    link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``)."""
 
     to: str
     via: tuple[str, ...]
     movement: str  # straight | left | right | u-turn
     state: str  # SUMO's right of way letter: M has priority, m must give way, s/w stop, = equal, o/O off, - dead end
+    link: tuple[str, int] = ("", -1)
+    yields_to: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +61,7 @@ class Way:
     path: Path
     junction: float  # station at which the first junction begins, inf if none is in reach
     rule: str = ""  # SUMO's right of way letter there (see ``Connection``), empty where there is no junction
+    first: Connection | None = None  # at that junction
 
     @property
     def gives_way(self) -> bool:
@@ -149,24 +154,25 @@ class RoadMap:
         junction, then the straightest.
         """
         found: list[Way] = []
-        for chain, movement, junction, rule in self._chains(lane_id, position, reach, route):
+        for chain, first, junction in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
             path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
-            found.append(Way(tuple(chain), movement, path, junction, rule))
+            movement, rule = ("none", "") if first is None else (first.movement, first.state)
+            found.append(Way(tuple(chain), movement, path, junction, rule, first))
             if len(found) == MAX_PATHS:
                 break
         return found
 
     def _chains(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
-    ) -> Iterator[tuple[list[str], str, float, str]]:
+    ) -> Iterator[tuple[list[str], Connection | None, float]]:
         lane = self.lanes[lane_id]
         start = lane.length - position
         options = self._onward(lane, route)
         if start >= reach or not options:
-            yield [lane_id], "none", math.inf, ""
+            yield [lane_id], None, math.inf
             return
         for first in options:
             chain, length = [lane_id, *first.via, first.to], start
@@ -179,7 +185,7 @@ class RoadMap:
                 chain += [*step.via, step.to]
                 length += sum(self.lanes[n].length for n in (*step.via, step.to))
             inside = 0.0 if lane.internal else start
-            yield chain, first.movement, inside, first.state
+            yield chain, first, inside
 
     def _onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
         """Connections from a lane, straight ones first; only along ``route`` where that says something."""
@@ -291,5 +297,17 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
             name = onward[0].getViaLaneID() if onward and onward[0].getViaLaneID() not in via else ""
         if c.getToLane().allows("passenger"):
             movement = MOVEMENTS.get(c.getDirection(), "straight")
-            found.append(Connection(c.getToLane().getID(), tuple(via), movement, c.getState() or "M"))
+            link, yields_to = _right_of_way(lane, via)
+            found.append(Connection(c.getToLane().getID(), tuple(via), movement, c.getState() or "M", link, yields_to))
     return tuple(found)
+
+
+def _right_of_way(lane: Any, via: Sequence[str]) -> tuple[tuple[str, int], frozenset[int]]:
+    """A connection's junction and index there, and the indices of those that go first; the index is in the name of its
+    internal lane: that of its edge's first lane and the lane's place in the edge."""
+    parts = via[0].rsplit("_", 2) if via else []
+    if len(parts) != 3 or not (parts[1].isdigit() and parts[2].isdigit()):
+        return ("", -1), frozenset()
+    index, node = int(parts[1]) + int(parts[2]), lane.getEdge().getToNode()
+    response = node._prohibits.get(index, "")  # sumolib has no fast way to ask for it
+    return (node.getID(), index), frozenset(k for k, bit in enumerate(reversed(response)) if bit == "1")
