@@ -109,6 +109,7 @@ class Adversary:
         self._farthest = 0.0
         self._cap = situation.targets[name].fastest
         self._ego_station = 0.0
+        self._asked: tuple[float, float] | None = None  # when the planner was asked last [s], and the ego's speed then
 
     @property
     def road(self) -> PathRow:
@@ -130,7 +131,7 @@ class Adversary:
         """Ask the planner; ``now`` s since the trigger, ``ego``: x, y, speed, acceleration. A sentence if it failed."""
         s, d = self.situation.ego_path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
         self._ego_station = s
-        array = tuple(np.array([q]) for q in (s, d, ego[2], ego[3]))
+        array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
         many = _many(self.motion)
         told = self.ground.tell(many, now, array, [self.last])[0]  # type: ignore[arg-type]
         answer = ask(told)
@@ -142,6 +143,11 @@ class Adversary:
         self._built_in()
         self._own(answer, many, now)
         return None
+
+    def _mean_acceleration(self, now: float, speed: float, acceleration: float) -> float:
+        """The ego's [m/s2] since it was last asked: drivers between two minds brake and speed up in turns."""
+        asked, self._asked = self._asked, (now, speed)
+        return acceleration if asked is None or now <= asked[0] else (speed - asked[1]) / (now - asked[0])
 
     def _built_in(self) -> None:
         """Towards the goal by the built-in f_traj."""

@@ -82,14 +82,18 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
     followers: dict[int, Follower] = {}
-    over, parting, driven = np.zeros(n, bool), Parting(ground), -1
+    over, parting, driven, asked = np.zeros(n, bool), Parting(ground), -1, egos.v
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
             over |= parting.gone(motion, egos.s)
         if k % replan == 0 and not over.all():
             rows = np.flatnonzero(~over).tolist()
-            goal, motion = _replan(ground, motion, egos, goal, last, followers, now, rows, ask)
+            mean = egos.a if k == 0 else (egos.v - asked) / (replan * dt)  # as in an attempt
+            goal, motion = _replan(
+                ground, motion, (egos.s, egos.d, egos.v, mean), goal, last, followers, now, rows, ask
+            )
+            asked = egos.v
         adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
             ego[:, :, k] = egos.pose()
@@ -105,10 +109,10 @@ def predict(
 
 
 def _replan(
-    ground: Ground, motion: Motion, egos: PredictedEgos, goal: Goal, last: list[Mapping[str, float] | None],
-    followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
+    ground: Ground, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: Goal,
+    last: list[Mapping[str, float] | None], followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
-    told = ground.tell(motion, now, (egos.s, egos.d, egos.v, egos.a), last, rows)
+    told = ground.tell(motion, now, ego, last, rows)
     answers = ask(rows, told)
     for k in rows:
         answer = answers[k]
