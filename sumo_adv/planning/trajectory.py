@@ -24,6 +24,7 @@ from sumo_adv.geometry import PATH_STEP, Path
 FULL_CLOCK_SPEED = 6.0  # m/s: a move begun slower is planned as if at this speed, and takes longer
 FASTEST_CLOCK = 1.15  # a vehicle that speeds up hastens its lateral move by so much at most
 LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
+USUAL = 2.4  # m/s2: drivers hardly ever speed up harder, though limits allow it; braking is bound by limits alone
 SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
 ELSEWHERE = 1e6  # m: a lateral target that any goal is different from
 STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
@@ -291,7 +292,7 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
         ahead = m.maximum(v * t, 0.5)
         fastest = road.bend_speed(s + ahead, motion.d)
         bounds.append((fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0))
-    want = m.minimum(want, m.least(bounds))
+    want = m.minimum(m.minimum(want, m.least(bounds)), USUAL)
     _, _, _, curvature = road.at(s)
     lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
     speed, a = faster(m, v, a, want, lateral, limits, cap, dt)
