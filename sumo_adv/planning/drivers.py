@@ -70,47 +70,59 @@ class PredictedEgos:
     ) -> None:  # fmt: skip
         """One step against adversaries at station, offset, heading (ego path's frame, box centres); ``blocked``: who is
         in the way on a junction (``Ground.blocked``)."""
-        dt, mine = self.scenes.dt, self.scenes.ego.length
+        dt = self.scenes.dt
         if self._seen is not None:
-            k = min(round(now / dt) + 1, self._seen.shape[2] - 1)
-            s, d, v = self._seen[:, :, k].T
-            self.turn = np.arctan2(d - self.d, np.maximum(s - self.s, LEAST_STEP))
-            self.s, self.d, self.a, self.v = s, d, (v - self.v) / dt, v
+            self._as_seen(now, self._seen)
             return
         next_s, next_v = self.scenes.profile_now(now + dt)
         if self.model["kind"] == "replay":
             self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
             return
-        (s, d, h), length = adversary, self._length
-        front_s, front_d = s + length / 2 * np.cos(h), d + length / 2 * np.sin(h)
-        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
-        ahead = front_s > self.s + mine / 2
-        leads = self._in_lane(front_d) & ahead & ~across
-        gap = s - self.s - (length + mine) / 2
-        held = self._leaders.held(self.s)
-        pace = np.maximum(np.where(held, self._driver.most, self.scenes.pace(self.s)), next_v)
-        bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
-        if self._careful is not None:
-            bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
-        if blocked is not None:
-            bound = np.minimum(bound, self._junctions.bound(blocked, self.s, self.v))
-        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
+        (s, d, h), half = adversary, self._length / 2
+        front_s, front_d = s + half * np.cos(h), d + half * np.sin(h)
+        ahead = front_s > self.s + self.scenes.ego.length / 2
+        bound = self._bound(now, adversary, speed, (ahead, front_d), blocked)
         if self._lattice is not None:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
             self.d, self.turn = self._lattice.d, self._lattice.turn
             return
+        held = self._leaders.held(self.s)
         self.disturbed |= (bound < next_v - NOTICED) | (held & (bound > next_v + NOTICED))
         if self.disturbed.any():
             bound = np.minimum(bound, self._leaders.bound(now, dt, self.s, self.v))
+        pace = np.maximum(np.where(held, self._driver.most, self.scenes.pace(self.s)), next_v)
         free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
         self._sidestep.step(s - self.s, front_d, self._was_inside)
-        self.d = self._sidestep.d
-        self.a = (v - self.v) / dt
+        self.d, self.a = self._sidestep.d, (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
+
+    def _as_seen(self, now: float, seen: Floats) -> None:
+        """One step of the courses ``(n, 3, steps)``: station, offset, speed."""
+        dt = self.scenes.dt
+        s, d, v = seen[:, :, min(round(now / dt) + 1, seen.shape[2] - 1)].T
+        self.turn = np.arctan2(d - self.d, np.maximum(s - self.s, LEAST_STEP))
+        self.s, self.d, self.a, self.v = s, d, (v - self.v) / dt, v
+
+    def _bound(
+        self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Bools, Floats],
+        blocked: Blocked | None,
+    ) -> Floats:  # fmt: skip
+        """The speed [m/s] of the drivers for the adversaries, inf where they are no reason; ``front``: whether their
+        fronts are ahead of the egos', and their offsets."""
+        (s, _, h), (ahead, front_d) = adversary, front
+        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
+        leads = self._in_lane(front_d) & ahead & ~across
+        gap = s - self.s - (self._length + self.scenes.ego.length) / 2
+        bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
+        if self._careful is not None:
+            bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
+        if blocked is not None:
+            bound = np.minimum(bound, self._junctions.bound(blocked, self.s, self.v))
+        return np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
 
     def pose(self) -> tuple[Floats, Floats, Floats, Floats]:
         """x, y, heading, speed, each ``(n,)``."""
