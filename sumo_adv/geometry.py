@@ -200,3 +200,28 @@ def _bend_speed(curvature: Floats, lateral: float, braking: float) -> Floats:
     gained = 2 * braking * PATH_STEP * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(least - gained))
+
+
+def quintics(
+    start: tuple[Any, Any, Any], target: Floats, duration: Floats, times: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Offset [m], its rate and second derivative by ``times`` (k,) [s], ``(..., k)``, and the integral of the third
+    one's square [m2/s5], of quintic moves to rest on ``target`` [m] after ``duration`` [s], ``(...)``.
+
+    start: offset, rate and second derivative now; floats, or arrays that go with ``target``. Werling et al. 2010,
+    "Optimal trajectory generation for dynamic street scenarios in a Frenet frame".
+    """
+    (d0, rate, second), t = start, duration
+    # d = d0 + rate u + second u^2 / 2 + c3 u^3 + c4 u^4 + c5 u^5, at rest on the target at u = t
+    gap, slope, bow = target - d0 - rate * t - second * t * t / 2, -rate - second * t, -second
+    c3 = (10 * gap - 4 * slope * t + bow * t * t / 2) / t**3
+    c4 = (-15 * gap + 7 * slope * t - bow * t * t) / t**4
+    c5 = (6 * gap - 3 * slope * t + bow * t * t / 2) / t**5
+    jerk = 36 * c3**2 * t + 144 * c3 * c4 * t**2 + (192 * c4**2 + 240 * c3 * c5) * t**3
+    jerk += 720 * c4 * c5 * t**4 + 720 * c5**2 * t**5
+    u = np.minimum(times, t[..., None])
+    d0, rate, second, c3, c4, c5 = (np.asarray(q)[..., None] for q in (d0, rate, second, c3, c4, c5))
+    d = d0 + u * (rate + u * (second / 2 + u * (c3 + u * (c4 + u * c5))))
+    d1 = rate + u * (second + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))
+    d2 = second + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))
+    return d, d1, d2, jerk

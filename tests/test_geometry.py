@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap, wrap_all
+from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, quintics, wrap, wrap_all
 
 COORDINATE = st.floats(-2000.0, 2000.0)
 ANGLE = st.floats(-math.pi + 1e-6, math.pi)
@@ -165,3 +165,28 @@ def test_a_bend_that_no_car_can_follow_is_rounded() -> None:
     assert rounded.length > sharp.length - 4.0
     gentle = [(0.0, 0.0), (100.0, 0.0)]
     assert (make_path(gentle, tightest=0.195).x == make_path(gentle).x).all()
+
+
+def test_a_quintic_move_from_rest_to_rest() -> None:
+    """1 m in 2 s: half way after 1 s, at 15/8 of the mean speed (0.9375 m/s) without acceleration; the third
+    derivative's square comes to 720 h^2 / T^5 = 22.5 m2/s5. From then on it stays."""
+    d, rate, second, jerk = quintics((0.0, 0.0, 0.0), np.array([1.0]), np.array([2.0]), np.array([0.0, 1.0, 2.0, 3.0]))
+    assert d[0] == pytest.approx([0.0, 0.5, 1.0, 1.0])
+    assert rate[0] == pytest.approx([0.0, 0.9375, 0.0, 0.0])
+    assert second[0] == pytest.approx([0.0, 0.0, 0.0, 0.0])
+    assert jerk == pytest.approx([22.5])
+
+
+def test_quintic_moves_of_many_go_as_each_alone() -> None:
+    """Two with states of their own, to the same two aims."""
+    starts, aims, spans, times = (
+        [(0.5, -0.2, 0.1), (-1.0, 0.3, 0.0)],
+        np.array([0.0, 3.2]),
+        np.array([1.2, 3.0]),
+        np.arange(0.0, 4.1, 0.2),
+    )
+    a, b, c = (np.array([[s[k]] for s in starts]) for k in range(3))
+    together = quintics((a, b, c), np.stack([aims, aims]), np.stack([spans, spans]), times)
+    for row, start in enumerate(starts):
+        for many, one in zip(together, quintics(start, aims, spans, times), strict=True):
+            assert np.array_equal(many[row], one)

@@ -24,6 +24,7 @@ LOOK, LEAST_LOOK = 0.2, 2.0  # s, m
 DRIFT_RATE, DRIFT_TIME, SLOWING = 0.15, 2.5, 0.5  # m/s, s, m/s2
 ALONG, STOPPING_SHORT, SMOOTHING, ASIDE = np.pi / 4, 3.0, 0.5, 12.0  # rad, m/s2, -, m
 NEARBY, NOWHERE = 15.0, 1e6  # m: farther than that, and what both go in its horizon, nobody matters; off any road
+NOTICED, MOVED = 0.05, 0.02  # m/s in a step, m and m/s: less is still as unattacked, and on the lane's centre
 TIMES = STEP * np.arange(round(HORIZON / STEP) + 1.0)
 
 
@@ -70,10 +71,10 @@ class LatticeDrivers:
         cap = np.where(v > SETTING_OFF, np.minimum(cap, np.maximum(self._ordinary, EASED) + EASING * dt), cap)
         next_s, next_v = self._scenes.profile_now(now + dt)
         reference = self._reference(now, s, v, seen, cap)
-        self.disturbed |= v + reference[:, 0] * dt < next_v - 0.05
+        self.disturbed |= v + reference[:, 0] * dt < next_v - NOTICED
         state = State(s, v, self._a, reference, self.d, v * np.sin(self.turn + self._slip), self._second,
                       self._target, self._left)  # fmt: skip
-        moved = (np.abs(self.d) > 0.02) | (np.abs(self._target) > 0.02) | (np.abs(state.rate) > 0.02)
+        moved = np.maximum(np.maximum(np.abs(self.d), np.abs(self._target)), np.abs(state.rate)) > MOVED
         rows = np.flatnonzero(moved | in_conflict(state, seen, self._ego, TIMES))
         a, aim, limits = reference[:, 0].copy(), np.zeros(len(s)), (self._most, self._accel, BRAKING)
         self._target, self._left, self._second = np.zeros(len(s)), np.zeros(len(s)), np.zeros(len(s))

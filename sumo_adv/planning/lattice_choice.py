@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.geometry import quintics
 from sumo_adv.planning.scenes import Scenes
 
 DURATIONS = (1.2, 2.0, 3.0)  # s, of a move sideways
@@ -188,19 +189,9 @@ def _aside(state: State, room: Room, times: Floats) -> _Aside:
     target, duration = np.empty((n, 3 * len(aims) + 1)), np.empty((n, 3 * len(aims) + 1))
     target[:, :-1], duration[:, :-1] = np.repeat(aims, len(DURATIONS)), np.tile(DURATIONS, len(aims))
     target[:, -1], duration[:, -1] = state.target, np.maximum(state.left, 0.5)
-    d0, rate, second, t = state.d[:, None], state.rate[:, None], state.second[:, None], duration
-    gap, slope, bow = target - d0 - rate * t - second * t * t / 2, -rate - second * t, -second
-    c3 = (10 * gap - 4 * slope * t + bow * t * t / 2) / t**3
-    c4 = (-15 * gap + 7 * slope * t - bow * t * t) / t**4
-    c5 = (6 * gap - 3 * slope * t + bow * t * t / 2) / t**5
-    jerk = 36 * c3**2 * t + 144 * c3 * c4 * t**2 + (192 * c4**2 + 240 * c3 * c5) * t**3
-    jerk += 720 * c4 * c5 * t**4 + 720 * c5**2 * t**5
-    u = np.minimum(times, t[:, :, None])
-    d0, rate, second, c3, c4, c5 = (q[:, :, None] for q in (d0, rate, second, c3, c4, c5))
-    d = d0 + u * (rate + u * (second / 2 + u * (c3 + u * (c4 + u * c5))))
-    d1 = rate + u * (second + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))
-    d2 = second + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))
-    return _Aside(d, d1, d2, target, duration, jerk)
+    start = (state.d[:, None], state.rate[:, None], state.second[:, None])
+    d, rate, second, jerk = quintics(start, target, duration, times)
+    return _Aside(d, rate, second, target, duration, jerk)
 
 
 def _comfort(off: _Aside, state: State, room: Room) -> Floats:

@@ -30,12 +30,14 @@ class Leaders:
         first = {key: k for k, key in reversed(list(enumerate(keys)))}
         group = {key: g for g, key in enumerate(first)}
         self._row = np.array([group[key] for key in keys], np.intp)
-        self._rows = [np.flatnonzero(self._row == g) for g in range(len(group))]
         self._mine, self._driver = scenes.ego.length / 2, driver
         cases = [(scenes.of[k], names[k]) for k in first.values()]
-        self._stations = [s.profile_s for s, _ in cases]
-        self._held = [_held_by(s, name, driver) for s, name in cases]
-        self.any_held = any(h.any() for h in self._held)
+        held = [_held_by(s, name, driver) for s, name in cases]
+        self._held = [
+            (np.flatnonzero(self._row == g), s.profile_s, h)
+            for g, ((s, _), h) in enumerate(zip(cases, held, strict=True))
+            if h.any()
+        ]
         others = [[o for o in s.ahead if o.id != name] for s, name in cases]
         steps, most = max(len(s.profile_s) for s, _ in cases), max(map(len, others))
         self._others = np.full((3, len(cases), most, steps), np.inf)  # rear's station, centre's station, speed
@@ -48,17 +50,16 @@ class Leaders:
     def held(self, station: Floats) -> Bools:
         """Whether the adversary held the unattacked ego up at stations ``(n,)``."""
         found = np.zeros(len(station), bool)
-        for rows, stations, held in zip(self._rows, self._stations, self._held, strict=True):
-            if held.any():
-                k = np.searchsorted(stations, station[rows], side="right") - 1
-                found[rows] = held[np.clip(k, 0, len(held) - 1)]
+        for rows, stations, held in self._held:
+            k = np.searchsorted(stations, station[rows], side="right") - 1
+            found[rows] = held[np.clip(k, 0, len(held) - 1)]
         return found
 
     def bound(self, now: float, dt: float, s: Floats, v: Floats) -> Floats:
         """The speed [m/s] behind the nearest other ahead, inf where there is none; egos at ``s`` with ``v``."""
-        k = min(round(now / dt), self._others.shape[3] - 1)
         if not self._others.shape[2]:
             return np.full(len(s), np.inf)
+        k = min(round(now / dt), self._others.shape[3] - 1)
         rear, centre, speed = self._others[:, :, :, k][:, self._row]
         gap = np.where(centre > s[:, None], rear - s[:, None] - self._mine, np.inf)
         nearest = gap.argmin(axis=1)
@@ -79,10 +80,9 @@ def _held_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
         return found
     d, half = other.d[:-1], situation.lane_width / 2
     follows = np.abs(d) < half
-    alike = np.abs(other.heading[:-1]) < ALONG
     if not model.get("passes_right", False):
         follows |= (d >= half) & (d < 3 * half) & (v[:-1] > JAM)
-    follows &= (other.s[:-1] > s[:-1]) & alike
+    follows &= (other.s[:-1] > s[:-1]) & (np.abs(other.heading[:-1]) < ALONG)
     if not follows.any():
         return found
     gap = np.where(follows, other.s[:-1] - s[:-1] - (other.length + situation.ego.length) / 2, 1e3)

@@ -15,7 +15,7 @@ from sumo_adv.planning.scenes import Scenes
 
 SUBLANE = 0.8  # m, the lateral resolution that SUMO runs with (world/simulation.py)
 GAP = 0.6  # m, SUMO's minGapLat
-NARROW = 0.25  # m
+NARROW = 0.25  # m: a last strip less wide than that
 RATE, ACCELERATION, SLOWING = 1.5, 0.57, 3.0  # 1/s, m/s2, m/s2: how fast it moves over
 
 
@@ -32,7 +32,8 @@ class Sidestep:
         self.d, self._rate = np.zeros(len(length)), np.zeros(len(length))
 
     def step(self, ahead: Floats, front_d: Floats, was_inside: Bools) -> None:
-        """One step on: the adversaries' centres are ``ahead`` [m] of the egos', their fronts at offsets ``front_d``."""
+        """One step on: the adversaries' centres are ``ahead`` [m] of the egos', their fronts at offsets ``front_d``
+        [m]; ``was_inside``: whose front has been in the ego's lane; all ``(n,)``."""
         left = front_d > 0.0
         near = np.abs(front_d) - self._width / 2
         comes = was_inside & (near < self._lane / 2) & (np.abs(front_d) > self._lane / 2)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Floats
+from sumo_adv.geometry import quintics
 
 DURATIONS = (1.2, 2.0, 3.0)  # s, of a move sideways
 STEPS_ASIDE = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # m from the lane's centre
@@ -68,23 +69,8 @@ def aside(state: tuple[float, float, float], offsets: Floats, kept: tuple[float,
     target, duration = np.repeat(offsets, len(DURATIONS)), np.tile(DURATIONS, len(offsets))
     if kept is not None:
         target, duration = np.append(target, kept[0]), np.append(duration, max(kept[1], 0.5))
-    d0, rate, second = state
-    t = duration
-    # d = d0 + rate u + second u^2 / 2 + c3 u^3 + c4 u^4 + c5 u^5, at rest on the target at u = T
-    gap = target - d0 - rate * t - second * t * t / 2
-    slope, bow = -rate - second * t, -second
-    c3 = (10 * gap - 4 * slope * t + bow * t * t / 2) / t**3
-    c4 = (-15 * gap + 7 * slope * t - bow * t * t) / t**4
-    c5 = (6 * gap - 3 * slope * t + bow * t * t / 2) / t**5
-    c3, c4, c5 = c3[:, None], c4[:, None], c5[:, None]
-    u = np.minimum(times, t[:, None])
-    d = d0 + u * (rate + u * (second / 2 + u * (c3 + u * (c4 + u * c5))))
-    d1 = rate + u * (second + u * (3 * c3 + u * (4 * c4 + u * 5 * c5)))
-    d2 = second + u * (6 * c3 + u * (12 * c4 + u * 20 * c5))
-    c3, c4, c5 = c3[:, 0], c4[:, 0], c5[:, 0]
-    jerk = 36 * c3**2 * t + 144 * c3 * c4 * t**2 + (192 * c4**2 + 240 * c3 * c5) * t**3
-    jerk += 720 * c4 * c5 * t**4 + 720 * c5**2 * t**5
-    return Aside(d, d1, d2, target, duration, jerk)
+    d, rate, second, jerk = quintics(state, target, duration, times)
+    return Aside(d, rate, second, target, duration, jerk)
 
 
 def offsets_in(room: tuple[float, float], width: float, sides: tuple[float, ...]) -> Floats:
