@@ -122,7 +122,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     poses, model = np.empty((4, len(names), steps)), np.empty((4, len(names), steps))
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
-        model[:, :, k] = (*situation.ego_path.at(egos.s), egos.v)
+        model[:, :, k] = egos.pose()
         egos.step(k * dt, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _forward(ground, motion, plan, k * dt, limits, dt)
     x, y, heading, speed = poses
