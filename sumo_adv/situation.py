@@ -44,6 +44,8 @@ class WayLine:
 
     ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
     ``before_ego``: whether SUMO's rules let whoever goes this way go before the ego, where that has to give way.
+    ``bay``: station [m] at which those who turn wait on the junction for others, who do not mind them there, inf where
+    nowhere.
     """
 
     path: Path
@@ -55,6 +57,7 @@ class WayLine:
     ego_h: Floats
     conflict: Conflict | None
     before_ego: bool = True
+    bay: float = math.inf
 
 
 def fastest_of(speed: float) -> float:
@@ -74,6 +77,7 @@ class Target:
     turn: float  # rad, its heading against its way's
     sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
     risk: float = 0.0
+    unattacked: int | None = None  # which of its ways it would go unattacked, None where nobody knows
 
     @property
     def fastest(self) -> float:
@@ -88,6 +92,9 @@ class Target:
                 movement = "straight" if way.movement in ("none", "u-turn") else way.movement
                 words.add("merging" if way.conflict.kind == "merging" else f"crossing_{movement}")
         return tuple(sorted(words))
+
+
+SHIFT_STEP = 5.0  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,10 +117,13 @@ class Situation:
     ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
     situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
     ``junction``: station of the ego's path [m] at which the junction ahead begins, inf where there is none;
+    ``bay``: and at which it waits on it for others where it gives way (SUMO's internal junction), inf where nowhere;
     ``rule``: SUMO's right of way letter of the ego there (``Connection.state``), empty where there is none.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
     ``reacting``: whether the others have drivers, who brake for an adversary; not where a log moves them.
+    ``shifts``: by how much SUMO takes whoever is on a lane beside the ego's to be further ahead than he is: offset of
+    the lane [m, left positive], metres by ``SHIFT_STEP`` of the ego's path; none where that is nothing.
     ``ahead``: who is ahead of the unattacked ego, in its lane or beside, at some time.
     """
 
@@ -138,6 +148,8 @@ class Situation:
     left: float = math.inf
     reacting: bool = True
     ahead: tuple[OnPath, ...] = ()
+    bay: float = math.inf
+    shifts: tuple[tuple[float, Floats], ...] = ()
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -89,13 +89,32 @@ def test_the_seconds_for_a_distance_with_acceleration_up_to_13_9_metres_a_second
 
 
 def test_krauss_s_safe_speeds() -> None:
-    """b = 4.5, tau = 1: behind a car at 10 m/s with 20 m beyond the gap at a standstill -4.5 + sqrt(4.5^2 + 10^2 +
-    2 * 4.5 * 20) = 12.83 m/s; before a line 20 m ahead -0.45 + sqrt(0.45^2 + 180) = 12.97 m/s, at the line 0."""
+    """Braking by 0.45 m/s in each step of 0.1 s, n steps from 0.45 n m/s take 0.0225 n (n - 1) + 0.45 n tau metres.
+
+    The car ahead needs 22 steps and 10.615 m from 10 m/s; with 20 m more, and tau = 1 s, 28 steps take 29.61 m, and the
+    1.004 m that are left over 2.8 + 1 s: 12.6 + 0.264 m/s. Before a line 20 m ahead (tau = 0.1 s) 29 steps take
+    19.575 m: 13.05 + 0.424 / 3 m/s; at the line 0."""
     driver, v = CarFollowing(KRAUSS, 0.1), np.array([10.0])
-    assert driver.behind(v, np.array([22.5]), v)[0] == pytest.approx(12.83, abs=0.005)
-    assert driver.stopping(v, np.array([20.0]))[0] == pytest.approx(12.97, abs=0.005)
+    assert driver.behind(v, np.array([22.5]), v)[0] == pytest.approx(12.864, abs=0.001)
+    assert driver.stopping(v, np.array([20.0]))[0] == pytest.approx(13.191, abs=0.001)
     assert driver.stopping(v, np.array([-3.0]))[0] == 0.0
     assert driver.free(v)[0] == pytest.approx(10.26)
+
+
+@pytest.mark.parametrize(
+    ("gap", "leader", "speed"),
+    [
+        (12.5, 0.0, 10.0 - 0.1 * 1.2 * 5.0),  # 10 m beyond 2.5 m: 10^2 / (2 * 10) = 5 m/s2
+        (7.5, 5.0, 10.0 - 0.1 * 1.2 * 7.5),  # (10^2 - 5^2) / (2 * 5) = 7.5 m/s2: one that brakes as hard
+        (3.5, 0.0, 10.0 - 6.0),  # 50 m/s2: what no car can do is somebody else's to see
+        (2.4, 0.0, 10.0 - 0.9),  # nearer than it wants to stand: 9 m/s2
+    ],
+)
+def test_in_an_emergency_krauss_s_driver_brakes_by_a_fifth_more_than_is_needed(
+    gap: float, leader: float, speed: float
+) -> None:
+    driver, v = CarFollowing(KRAUSS, 0.1), np.array([10.0])
+    assert driver.behind(v, np.array([gap]), np.array([leader]))[0] == pytest.approx(speed, abs=0.01)
 
 
 def test_idm_s_speeds() -> None:
@@ -129,12 +148,12 @@ def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_le
 
 
 def test_before_one_that_will_be_gone_in_time_it_does_not_brake() -> None:
-    """The zone begins 14.4 m before the ego's front, which wants to stop after 11.9 m: it has
-    -0.45 + sqrt(0.45^2 + 9 * 11.9) = 9.91 m/s for that. Who is 2 m from being past it is followed, 11.9 - 2 m behind,
-    which at 12 m/s is no reason to brake."""
+    """The zone begins 14 m before the ego's front, which wants to stop after 11.5 m: for that 22 steps take 11.385 m,
+    so it may have 9.9 + 0.114 / 2.3 = 9.95 m/s. Who is 2 m from being past it is followed, 11.5 - 2 m behind, which at
+    12 m/s is no reason to brake."""
     for speed, brakes in ((12.0, False), (0.0, True)):
         egos = egos_of(crossroads(12.0))
-        drive(egos, 0.1, lambda _, v=speed: blocked(True, before=-6.2, speed=v, meets=18.5), speed)  # type: ignore[misc]
+        drive(egos, 0.1, lambda _, v=speed: blocked(True, before=-6.2, speed=v, meets=18.1), speed)  # type: ignore[misc]
         assert bool(egos.disturbed[0]) is brakes
 
 
@@ -156,14 +175,14 @@ def test_who_came_on_the_junction_first_goes_first(junction: float, yields: bool
     assert bool(egos.disturbed[0]) is brakes
 
 
-def test_against_a_red_light_nobody_came_first() -> None:
-    """A step later the ego is on the junction as well, and the other one no more in its way."""
-    for yields, speed in ((False, 9.1 - 0.9), (True, 9.1 + 0.26)):
-        egos = egos_of(crossroads(3.0))
-        drive(egos, 0.1, lambda _, y=yields: blocked(True, before=6.0, meets=13.6, yields=y), 0.0)  # type: ignore[misc]
-        assert egos.v[0] == pytest.approx(9.1)
-        drive(egos, 0.1, lambda _, y=yields: blocked(True, before=6.0, meets=13.6, yields=y), 0.0, begin=0.1)  # type: ignore[misc]
-        assert egos.v[0] == pytest.approx(speed)
+@pytest.mark.parametrize(("bay", "first", "held"), [(math.inf, True, False), (6.0, True, True), (6.0, False, False)])
+def test_where_it_waits_on_the_junction_for_others_it_is_not_there_first(bay: float, first: bool, held: bool) -> None:
+    """The ego's front is at 2.5 m, over the line of its junction at 2 m. Then another one comes, and stands; where the
+    ego waits on the junction, at 6 m, and that one goes first, it is in its way as before the junction."""
+    egos = egos_of(replace(crossroads(2.0), bay=bay))
+    drive(egos, 0.1, lambda _: blocked(meets=13.6, first=first), 0.0)
+    drive(egos, 0.2, lambda _: blocked(True, before=6.0, meets=13.6, first=first), 0.0, begin=0.1)
+    assert bool(egos.disturbed[0]) is held
 
 
 def test_one_that_drives_off_on_the_ego_s_path_is_followed() -> None:
@@ -201,14 +220,14 @@ def test_beside_one_that_merges_and_is_ahead_it_brakes_as_hard_as_it_can() -> No
 
 @KINDS
 def test_it_waits_at_its_line_for_one_who_comes_and_goes_on_behind_it(kind: str) -> None:
-    """One who comes from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands 1 m before its line, to which
-    it takes 0.88 s; so it goes when that one has 3.63 of its 35 m left, which is after 10.5 s."""
+    """One who comes from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands at its line; it goes when that
+    one has done its 35 m, which is after 11.7 s."""
     egos = egos_of(crossroads(6.0, {**KRAUSS, "kind": kind}, speed=5.0))
     coming = crossing_at(3.0, before=15.0, behind=35.0)
     drive(egos, 10.0, coming, 3.0)
     assert egos.disturbed[0]
     assert egos.v[0] < 0.3
-    assert 4.5 < egos.s[0] + 2.5 < 5.1  # SUMO's drivers stop 1 m before the line
+    assert 5.4 < egos.s[0] + 2.5 < 6.1
     drive(egos, 6.0, coming, 3.0, begin=10.0)
     assert egos.v[0] == pytest.approx(5.0, abs=0.1)
     assert egos.s[0] > 10.0
@@ -229,10 +248,10 @@ def test_it_waits_where_both_would_be_there_at_once(speed: float, before: float,
     assert bool(egos.disturbed[0]) is waits
 
 
-@pytest.mark.parametrize(("line", "waits"), [(4.2, False), (4.4, True), (7.1, False)])
+@pytest.mark.parametrize(("line", "waits"), [(4.7, False), (4.9, True), (7.1, False)])
 def test_it_decides_where_it_sees_the_others_and_can_still_stop(line: float, waits: bool) -> None:
-    """It needs 5^2 / (2 * 4.5) = 2.78 m, and would stop 1 m before the line: 1.78 m. It has 1.7, 1.9 or 4.6 m; more
-    than 4.5 m before the line SUMO's drivers brake as to stop, and do so unattacked too."""
+    """It needs 5^2 / (2 * 4.5) = 2.78 m, of which 0.5 m may lack. It has 2.2, 2.4 or 4.6 m; more than 4.5 m before the
+    line SUMO's drivers brake as to stop, and do so unattacked too."""
     egos = egos_of(crossroads(line, speed=5.0))
     drive(egos, 0.1, crossing_at(3.0, before=15.0, behind=35.0), 3.0)
     assert bool(egos.disturbed[0]) is waits
@@ -292,7 +311,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
         (20.0, 15.0, 3.2, True),
         (20.0, 15.0, -3.2, False),  # on the right: passing on the left is free
         (20.0, 15.0, 6.4, False),  # two lanes away
-        (20.0, 22.0, 3.2, False),  # faster
+        (20.0, 26.0, 3.2, False),  # faster
         (20.0, 21.0, 3.2, True),  # faster, but nearer than the driver would follow it
         (16.0, 12.0, 3.2, False),  # below 60 km/h: as in a jam
     ],
@@ -316,8 +335,9 @@ def test_who_was_in_the_lane_to_the_left_is_followed_as_long_as_it_is_partly_the
     for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
         egos = egos_of(sit)
         egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), blocked())
-        assert egos.v[0] == pytest.approx(20.0)
-        egos.step(0.1, (np.array([22.0]), np.array([now]), np.array([0.0])), np.array([15.0]), blocked())
+        egos.step(0.1, (np.array([80.0]), np.array([now]), np.array([0.0])), np.array([20.0]), blocked())
+        assert egos.v[0] == pytest.approx(20.0)  # SUMO's drivers look aside at the end of a step
+        egos.step(0.2, (np.array([24.0]), np.array([now]), np.array([0.0])), np.array([15.0]), blocked())
         assert egos.v[0] == pytest.approx(19.55 if brakes else 20.0)
 
 

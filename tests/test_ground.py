@@ -157,13 +157,37 @@ def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_
     assert ground.blocked(at_station(ground, 38.0)).behind[0] == pytest.approx(-0.5)
 
 
-def test_on_a_junction_one_counts_as_on_the_way_that_it_is_nearest_to() -> None:
-    """Of the two ways on from the south only the one straight on meets the ego's path. 4 m to the left of that, at
-    (26, -3), the turn is 1 m off and turned by 60 degrees; before the junction it counts by the way it is on."""
+@pytest.mark.parametrize(
+    ("unattacked", "station", "offset", "straight"),
+    [
+        (0, 5.0, 0.0, True),  # before the junction: by its route
+        (1, 5.0, 0.0, False),
+        (None, 5.0, 4.0, True),  # or, if nobody knows that, by the way it is on
+        (0, 22.0, 4.0, True),  # 4 m aside of its route the other way is nearer, but not by 2 m more
+        (1, 22.0, 4.0, False),
+        (0, 22.0, 7.0, False),
+        (1, 22.0, 0.0, True),
+    ],
+)
+def test_on_a_junction_one_counts_as_on_the_way_that_its_front_is_nearest_to(
+    unattacked: int | None, station: float, offset: float, straight: bool
+) -> None:
+    """Of the two ways on from the south only the one straight on meets the ego's path, at 30 m. The other one turns
+    left 2 m before that; a rad of another heading counts as 2.2 m, having been on a way as 2 m."""
+    ground = Ground([situation([replace(crossing(), unattacked=unattacked)])], ["bv"])
+    ground.blocked(at_station(ground, 5.0))
+    found = ground.blocked(at_station(ground, station)._replace(d=one(offset)))
+    assert found.meets[0] == pytest.approx(30.0 if straight else math.inf)
+
+
+def test_who_waits_to_turn_on_a_junction_is_not_yet_in_the_way() -> None:
+    """The way begins to cross others at 20 m: until its front is there nobody minds it."""
+    turns = crossing()
+    turns = replace(turns, ways=tuple(replace(w, bay=20.0) for w in turns.ways))
+    ground = Ground([situation([turns])], ["bv"])
+    assert [bool(ground.blocked(at_station(ground, s, 0.0)).on[0]) for s in (13.0, 17.0, 18.0)] == [False, False, True]
     ground = Ground([situation([crossing()])], ["bv"])
-    for station, offset, meets in ((22.0, 0.0, 30.0), (22.0, 4.0, math.inf), (5.0, 4.0, 30.0)):
-        found = ground.blocked(at_station(ground, station)._replace(d=one(offset)))
-        assert found.meets[0] == pytest.approx(meets)
+    assert ground.blocked(at_station(ground, 13.0, 0.0)).on[0]
 
 
 def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> None:
@@ -226,7 +250,7 @@ def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mine", "other", "yields"), [("G", "r", True), ("G", "g", False), ("g", "r", False), (None, "r", False)]
+    ("mine", "other", "yields"), [("G", "r", True), ("G", "g", False), ("g", "r", True), (None, "r", False)]
 )
 def test_one_that_comes_against_red_yields_where_the_ego_has_green(mine: str | None, other: str, yields: bool) -> None:
     lights = {"bv": (("tl", 20.0, other),), "ego": () if mine is None else (("tl", 30.0, mine),)}

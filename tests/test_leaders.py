@@ -36,7 +36,7 @@ def behind(*others: OnPath, model: Mapping[str, Any] = KRAUSS) -> Situation:
 
 
 def leaders(sit: Situation) -> Leaders:
-    return Leaders(Scenes([sit]), ["bv"], CarFollowing(sit.ego_model, 0.1))
+    return Leaders(Scenes([sit]), ["bv"], np.array([5.0]), CarFollowing(sit.ego_model, 0.1))
 
 
 def gone(sit: Situation, seconds: float) -> PredictedEgos:
@@ -102,17 +102,50 @@ def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
     """12.5 m behind a car of 10 m/s: 10 m/s; with nobody ahead in the lane there is no such speed; a second later the
     others are 10 m farther."""
     found = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
-    at, v = np.array([0.0]), np.array([10.0])
-    assert found.bound(0.0, 0.1, at, v)[0] == pytest.approx(10.0)
-    assert found.bound(1.0, 0.1, at + 10.0, v)[0] == pytest.approx(10.0)
-    assert leaders(behind(other("bv", 10.0))).bound(0.0, 0.1, at, v)[0] == math.inf
+    at, v, disturbed = np.array([0.0]), np.array([10.0]), np.array([True])
+    assert found.bound(0.0, at, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
+    assert found.bound(1.0, at + 10.0, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
+    assert found.bound(0.0, at, v, ~disturbed)[0] == math.inf  # what it does unattacked has that in it
+    assert leaders(behind(other("bv", 10.0))).bound(0.0, at, v, disturbed)[0] == math.inf
 
 
 def test_one_that_crosses_is_no_leader() -> None:
     """It stands across the ego's lane: what the ego does about that is a matter of the junction."""
     across = other("second", HERE, speed=0.0)
     across.heading[:] = 1.5
-    assert leaders(behind(other("bv", 60.0), across)).bound(0.0, 0.1, np.array([0.0]), np.array([10.0]))[0] == math.inf
+    found = leaders(behind(other("bv", 60.0), across))
+    assert found.bound(0.0, np.array([0.0]), np.array([10.0]), np.array([True]))[0] == math.inf
+
+
+def beyond(found: Leaders, at: float, aside: float, speed: float, seconds: float) -> None:
+    """So long with the adversary's centre at a station, its front at an offset."""
+    for k in range(round(seconds / 0.1)):
+        found.step(0.1 * k, np.array([at]), np.array([aside]), np.array([speed]))
+
+
+def test_one_between_brakes_for_an_adversary_that_stands_and_the_ego_for_that_one() -> None:
+    """The other is 22.5 m ahead at 10 m/s, the adversary stands 25 m before its front. After 2 s it would be past that;
+    an ego of 10 m/s 20 m behind where it would be is too near to it then, though nothing happened to the ego itself."""
+    found = leaders(behind(other("bv", 80.0), other("between", 27.5)))
+    at, v = np.array([19.0]), np.array([10.0])
+    beyond(found, 57.5, 0.0, 0.0, 2.0)
+    assert found.bound(2.0, at, v, np.array([False]))[0] < 9.9
+    free = leaders(behind(other("bv", 80.0), other("between", 27.5)))
+    beyond(free, 57.5, 3.2, 0.0, 2.0)  # in the lane beside: at 10 m/s it goes by on the right
+    assert free.bound(2.0, at, v, np.array([False]))[0] == math.inf
+
+
+def test_who_comes_behind_one_that_brakes_does_so_too() -> None:
+    found = leaders(behind(other("bv", 80.0), other("first", 40.0), other("second", 22.5)))
+    beyond(found, 60.0, 0.0, 0.0, 3.0)
+    assert found.bound(3.0, np.array([20.0]), np.array([10.0]), np.array([False]))[0] < 9.9
+
+
+def test_others_that_a_log_moves_do_not_brake() -> None:
+    sit = replace(behind(other("bv", 80.0), other("between", 27.5)), reacting=False)
+    found = leaders(sit)
+    beyond(found, 57.5, 0.0, 0.0, 2.0)
+    assert found.bound(2.0, np.array([19.0]), np.array([10.0]), np.array([False]))[0] == math.inf
 
 
 def test_a_track_in_the_frame_of_the_egos_path() -> None:

@@ -54,15 +54,31 @@ def test_behind_a_leader_it_stays_where_it_is_and_alone_it_goes_back() -> None:
     [
         (3.2, ((3.2, "same"),), 2.2, 0.0, False),  # it never was in the lane
         (3.2, ((3.2, "same"),), 2.6, 0.0, True),  # its side is beyond the line
-        (3.2, ((3.2, "same"),), 2.2, 5.5, True),  # ahead, not beside
-        (3.2, ((3.2, "same"), (-3.2, "same")), 2.2, 0.0, True),  # a lane on the other side
-        (3.4, ((3.4, "same"),), 2.2, 0.0, True),  # the last strip is 0.2 m wide
+        (3.2, ((3.2, "same"),), 2.2, 7.6, True),  # 2.6 m ahead, more than the least gap
+        (3.2, ((3.2, "same"),), 2.2, -2.6, True),  # its front is behind the ego's middle
+        (3.2, ((3.2, "same"), (-3.2, "same")), 2.2, 0.0, True),  # from the left, with a lane to the right
+        (3.2, ((3.2, "opposite"),), 2.2, 0.0, True),  # no lane of the same direction
+        (3.4, ((3.4, "same"),), 2.2, 0.0, True),  # the strip from 0.7 m on is 0.2 m within the ego's width
     ],
 )
 def test_else_it_keeps_its_place(
     lane: float, sides: tuple[tuple[float, str], ...], front: float, ahead: float, was_inside: bool
 ) -> None:
     assert beside(sidestep(lane, sides), front, 2.0, ahead, was_inside) == 0.0
+
+
+def test_from_the_right_it_makes_room_even_with_a_lane_to_the_left() -> None:
+    """0.7 m, from the moment there is less than the least gap to that one."""
+    both = ((3.2, "same"), (-3.2, "same"))
+    assert beside(sidestep(3.2, both), -2.2, 6.0, 7.4) == pytest.approx(0.7, abs=0.01)
+
+
+def test_one_that_comes_still_nearer_finds_it_where_it_is() -> None:
+    """After a second it has moved by some 0.2 m; then the other's side is 0.5 m from the middle of the lane, in the strip
+    from 0 to 0.8 m, 0.7 m within the ego's width."""
+    found = sidestep()
+    there = beside(found, 2.2, 1.0)
+    assert beside(found, 1.7, 2.0) == pytest.approx(there, abs=0.08)
 
 
 def test_from_the_left_lane_it_moves_to_the_left() -> None:

@@ -15,10 +15,11 @@ from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
 from sumo_adv.metrics.case import closest
-from sumo_adv.situation import OnPath, Signal, Situation, Target, fastest_of, on_path, relate
+from sumo_adv.situation import SHIFT_STEP, OnPath, Signal, Situation, Target, fastest_of, on_path, relate
 from sumo_adv.world.network import Connection, RoadMap, Way
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
+UNLIKE = 0.05  # m: less than this SUMO's places on lanes side by side are the same
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
@@ -38,6 +39,7 @@ def surveys(
     settings: Settings,
     ego_model: Mapping[str, Any],
     route: tuple[str, ...],
+    routes: Mapping[str, tuple[str, ...]],
     signals: Mapping[str, tuple[Signal, ...]],
     left: float = math.inf,
     reacting: bool = True,
@@ -49,7 +51,7 @@ def surveys(
     for delay in _delays(candidates, tracks[ego_id].between(time, math.inf), settings):
         situation = survey(
             road, tracks, ego_id, candidates, time + delay, dt=settings.step_length, horizon=settings.horizon,
-            ego_model=ego_model, route=route, signals=signals,
+            ego_model=ego_model, route=route, routes=routes, signals=signals,
         )  # fmt: skip
         if situation is not None and settings.forecast == "constant":
             situation = _at_constant_velocity(situation)
@@ -143,6 +145,7 @@ def survey(
     horizon: float,
     ego_model: Mapping[str, Any],
     route: tuple[str, ...],
+    routes: Mapping[str, tuple[str, ...]],
     signals: Mapping[str, tuple[Signal, ...]],
 ) -> Situation | None:
     """The situation at ``time`` of an unattacked run's tracks; None if the ego is gone by then or nobody is left."""
@@ -155,10 +158,11 @@ def survey(
     step = np.hypot(np.diff(ego_track.x), np.diff(ego_track.y))
     stations = np.concatenate([[0.0], np.cumsum(step)])
     onward = _onward(road, ego, route)
-    first, junction, rule = (None, math.inf, "") if onward is None else (onward.first, onward.junction, onward.rule)
+    first, rule = (None, "") if onward is None else (onward.first, onward.rule)
+    junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
     targets = {}
     for candidate in candidates:
-        target = _target(road, tracks.get(candidate.id), candidate, time, path, first)
+        target = _target(road, tracks.get(candidate.id), candidate, time, path, first, routes.get(candidate.id, ()))
         if target is not None:
             targets[candidate.id] = target
     if not targets:
@@ -176,8 +180,16 @@ def survey(
         ego_track.acceleration, dict(ego_model), targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
-        float(junction), rule, ahead=_ahead(tracks, ego_track, path, stations, dt, width),
+        float(junction), rule, bay=float(bay), shifts=_shifts(road, ego.lane, path),
+        ahead=_ahead(tracks, ego_track, path, stations, dt, width),
     )  # fmt: skip
+
+
+def _shifts(road: RoadMap, lane: str, path: Path) -> tuple[tuple[float, Floats], ...]:
+    """``Situation.shifts``."""
+    x, y, _ = path.at(np.arange(0.0, path.length, SHIFT_STEP))
+    found = road.lane_shifts(lane, x, y)
+    return tuple((o, m) for o, m in found if np.abs(m).max() > UNLIKE)
 
 
 def _ahead(
@@ -212,9 +224,10 @@ def _goes_first(other: Connection | None, ego: Connection | None) -> bool:
 
 
 def _target(
-    road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path, ego: Connection | None
-) -> Target | None:
-    """``ego``: how the ego goes on at its junction."""
+    road: RoadMap, track: Track | None, candidate: Candidate, time: float, path: Path, ego: Connection | None,
+    route: tuple[str, ...],
+) -> Target | None:  # fmt: skip
+    """``ego``: how the ego goes on at its junction; ``route``: the vehicle's own edges, as far as they are known."""
     found = state_at(track, time) if track is not None else None
     if found is None or track is None or found[0].lane not in road.lanes:
         return None
@@ -222,7 +235,9 @@ def _target(
     position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
     on = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
     ways = [
-        replace(relate(w.path, w.movement, w.junction, w.gives_way, path), before_ego=_goes_first(w.first, ego))
+        replace(
+            relate(w.path, w.movement, w.junction, w.gives_way, path), before_ego=_goes_first(w.first, ego), bay=w.bay
+        )
         for w in on
     ]
     if not ways:
@@ -231,4 +246,13 @@ def _target(
     heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
     turn = wrap(bv.heading - float(heading))
     sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
-    return Target(bv, candidate.relation, tuple(ways), station, offset, turn, sides, candidate.risk)
+    unattacked = _along(on, road, bv.lane, route)
+    return Target(bv, candidate.relation, tuple(ways), station, offset, turn, sides, candidate.risk, unattacked)
+
+
+def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:
+    """Which of the ways the route goes, None where nobody knows."""
+    edge = road.lanes[lane].edge
+    onward = route[route.index(edge) + 1 :][:1] if edge in route else route
+    goes = (k for k, w in enumerate(ways) if w.first is not None and road.lanes[w.first.to].edge in onward)
+    return next(goes, None)

@@ -169,6 +169,7 @@ class Worker:
         time, left = drive.now, drive.left()
         model, route = self._ego_model(), drive.route()
         signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
+        routes = {c.id: drive.simulation.route(c.id)[0] for c in ranking}
         raw = self._branch([partial(self._unattacked, all(c.meets_ahead for c in ranking))])[0]
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
         sizes, roles = raw[1], drive.roles()
@@ -180,7 +181,7 @@ class Worker:
         self._raw_ego = tracks[drive.ego]
         situations = surveys(
             self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
-            signals=signals, left=math.inf if left is None else left, reacting=drive.reacting(),
+            routes=routes, signals=signals, left=math.inf if left is None else left, reacting=drive.reacting(),
         )  # fmt: skip
         if not situations:
             return None, "the vehicles near it leave at once"

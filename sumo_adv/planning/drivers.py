@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, EgoCourse, Floats
-from sumo_adv.planning.car_following import CarFollowing
+from sumo_adv.planning.car_following import EMERGENCY, CarFollowing
 from sumo_adv.planning.careful import REACTION, CarefulDrivers
 from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.lattice import LatticeDrivers
-from sumo_adv.planning.leaders import JAM, Leaders
+from sumo_adv.planning.leaders import JAM, NOTICED, Leaders
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.sidestep import SUBLANE, Sidestep
 
@@ -26,8 +26,6 @@ WITHIN = 0.045  # m by which a side lies within a strip's edge to count as in it
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 LEAST_STEP = 0.05  # m: over less way an ego that was seen has the path's heading, or nearly
-NOTICED = 0.005  # m/s: so much slower than unattacked within a step its driver drives it, no longer its profile
-EMERGENCY = 9.0  # m/s2, SUMO's emergencyDecel of our drivers
 
 
 class PredictedEgos:
@@ -49,13 +47,15 @@ class PredictedEgos:
         )  # fmt: skip
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
+        self._front_before: Floats | None = None
         self._was_inside, self._was_beside = np.zeros(n, bool), np.zeros(n, bool)
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
+        self._beside = scenes.has_lane(1), scenes.has_lane(-1)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
         self._passes_right = bool(self.model.get("passes_right", False))
-        self._leaders = Leaders(scenes, names, self._driver)
+        self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model["kind"] == "careful"
         reaction = self.model.get("reaction", REACTION)
         self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
@@ -79,9 +79,11 @@ class PredictedEgos:
             self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
             return
         (s, d, h), half = adversary, self._length / 2
-        front_s, front_d = s + half * np.cos(h), d + half * np.sin(h)
+        front_d = d + half * np.sin(h)
+        seen_s = self.scenes.seen_at(s, front_d)
+        front_s = seen_s + half * np.cos(h)
         ahead = front_s > self.s + self.scenes.ego.length / 2
-        bound = self._bound(now, adversary, speed, (ahead, front_d), blocked)
+        bound = self._bound(now, adversary, speed, (seen_s, ahead, front_d), blocked)
         if self._lattice is not None:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
@@ -89,13 +91,15 @@ class PredictedEgos:
             return
         held = self._leaders.held(self.s)
         self.disturbed |= (bound < next_v - NOTICED) | (held & (bound > next_v + NOTICED))
-        if self.disturbed.any():
-            bound = np.minimum(bound, self._leaders.bound(now, dt, self.s, self.v))
+        others = self._leaders.bound(now, self.s, self.v, self.disturbed)
+        self.disturbed |= others < next_v - NOTICED
+        bound = np.minimum(bound, others)
+        self._leaders.step(now, seen_s, front_d, speed)
         pace = np.maximum(np.where(held, self._driver.most, self.scenes.pace(self.s)), next_v)
         free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
-        self._sidestep.step(s - self.s, front_d, self._was_inside)
+        self._sidestep.step(seen_s - self.s, front_d, self._was_inside)
         self.d, self.a = self._sidestep.d, (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
@@ -108,12 +112,12 @@ class PredictedEgos:
         self.s, self.d, self.a, self.v = s, d, (v - self.v) / dt, v
 
     def _bound(
-        self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Bools, Floats],
-        blocked: Blocked | None,
+        self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
+        front: tuple[Floats, Bools, Floats], blocked: Blocked | None,
     ) -> Floats:  # fmt: skip
-        """The speed [m/s] of the drivers for the adversaries, inf where they are no reason; ``front``: whether their
-        fronts are ahead of the egos', and their offsets."""
-        (s, _, h), (ahead, front_d) = adversary, front
+        """The speed [m/s] of the drivers for the adversaries, inf where they are no reason; ``front``: the stations
+        that SUMO has them at, whether their fronts are ahead of the egos', and their fronts' offsets."""
+        (_, _, h), (s, ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
         leads = self._in_lane(front_d) & ahead & ~across
         gap = s - self.s - (self._length + self.scenes.ego.length) / 2
@@ -137,12 +141,12 @@ class PredictedEgos:
     def _in_lane(self, front_d: Floats) -> Bools:
         """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines (another
         driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),
-        its side is within the strips that the ego takes up."""
+        its side is within the strips that the ego takes up; not where it went over to a lane of the other direction."""
         inside, half = np.abs(front_d) < self._sees, self._width / 2
         left, right = seen_edges(self._lane, self.scenes.ego.width, self.d)
         partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
-        return inside | (self._was_inside & partly)
+        return inside | (self._was_inside & partly & np.where(front_d > 0.0, *self._beside))
 
     def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
         """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind whoever is in the
@@ -150,12 +154,13 @@ class PredictedEgos:
         (``passes_right``) do not."""
         if self._passes_right:
             return np.full(len(self.s), np.inf)
+        before = front_d if self._front_before is None else self._front_before  # lanes change at the end of a step
+        front_d, self._front_before = before, front_d
         beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
         self._was_beside |= beside
         beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
         rules = beside & ahead & (self.v > JAM)
-        gently = self.v - self.model["deceleration"] * self.scenes.dt
-        return np.where(rules, np.maximum(self._driver.behind(self.v, gap, speed), gently), np.inf)
+        return np.where(rules, self._driver.staying_behind(self.v, gap, speed), np.inf)
 
 
 def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floats]:

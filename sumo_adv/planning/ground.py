@@ -28,7 +28,8 @@ SAME_PLACE = 0.4  # m: two ways still coincide
 LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
 COARSE = 12  # a way's points by which the nearest one is looked for first, then between these
 AROUND = np.arange(1 - COARSE, COARSE)
-TURNED, AFTER = 2.0, 10.0  # m per rad: how much its heading counts for the way it is on; m behind where ways meet
+TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
+AFTER = 10.0  # m behind where ways meet
 BESIDE = np.arange(-12, 13)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
@@ -55,6 +56,10 @@ class Ground:
         self._roads: dict[int, PathRow] = {}
         self._junctions = np.array([_junction(w) for w in lines])
         self._first = np.array([w.before_ego for w in lines])
+        self._bays = np.array([w.bay for w in lines])
+        own = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
+        self._own = np.where(own < 0, -1, self._base + own)
+        self._taken: Any = None  # the ways that SUMO takes them to be on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
@@ -88,8 +93,10 @@ class Ground:
         """
         if not np.isfinite(self._junctions[:, 2]).any():
             return None
-        row = self._nearest_ways(motion)
+        row = self._taken_ways(motion)
         entry, meets, ego, merging, wide = self._junctions[row].T
+        bay = self._bays[row]
+        entry = np.where(np.isfinite(bay), bay, entry)
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
         late = motion.v * self.scenes.dt  # SUMO's drivers see who comes a step later
@@ -101,29 +108,35 @@ class Ground:
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
 
-    def _nearest_ways(self, motion: Motion) -> Any:
-        """The ways that SUMO takes vehicles to be on: until they are on a junction those they are on, on it those whose
-        lines they are nearest to."""
-        found = self.rows.row
-        on = np.flatnonzero((motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1))
-        if not len(on):
-            return found
-        found = found.copy()
-        x, y, h = (q[on] for q in pose(Batch, motion, self.rows))
-        least = np.full(len(on), np.inf)
-        near = np.clip((motion.s[on] / PATH_STEP).astype(np.intp)[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
-        for k in range(int(self._count[on].max())):
-            mine = self._count[on] > k
-            way = np.where(mine, self._base[on] + k, self._base[on])
+    def _taken_ways(self, motion: Motion) -> Any:
+        """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose
+        lines their fronts are nearest to, where the one that they were on counts as nearer (``moveToXY``)."""
+        on = (motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1)
+        if self._taken is None:
+            self._taken = np.where(self._own < 0, self.rows.row, self._own)
+        self._taken = np.where(on | ((self._own >= 0) & (motion.s < self._leaves)), self._taken, self.rows.row)
+        rows = np.flatnonzero(on)
+        if not len(rows):
+            return self._taken
+        x, y, h = (q[rows] for q in pose(Batch, motion, self.rows))
+        half = self.length[rows] / 2
+        x, y = x + half * np.cos(h), y + half * np.sin(h)
+        least, found = np.full(len(rows), np.inf), self._taken[rows]
+        here = ((motion.s[rows] + half) / PATH_STEP).astype(np.intp)
+        near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
+        for k in range(int(self._count[rows].max())):
+            mine = self._count[rows] > k
+            way = np.where(mine, self._base[rows] + k, self._base[rows])
             px, py, ph = (self.rows.table[way[:, None], c, near] for c in range(3))
             square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
             at = square.argmin(axis=1)
-            each = np.arange(len(on))
+            each = np.arange(len(rows))
             turned = np.abs(wrap_all(h - ph[each, at]))
-            cost = np.where(mine, np.sqrt(square[each, at]) + TURNED * turned, np.inf)
-            better = cost < least - 1e-6
-            least, found[on] = np.where(better, cost, least), np.where(better, way, found[on])
-        return found
+            cost = np.sqrt(square[each, at]) + TURNED * turned - STAYS * (way == self._taken[rows])
+            better = mine & (cost < least - 1e-6)
+            least, found = np.where(better, cost, least), np.where(better, way, found)
+        self._taken[rows] = found
+        return self._taken
 
     def road(self, k: int) -> PathRow:
         """The way vehicle ``k`` is on, for floats."""
@@ -266,7 +279,7 @@ def _junction(way: WayLine) -> tuple[float, float, float, float, float]:
 def _yields(situation: Situation, target: Target) -> bool:
     """Whether it has red where the ego has green, as the lights are at the trigger."""
     mine, other = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
-    return bool(mine) and mine[0][2] == "G" and bool(other) and other[0][2] not in "Gg"
+    return bool(mine) and mine[0][2] in "Gg" and bool(other) and other[0][2] not in "Gg"
 
 
 BV_FIELDS = (

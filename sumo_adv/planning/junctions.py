@@ -14,6 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.planning.car_following import CarFollowing
 from sumo_adv.planning.scenes import Scenes
+from sumo_adv.situation import Situation
 
 FAR = 1e4  # m
 FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects others to come to a junction
@@ -21,7 +22,7 @@ AHEAD = 1.0  # s by which a driver who gives way wants to be over before others 
 GOES = ("", "M", "O", "o", "w")  # right of way letters with which no adversary is waited for; at an all-way stop (w)
 # who stood first goes first, and one that comes does not stand
 SEES = 4.5  # m before the line at which they decide (SUMO's visibility distance); until then they brake as to stop
-STOPS_BEFORE = 1.0  # m before the line at which SUMO's drivers come to a stop
+CAN_STOP = 0.5  # m less than an even braking takes is enough for that: they brake step by step
 CLEARANCE = 2.0  # m before and behind the place where ways meet that a vehicle on the other way takes up
 LONGEST = 60.0  # m from where a junction begins to where ways meet on it: what is further is on another one
 CRAWL = 0.1  # m/s, SUMO's haltingSpeed
@@ -57,9 +58,12 @@ class Junctions:
 
     def __init__(self, scenes: Scenes, driver: CarFollowing) -> None:
         self._driver, self._half, self._dt = driver, scenes.ego.length / 2, scenes.dt
-        self._begins = scenes.each(lambda s: s.junction)
-        self._line = scenes.each(lambda s: math.inf if s.rule in GOES else s.junction)
+        self._enters, self._bay = scenes.each(lambda s: s.junction), scenes.each(lambda s: s.bay)
+        stays = np.isfinite(self._bay)
+        self._begins = np.where(stays, self._bay, self._enters)
+        self._line = np.where(stays, self._bay, scenes.each(lambda s: math.inf if s.rule in GOES else s.junction))
         self._waits = bool(np.isfinite(self._line).any())
+        self._sees = np.where(stays & (scenes.each(_has_priority) > 0.0), FAR, SEES)
         n = len(self._begins)
         self._came_first, self._other_came = np.zeros(n, bool), np.zeros(n, bool)
 
@@ -70,8 +74,9 @@ class Junctions:
         and is not yet where the ways meet; where they have to give way themselves they wait at the line.
         """
         front = s + self._half
-        self._other_came |= blocked.on & ~blocked.yields
-        there = (front > self._begins) & (blocked.meets < self._begins + LONGEST)
+        self._other_came |= blocked.on
+        late = blocked.first | blocked.yields
+        there = (front > np.where(late, self._begins, self._enters)) & (blocked.meets < self._begins + LONGEST)
         self._came_first |= there & ~self._other_came
         clear = np.where(blocked.merging, self._merging(blocked, front, v), self._crossing(blocked, front, v))
         return np.minimum(clear, self._giving_way(blocked, front, v)) if self._waits else clear
@@ -104,7 +109,7 @@ class Junctions:
         other one, who is expected to speed up."""
         room = np.where(np.isfinite(self._line), self._line - front, -FAR)
         left = blocked.meets - front
-        stops = (room > -0.5) & (room < SEES) & (room > v * v / (2 * self._driver.deceleration) - STOPS_BEFORE)
+        stops = (room > -0.5) & (room < self._sees) & (room > v * v / (2 * self._driver.deceleration) - CAN_STOP)
         comes = seconds(blocked.before + blocked.zone, blocked.speed, FOE_ACCELERATION)
         gone = seconds(blocked.behind, blocked.speed, FOE_ACCELERATION)
         mine = seconds(room, v, self._driver.acceleration)
@@ -112,12 +117,20 @@ class Junctions:
         waits = (
             stops
             & blocked.first
+            & ~blocked.yields
+            & ~blocked.on
             & np.isfinite(blocked.meets)
             & (blocked.behind > 0.0)
             & (over + AHEAD > comes)
             & (gone > mine)
         )
-        return np.where(waits, self._driver.stopping(v, np.maximum(room, 0.0) - STOPS_BEFORE), np.inf)
+        return np.where(waits, self._driver.stopping(v, np.maximum(room, 0.0)), np.inf)
+
+
+def _has_priority(situation: Situation) -> float:
+    """1 if the ego's light is green without others to mind, or it is on a road that has the right of way, else 0."""
+    lights = situation.signals.get(situation.ego.id, ())
+    return float(lights[0][2] == "G" if lights else situation.rule == "M")
 
 
 def seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import Paths, wrap_all
-from sumo_adv.situation import Situation
+from sumo_adv.situation import SHIFT_STEP, Situation
 
 
 class Scenes:
@@ -30,11 +30,17 @@ class Scenes:
         frames = [s.frame for s in each]
         self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
         self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in each]
+        self._shifted = any(s.shifts for s in each)
         self.dt, self.ego, self.driver = each[0].dt, each[0].ego, each[0].ego_model
 
     def each(self, value: Any) -> Floats:
         """``value(situation)`` for each vehicle, ``(n,)``."""
         return np.array([value(s) for s in self._each], float)[self._row]
+
+    def has_lane(self, side: int) -> Bools:
+        """Whether a lane of the same direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
+        each = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.ego_sides) for s in self._each]
+        return np.array(each, bool)[self._row]
 
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
@@ -52,6 +58,19 @@ class Scenes:
         for one, rows in zip(self._each, self._rows, strict=True):
             found[rows] = np.interp(station[rows], one.profile_s, one.profile_v)
         return found
+
+    def seen_at(self, s: Floats, front_d: Floats) -> Floats:
+        """The stations ``(n,)`` that SUMO takes vehicles to be at, by their fronts' offsets (``Situation.shifts``)."""
+        if not self._shifted:
+            return s
+        s = s.copy()
+        for one, rows in zip(self._each, self._rows, strict=True):
+            at = s[rows]
+            for offset, metres in one.shifts:
+                on = np.abs(front_d[rows] - offset) < one.lane_width / 2
+                at = at + np.where(on, np.interp(at, SHIFT_STEP * np.arange(len(metres)), metres), 0.0)
+            s[rows] = at
+        return s
 
     def ego_at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations and offsets [m] of the egos' paths, ``(n,)`` or ``(n, k)``."""

@@ -61,9 +61,11 @@ def describe(
     route = simulation.route(ego)[0]
     model = {"kind": "idm", "passes_right": True, "unknown": True, **simulation.model(ego)}
     signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
+    routes = {c.id: simulation.route(c.id)[0] for c in ranking}
     situations = surveys(
-        road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, signals=signals
-    )
+        road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, routes=routes,
+        signals=signals,
+    )  # fmt: skip
     if not situations:
         return "the vehicles near it leave at once"
     order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
@@ -150,7 +152,7 @@ class LiveAttempts:
         return survey(
             self._road, tracks, ego, [candidate], session.now, dt=settings.step_length, horizon=settings.horizon,
             ego_model=self._scene.found.first.ego_model, route=simulation.route(ego)[0],
-            signals={name: tuple(simulation.signals(name)) for name in (ego, bv)},
+            routes={bv: simulation.route(bv)[0]}, signals={name: tuple(simulation.signals(name)) for name in (ego, bv)},
         )  # fmt: skip
 
 

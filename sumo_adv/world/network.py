@@ -62,6 +62,7 @@ class Way:
     junction: float  # station at which the first junction begins, inf if none is in reach
     rule: str = ""  # SUMO's right of way letter there (see ``Connection``), empty where there is no junction
     first: Connection | None = None  # at that junction
+    bay: float = math.inf  # station at which those who give way wait on it (SUMO's internal junction), else inf
 
     @property
     def gives_way(self) -> bool:
@@ -129,20 +130,32 @@ class RoadMap:
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
-        row, found, left = self.edges[lane.edge], [], 0.0
-        widths = [self.lanes[n].width for n in row]
-        for i, name in enumerate(row):
-            if i == lane.index or not self.lanes[name].passenger:
-                continue
-            between = sum(widths[min(i, lane.index) + 1 : max(i, lane.index)])
-            offset = between + (widths[i] + lane.width) / 2
-            if abs(i - lane.index) <= 2:
-                found.append((math.copysign(offset, i - lane.index), "same"))
-        left = sum(widths[lane.index + 1 :]) + lane.width / 2
+        found = [(offset, "same") for _, offset in self._beside(lane)]
+        left = sum(self.lanes[n].width for n in self.edges[lane.edge][lane.index + 1 :]) + lane.width / 2
         opposite = self.opposite_offset(x, y, heading)
         if opposite is not None and opposite < left + 2.6:
             found.append((opposite, "opposite"))
         return found
+
+    def _beside(self, lane: Lane) -> Iterator[tuple[Lane, float]]:
+        """The lanes of its edge, up to two to each side, and their offsets [m, left positive]."""
+        row = [self.lanes[n] for n in self.edges[lane.edge]]
+        for i, other in enumerate(row):
+            if i == lane.index or abs(i - lane.index) > 2 or not other.passenger:
+                continue
+            between = sum(o.width for o in row[min(i, lane.index) + 1 : max(i, lane.index)])
+            yield other, math.copysign(between + (other.width + lane.width) / 2, i - lane.index)
+
+    def lane_shifts(self, lane_id: str, x: Floats, y: Floats) -> list[tuple[float, Floats]]:
+        """By how much SUMO takes a vehicle on the lanes beside a lane to be further ahead than at the places ``(n,)``
+        along it: offset of the lane [m, left positive], metres ``(n,)``.
+
+        All lanes of an edge have one length there, whatever their shapes': on and behind a bend they count unlike."""
+        lane = self.lanes.get(lane_id)
+        if lane is None or lane.internal:
+            return []
+        here = _share(lane.shape, x, y) * lane.length
+        return [(offset, _share(o.shape, x, y) * o.length - here) for o, offset in self._beside(lane)]
 
     def ways(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
@@ -154,25 +167,25 @@ class RoadMap:
         junction, then the straightest.
         """
         found: list[Way] = []
-        for chain, first, junction in self._chains(lane_id, position, reach, route):
+        for chain, first, junction, bay in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
             path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
-            found.append(Way(tuple(chain), movement, path, junction, rule, first))
+            found.append(Way(tuple(chain), movement, path, junction, rule, first, bay))
             if len(found) == MAX_PATHS:
                 break
         return found
 
     def _chains(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
-    ) -> Iterator[tuple[list[str], Connection | None, float]]:
+    ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
         lane = self.lanes[lane_id]
         start = lane.length - position
         options = self._onward(lane, route)
         if start >= reach or not options:
-            yield [lane_id], None, math.inf
+            yield [lane_id], None, math.inf, math.inf
             return
         for first in options:
             chain, length = [lane_id, *first.via, first.to], start
@@ -185,7 +198,14 @@ class RoadMap:
                 chain += [*step.via, step.to]
                 length += sum(self.lanes[n].length for n in (*step.via, step.to))
             inside = 0.0 if lane.internal else start
-            yield chain, first, inside
+            yield chain, first, inside, self._bay(lane, start, first)
+
+    def _bay(self, lane: Lane, start: float, on: Connection) -> float:
+        """Metres to where the first internal lane of a connection ends and another follows; ``start``: to this lane's
+        end."""
+        if lane.internal:
+            return start if on.via else math.inf
+        return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
     def _onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
         """Connections from a lane, straight ones first; only along ``route`` where that says something."""
@@ -285,6 +305,18 @@ def read_network(path: FilePath) -> RoadMap:
             )  # fmt: skip
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
     return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions)
+
+
+def _share(shape: Floats, x: Floats, y: Floats) -> Floats:
+    """What part of a polyline's length lies before the places on it that are nearest to (x, y), ``(n,)``."""
+    a, step = shape[:-1], np.diff(shape, axis=0)
+    length = np.maximum(np.hypot(*step.T), 1e-9)
+    t = ((x[:, None] - a[:, 0]) * step[:, 0] + (y[:, None] - a[:, 1]) * step[:, 1]) / length**2
+    t = np.clip(t, 0.0, 1.0)
+    miss = np.hypot(a[:, 0] + t * step[:, 0] - x[:, None], a[:, 1] + t * step[:, 1] - y[:, None])
+    k, each = miss.argmin(axis=1), np.arange(len(x))
+    before = np.concatenate([[0.0], np.cumsum(length)])
+    return np.asarray((before[k] + t[each, k] * length[k]) / before[-1])
 
 
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
