@@ -74,8 +74,8 @@ def test_from_the_right_it_makes_room_even_with_a_lane_to_the_left() -> None:
 
 
 def test_one_that_comes_still_nearer_finds_it_where_it_is() -> None:
-    """After a second it has moved by some 0.2 m; then the other's side is 0.5 m from the middle of the lane, in the strip
-    from 0 to 0.8 m, 0.7 m within the ego's width."""
+    """After a second it has moved by some 0.2 m; then the other's side is 0.5 m from the middle of the lane, in the
+    strip from 0 to 0.8 m, 0.7 m within the ego's width."""
     found = sidestep()
     there = beside(found, 2.2, 1.0)
     assert beside(found, 1.7, 2.0) == pytest.approx(there, abs=0.08)
