@@ -189,9 +189,23 @@ def test_one_that_drives_off_on_the_ego_s_path_is_followed() -> None:
     """40 m on the other way: at its own speed nobody is held up, at 2 m/s the ego comes down to that."""
     for speed, disturbed in ((10.0, False), (2.0, True)):
         egos = egos_of(crossroads())
-        drive(egos, 20.0, lambda now, v=speed: blocked(True, merging=True, begins=40.0 + v * now, speed=v), speed)  # type: ignore[misc]
+        drive(
+            egos,
+            20.0,
+            lambda now, v=speed: blocked(True, merging=True, begins=40.0 + v * now, meets=300.0, speed=v),
+            speed,
+        )  # type: ignore[misc]
         assert egos.disturbed[0] == disturbed
         assert egos.v[0] == pytest.approx(speed, abs=0.1)
+
+
+@pytest.mark.parametrize(("junction", "v"), [(14.0, 10.0 - 0.045), (11.0, 10.0 - 0.9), (40.0, 10.0)])
+def test_while_one_merges_that_is_not_ahead_the_ego_does_not_drive_onto_the_junction(junction: float, v: float) -> None:
+    """The other's rear is 20 m behind the ego's front (2.5 m). It has 11.4, 8.4 or 37.4 m to the line: for the first it
+    may have 9.95 m/s as before any line, for the second 8.5 m/s, which is more than 9 m/s2."""
+    egos = egos_of(crossroads(junction))
+    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=-17.5, meets=60.0, speed=8.0), 8.0)
+    assert egos.v[0] == pytest.approx(v, abs=0.05)
 
 
 def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
@@ -202,15 +216,15 @@ def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
     assert egos.s[0] == pytest.approx(20.0)
 
 
-def test_beside_one_that_merges_and_is_ahead_it_brakes_as_hard_as_it_can() -> None:
-    """The front of the ego (2.5 m) is 1 m past the rear of a car of 5 m: by 9 m/s2 slower each second. Once it is past
-    that car's front, the ego drives on."""
-    egos = egos_of(crossroads())
+def test_beside_one_that_merges_it_brakes_as_hard_as_it_can_until_it_is_past_that_place() -> None:
+    """The front of the ego (2.5 m) is on the junction, 1 m past the rear of a car of 5 m: by 9 m/s2 slower each second.
+    Past the place where they merge it drives on."""
+    egos = egos_of(crossroads(1.0))
     v = float(egos.v[0])
     drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=1.5, speed=8.0), 8.0)
     assert egos.v == pytest.approx([v - 0.9])
-    past = egos_of(crossroads())
-    drive(past, 0.1, lambda _: blocked(True, merging=True, begins=-2.6, speed=8.0), 8.0)
+    past = egos_of(crossroads(1.0))
+    drive(past, 0.1, lambda _: blocked(True, merging=True, begins=1.5, meets=2.4, speed=8.0), 8.0)
     assert past.v == pytest.approx([v])
 
 

@@ -99,7 +99,7 @@ class Ground:
         entry = np.where(np.isfinite(bay), bay, entry)
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
-        late = motion.v * self.scenes.dt  # SUMO's drivers see who comes a step later
+        late = np.where(merges & ~self._yields, 0.0, motion.v * self.scenes.dt)  # others are seen a step later
         front, rear = motion.s + half, motion.s - half
         return Blocked(
             on=(front - late > entry) & np.where(merges, motion.s < meets, rear < meets + zone),

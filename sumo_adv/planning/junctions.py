@@ -82,10 +82,13 @@ class Junctions:
         return np.minimum(clear, self._giving_way(blocked, front, v)) if self._waits else clear
 
     def _merging(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
-        """Behind who merges as behind a leader."""
+        """Behind who merges as behind a leader; where that one is not far enough ahead, not onto the junction."""
         gap = blocked.begins - front
-        held = blocked.on & (gap > -blocked.length) & (~self._came_first | (blocked.before < 0.0))
-        return np.where(held, self._driver.behind(v, np.minimum(gap, FAR), blocked.speed), np.inf)
+        held = blocked.on & (front < blocked.meets) & (~self._came_first | (blocked.before < 0.0))
+        entry = np.where(np.isfinite(self._begins), self._begins - front - CRAWL, 0.0)
+        follow = self._driver.behind(v, np.minimum(gap, FAR), blocked.speed)
+        near = np.where(gap >= self._driver.min_gap, follow, self._driver.stopping(v, entry))
+        return np.where(held, near, np.inf)
 
     def _crossing(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
         """Before the zone where the ways cross, or so slowly that the other one is past it by then."""

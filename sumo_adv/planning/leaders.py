@@ -95,7 +95,7 @@ class Leaders:
     def bound(self, now: float, s: Floats, v: Floats, disturbed: Bools) -> Floats:
         """The speed [m/s] behind the nearest other ahead, inf where there is none; egos at ``s`` with ``v``. Those who
         drive as unattacked count for ``disturbed`` egos alone."""
-        if not self._late.shape[1]:
+        if not self._late.shape[1] or not (disturbed.any() or self._late.any()):
             return np.full(len(s), np.inf)
         unattacked, d, pace = self._at(now)
         counts = disturbed[:, None] | (self._late > LATE)
