@@ -12,7 +12,19 @@ from shapely import box
 from situation_samples import car, situation, target
 
 from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, Track
-from sumo_adv.episode.scoring import BEYOND, GRAZES, NONE, OFF_ROAD, REAR, THIRD, _cut, _score, judge_all
+from sumo_adv.episode.scoring import (
+    BEYOND,
+    GRAZES,
+    NONE,
+    OFF_ROAD,
+    REAR,
+    THIRD,
+    _cut,
+    _held,
+    _score,
+    _surely,
+    judge_all,
+)
 from sumo_adv.geometry import make_path
 from sumo_adv.planning.predict import Rollouts
 from sumo_adv.situation import Situation
@@ -151,6 +163,21 @@ def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
 def test_nor_does_one_off_the_road() -> None:
     found = judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))
     assert found["score"] == pytest.approx(NONE - 0.3 * 1.7 / 2)
+
+
+@pytest.mark.parametrize(("turned", "sure"), [(0.0, True), (-0.02, False)])
+def test_who_turns_may_have_turned_otherwise_and_see_the_hazard_late(turned: float, sure: bool) -> None:
+    """Another one comes towards the ego at 20 m/s, 1 m to the left of its way, and seems to be over the line (1.6 m to
+    its side, 1 m from its middle) from the beginning. An ego that has turned by -0.02 rad in the end, at 52 m, and may
+    be by 0.02 rad more has it 1 + 0.04 d metres to its left where it is d metres from there: over the line from 40 m
+    on, after 3.4 s, 1.8 s before they meet."""
+    x, y, h, v = row(motion(0.0, 0.0, 10.0))
+    ego = Boxes(x, y, np.where(TIME > 4.0, turned, h), v, 5.0, 2.0)
+    other = Boxes(160.0 - 20.0 * TIME[None, :], y + 1.0, h + np.pi, v * 0.0 + 20.0, 5.0, 2.0)
+    last, yes, first = np.array([52]), np.array([True]), np.array([0])
+    careful, hazard = _surely(yes, ego, other, _held(ego, last), first, last, DT, 1.6)
+    assert careful[0] == sure
+    assert hazard[0] == (0 if sure else pytest.approx(34, abs=1))
 
 
 def test_who_has_time_enough_scores_better() -> None:

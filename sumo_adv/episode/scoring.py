@@ -7,6 +7,7 @@ have avoided it, and with what to spare; no hit, an infeasible one, a third part
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ SOONER = (0.25, 0.5, 0.75, 1.0)  # s: where the careful driver would have avoide
 NEARLY = (0.24, 0.18, 0.12, 0.06)  # so much is taken off: the search is drawn to what a brake avoids
 BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
 SLOWER = 0.4  # s
+UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
 GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
@@ -225,8 +227,11 @@ def _avoidable(
     does, by ``DELAYS`` (asked only where he does not); the hazard."""
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
-    hazard, _ = hazard_index(a, b, start, last, dt, lane_half_width=situation.lane_width / 2)
+    half = situation.lane_width / 2
+    path = _held(_rows(ego, good), last)
+    hazard, _ = hazard_index(path, b, start, last, dt, lane_half_width=half)
     careful, late, *sooner = careful_after(a, b, hazard, dt, (0.0, SLOWER, *(-t for t in SOONER)))
+    careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half)
     nearly = np.where(sooner, np.array(NEARLY)[:, None], 0.0).max(axis=0)
     manoeuvre = np.zeros((len(good), len(DELAYS)), bool)
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
@@ -250,6 +255,31 @@ def _avoidable(
     return careful, careful & late, nearly, manoeuvre, hazard
 
 
+def _surely(
+    careful: Bools, ego: Boxes, adversary: Boxes, path: Boxes, hazard: Any, last: Any, dt: float, half: float
+) -> tuple[Bools, Any]:
+    """Which of those whom the careful driver avoids he avoids as well where an ego that turns has turned a little more
+    or less: for one that is far away that is metres beside its path, and the hazard may show seconds later. And the
+    hazards, later where that matters."""
+    unsure = np.minimum(np.abs(wrap_all(path.heading[:, -1] - path.heading[:, 0])), UNSURE)
+    rows = np.flatnonzero(careful & (unsure > 0.1 * UNSURE))
+    if not len(rows):
+        return careful, hazard
+    mine, other, lasts = _rows(path, rows), _rows(adversary, rows), last[rows]
+    latest = hazard[rows]
+    for turn in (-unsure[rows, None], unsure[rows, None]):
+        turned = replace(mine, heading=mine.heading + turn)
+        shows, _ = hazard_index(turned, other, lasts * 0, lasts, dt, lane_half_width=half)
+        latest = np.maximum(latest, shows)
+    later = latest > hazard[rows]
+    late, found, hazard = rows[later], careful.copy(), hazard.copy()
+    if len(late):
+        found[late] = careful_after(_rows(ego, late), _rows(adversary, late), latest[later], dt, (0.0,))[0]
+    lost = ~found[late]
+    hazard[late[lost]] = latest[later][lost]
+    return found, hazard
+
+
 def _manoeuvre(
     ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None = None
 ) -> Bools:
@@ -267,6 +297,12 @@ def _cut(b: Boxes, last: Any, dt: float) -> Boxes:
     heading = b.heading[k]
     x, y = b.x[k] + over * np.cos(heading), b.y[k] + over * np.sin(heading)
     return Boxes(x, y, heading, b.speed[k], b.length, b.width)
+
+
+def _held(b: Boxes, last: Any) -> Boxes:
+    """Motions that end at the step ``last``, as the path has them that the judge measures offsets from."""
+    k = (np.arange(len(last))[:, None], np.minimum(np.arange(b.x.shape[1])[None, :], last[:, None]))
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], b.length, b.width)
 
 
 def _rows(b: Boxes, rows: Any) -> Boxes:
