@@ -161,10 +161,21 @@ def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
     assert [float(q[0]) for q in found] == pytest.approx([left, right])
 
 
-def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front() -> None:
+@pytest.mark.parametrize(
+    ("kind", "passes_right", "seen"),
+    [
+        ("same", False, True),
+        ("opposite", False, False),  # it went over to the lane of the other direction
+        ("opposite", True, True),  # to no driver of SUMO's that is anything
+    ],
+)
+def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front(
+    kind: str, passes_right: bool, seen: bool
+) -> None:
     """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
-    sit = situation([leader(gap=15.0)], model=KRAUSS)
+    sit = situation([leader(gap=15.0)], model={**KRAUSS, "passes_right": passes_right})
+    sit = replace(sit, ego_sides=((3.2, kind),))
     one = np.ones(2)
     egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)
     before = np.array([0.0, 2.3])
@@ -172,7 +183,8 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
         egos.step(0.1 * k, (20.0 * one, d, 0.0 * one), 10.0 * one)
         assert not egos.disturbed.any()  # 15 m at equal speed are enough
     egos.step(0.2, (8.0 * one, 2.3 * one, 0.0 * one), 2.0 * one)
-    assert egos.disturbed.tolist() == [True, False]
+    assert egos.disturbed.tolist() == [seen, False]
+
 
 
 def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:

@@ -52,6 +52,8 @@ class PredictedEgos:
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
         self._beside = scenes.has_lane(1), scenes.has_lane(-1)
+        if self.model.get("passes_right", False):  # no driver of SUMO's: the directions of lanes are nothing to it
+            self._beside = np.ones(n, bool), np.ones(n, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
         self._passes_right = bool(self.model.get("passes_right", False))
@@ -80,7 +82,7 @@ class PredictedEgos:
             return
         (s, d, h), half = adversary, self._length / 2
         front_d = d + half * np.sin(h)
-        seen_s = self.scenes.seen_at(s, front_d)
+        seen_s = s if self._passes_right else self.scenes.seen_at(s, front_d)
         front_s = seen_s + half * np.cos(h)
         ahead = front_s > self.s + self.scenes.ego.length / 2
         bound = self._bound(now, adversary, speed, (seen_s, ahead, front_d), blocked)
