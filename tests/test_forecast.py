@@ -186,7 +186,6 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
     assert egos.disturbed.tolist() == [seen, False]
 
 
-
 def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:
     sit = situation([crossing()])
     answers = [
