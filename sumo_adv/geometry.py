@@ -183,6 +183,17 @@ def _turning(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return heading, np.gradient(heading, PATH_STEP)
 
 
+def along(shape: Floats, x: Floats | float, y: Floats | float) -> Floats:
+    """Metres along a polyline ``(k, 2)`` to the points on it that are nearest to (x, y): floats, or any shape."""
+    x, y, a, step = np.asarray(x)[..., None], np.asarray(y)[..., None], shape[:-1], np.diff(shape, axis=0)
+    length = np.hypot(*step.T)
+    t = ((x - a[:, 0]) * step[:, 0] + (y - a[:, 1]) * step[:, 1]) / np.maximum(length**2, 1e-9)
+    t = np.clip(t, 0.0, 1.0)
+    k = np.hypot(a[:, 0] + t * step[:, 0] - x, a[:, 1] + t * step[:, 1] - y).argmin(axis=-1)
+    before = np.concatenate([[0.0], np.cumsum(length)])
+    return np.asarray(before[k] + np.take_along_axis(t, k[..., None], axis=-1)[..., 0] * length[k])
+
+
 def _smooth(values: Floats) -> Floats:
     """Moving average over ``SMOOTHING`` metres that keeps both ends."""
     half = round(SMOOTHING / PATH_STEP / 2 + 0.5)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, quintics, wrap, wrap_all
+from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, quintics, wrap, wrap_all
 
 COORDINATE = st.floats(-2000.0, 2000.0)
 ANGLE = st.floats(-math.pi + 1e-6, math.pi)
@@ -190,3 +190,10 @@ def test_quintic_moves_of_many_go_as_each_alone() -> None:
     for row, start in enumerate(starts):
         for many, one in zip(together, quintics(start, aims, spans, times), strict=True):
             assert np.array_equal(many[row], one)
+
+
+def test_metres_along_a_polyline_are_those_of_the_nearest_place_on_it() -> None:
+    corner = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 5.0]])
+
+    assert float(along(corner, 4.0, 1.0)) == 4.0
+    assert along(corner, np.array([-3.0, 12.0, 9.0]), np.array([1.0, 2.0, 9.0])).tolist() == [0.0, 12.0, 15.0]

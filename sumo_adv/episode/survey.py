@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
-from sumo_adv.geometry import PATH_STEP, Frame, Path, make_path, wrap
+from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.situation import SHIFT_STEP, OnPath, Signal, Situation, Target, fastest_of, on_path, relate
 from sumo_adv.world.network import Connection, RoadMap, Way
@@ -111,7 +110,7 @@ def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
     onward = None
     if lane in road.lanes:
         shape = road.lanes[lane].shape
-        position = _position(shape, float(last[0]), float(last[1]))
+        position = float(along(shape, last[0], last[1]))
         ways = road.ways(lane, position, REACH, route)
         onward = ways[0].path if ways else None
     if onward is not None:
@@ -119,19 +118,6 @@ def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
         points = np.vstack([points, ahead])
     path = make_path(points)
     return path if path.length > REACH else path.extended(REACH - path.length)
-
-
-def _position(shape: Any, x: float, y: float) -> float:
-    """Metres along a polyline to the point nearest to (x, y)."""
-    best, at, walked = math.inf, 0.0, 0.0
-    for a, b in itertools.pairwise(shape):
-        length = math.hypot(*(b - a))
-        t = min(max(((x - a[0]) * (b[0] - a[0]) + (y - a[1]) * (b[1] - a[1])) / max(length**2, 1e-9), 0.0), 1.0)
-        miss = math.hypot(a[0] + t * (b[0] - a[0]) - x, a[1] + t * (b[1] - a[1]) - y)
-        if miss < best:
-            best, at = miss, walked + t * length
-        walked += length
-    return at
 
 
 def survey(
@@ -212,7 +198,7 @@ def _onward(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> Way | N
     """The ego's way on; None where it is on no lane."""
     if ego.lane not in road.lanes:
         return None
-    ways = road.ways(ego.lane, _position(road.lanes[ego.lane].shape, ego.x, ego.y), REACH, route)
+    ways = road.ways(ego.lane, float(along(road.lanes[ego.lane].shape, ego.x, ego.y)), REACH, route)
     return ways[0] if ways else None
 
 
@@ -232,7 +218,7 @@ def _target(
     if found is None or track is None or found[0].lane not in road.lanes:
         return None
     bv, _ = found
-    position = _position(road.lanes[bv.lane].shape, bv.x, bv.y)
+    position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
     on = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
     ways = [
         replace(

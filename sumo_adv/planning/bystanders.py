@@ -12,10 +12,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats
 from sumo_adv.geometry import wrap_all
-from sumo_adv.planning.car_following import CarFollowing
-from sumo_adv.planning.drivers import ACROSS, EMERGENCY
+from sumo_adv.planning.car_following import DEFAULT_DRIVER, EMERGENCY, CarFollowing
+from sumo_adv.planning.drivers import ACROSS
 
-DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
 COARSE = 6  # steps: the nearest place on a way is looked for among every so many, then between these
 SLOWER = 0.05  # m/s less than unattacked: from then on it follows
 
@@ -74,7 +73,7 @@ def _nearest(adversary: Boxes, x: Floats, y: Floats) -> Any:
 
 def _followed(way: Floats, s: Floats, front_s: Floats, before: Bools, speed: Floats, room: Floats, dt: float) -> Floats:
     """Stations ``(n, T)`` of drivers that follow the adversary once it is before them."""
-    driver = CarFollowing(DRIVER, dt)
+    driver = CarFollowing(DEFAULT_DRIVER, dt)
     unattacked = np.diff(way, axis=1) / dt
     at = way.copy()
     v, brakes = unattacked[:, 0].copy(), np.zeros(len(way), bool)

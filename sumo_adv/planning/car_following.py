@@ -13,6 +13,8 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 
 EMERGENCY, AMPLIFIED = 9.0, 1.2  # m/s2, SUMO's emergencyDecel of our drivers; how much more than is needed they brake
+# SUMO's DEFAULT_VEHTYPE (m/s2, s, m), with a speed [m/s] that nobody exceeds
+DEFAULT_DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
 NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
 
 

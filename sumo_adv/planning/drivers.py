@@ -52,11 +52,11 @@ class PredictedEgos:
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
         self._beside = scenes.has_lane(1), scenes.has_lane(-1)
-        if self.model.get("passes_right", False):  # no driver of SUMO's: the directions of lanes are nothing to it
+        self._passes_right = bool(self.model.get("passes_right", False))
+        if self._passes_right:  # no driver of SUMO's: the directions of lanes are nothing to it
             self._beside = np.ones(n, bool), np.ones(n, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
-        self._passes_right = bool(self.model.get("passes_right", False))
         self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model["kind"] == "careful"
         reaction = self.model.get("reaction", REACTION)

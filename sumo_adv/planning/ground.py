@@ -87,7 +87,7 @@ class Ground:
 
     def blocked(self, motion: Motion) -> Blocked | None:
         """How the vehicles stand in the ego's way at the junction where their ways meet its path; None where no way
-        meets it at one.
+        meets it at one. Asked once a step: which ways they are on hangs on where they were.
 
         Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
         """

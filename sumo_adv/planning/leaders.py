@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.planning.car_following import EMERGENCY, CarFollowing
+from sumo_adv.planning.car_following import DEFAULT_DRIVER, EMERGENCY, CarFollowing
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.situation import Situation
 
@@ -24,7 +24,6 @@ FAR = 1e6  # m: where those are who are not there
 IN_SIGHT = 100.0  # m
 LATE = 0.05  # m behind where it would be unattacked
 NOTICED = 0.005  # m/s: so much slower than unattacked within a step its driver drives it, no longer its profile
-OTHERS = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 30.0}
 JAM = 60.0 / 3.6  # m/s: slower drivers pass on the right (SUMO's ``congested``)
 
 
@@ -38,7 +37,7 @@ class Leaders:
         group = {key: g for g, key in enumerate(first)}
         self._row = np.array([group[key] for key in keys], np.intp)
         self._mine, self._driver, self._dt = scenes.ego.length / 2, driver, scenes.dt
-        self._theirs = CarFollowing(OTHERS, scenes.dt)
+        self._theirs = CarFollowing(DEFAULT_DRIVER, scenes.dt)
         cases = [(scenes.of[k], names[k]) for k in first.values()]
         held = [_held_by(s, name, driver) for s, name in cases]
         self._held = [

@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, along, make_path, wrap
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
@@ -309,14 +309,7 @@ def read_network(path: FilePath) -> RoadMap:
 
 def _share(shape: Floats, x: Floats, y: Floats) -> Floats:
     """What part of a polyline's length lies before the places on it that are nearest to (x, y), ``(n,)``."""
-    a, step = shape[:-1], np.diff(shape, axis=0)
-    length = np.maximum(np.hypot(*step.T), 1e-9)
-    t = ((x[:, None] - a[:, 0]) * step[:, 0] + (y[:, None] - a[:, 1]) * step[:, 1]) / length**2
-    t = np.clip(t, 0.0, 1.0)
-    miss = np.hypot(a[:, 0] + t * step[:, 0] - x[:, None], a[:, 1] + t * step[:, 1] - y[:, None])
-    k, each = miss.argmin(axis=1), np.arange(len(x))
-    before = np.concatenate([[0.0], np.cumsum(length)])
-    return np.asarray((before[k] + t[each, k] * length[k]) / before[-1])
+    return along(shape, x, y) / float(np.hypot(*np.diff(shape, axis=0).T).sum())
 
 
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
