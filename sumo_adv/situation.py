@@ -118,7 +118,8 @@ class Situation:
     situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
     ``junction``: station of the ego's path [m] at which the junction ahead begins, inf where there is none;
     ``bay``: and at which it waits on it for others where it gives way (SUMO's internal junction), inf where nowhere;
-    ``rule``: SUMO's right of way letter of the ego there (``Connection.state``), empty where there is none.
+    ``later``: and at which those behind it begin, as far as it came unattacked;
+    ``rule``: SUMO's right of way letter of the ego at the first (``Connection.state``), empty where there is none.
     ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
     ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
     ``reacting``: whether the others have drivers, who brake for an adversary; not where a log moves them.
@@ -150,6 +151,7 @@ class Situation:
     ahead: tuple[OnPath, ...] = ()
     bay: float = math.inf
     shifts: tuple[tuple[float, Floats], ...] = ()
+    later: tuple[float, ...] = ()
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -35,13 +35,12 @@ def crossroads(
 def blocked(
     on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
     meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
-    first: bool = True,
+    first: bool = True, joins: float = math.inf,
 ) -> Blocked:  # fmt: skip
     """A car of 5 m; ``before``: metres from its front to the zone."""
-    flags = (np.array([q]) for q in (on, yields, first, merging))
-    return Blocked(
-        *flags, *(np.array([float(q)]) for q in (meets, zone, before, before + 5.0, behind, begins, speed, 5.0))
-    )
+    flags = (np.array([q]) for q in (on, on, yields, first, merging))
+    places = (meets, zone, min(joins, meets), before, before + 5.0, behind, begins, speed, 5.0)
+    return Blocked(*flags, *(np.array([float(q)]) for q in places))
 
 
 def drive(
@@ -218,14 +217,66 @@ def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
 
 def test_beside_one_that_merges_it_brakes_as_hard_as_it_can_until_it_is_past_that_place() -> None:
     """The front of the ego (2.5 m) is on the junction, 1 m past the rear of a car of 5 m: by 9 m/s2 slower each second.
-    Past the place where they merge it drives on."""
+    Past the place where their ways become one, or where they merge, it drives on."""
     egos = egos_of(crossroads(1.0))
     v = float(egos.v[0])
-    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=1.5, speed=8.0), 8.0)
+    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=1.5, speed=12.0), 12.0)
     assert egos.v == pytest.approx([v - 0.9])
-    past = egos_of(crossroads(1.0))
-    drive(past, 0.1, lambda _: blocked(True, merging=True, begins=1.5, meets=2.4, speed=8.0), 8.0)
-    assert past.v == pytest.approx([v])
+    for place in ({"meets": 2.4}, {"joins": 2.4, "before": 6.0}):
+        past = egos_of(crossroads(1.0))
+        drive(past, 0.1, lambda _, p=place: blocked(True, merging=True, begins=1.5, speed=12.0, **p), 12.0)
+        assert past.v == pytest.approx([v])
+
+
+@pytest.mark.parametrize(("theirs", "brakes"), [(9.9, False), (10.1, True)])
+def test_of_two_who_come_onto_a_junction_in_one_step_the_slower_one_yields(theirs: float, brakes: bool) -> None:
+    """The ego's front (2.5 m, then 3.5 m at 10 m/s) is past its line (3 m) in the step in which the other one's is."""
+    egos = egos_of(crossroads(3.0))
+    drive(egos, 0.1, lambda _: blocked(merging=True, before=2.0, speed=theirs), theirs)
+    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=4.0, before=1.0, speed=theirs), theirs, begin=0.1)
+    assert (egos.v[0] < 10.0 - 1e-6) == brakes
+
+
+def test_who_was_on_one_junction_first_was_not_on_the_next() -> None:
+    """Its way leads over a junction at 1 m and another one at 20 m; ways that merge at 30 m do so on that. Held back by
+    one who is on it, it does not drive on to it."""
+    sit = replace(crossroads(1.0, rule="M"), later=(20.0,))
+    egos = egos_of(sit)
+    drive(egos, 4.0, lambda _: blocked(True, merging=True, begins=5.0, meets=30.0), 0.0)
+    assert egos.s[0] + 2.5 == pytest.approx(19.9, abs=0.05)  # 0.1 m before it
+    alone = egos_of(replace(sit, later=()))
+    drive(alone, 4.0, lambda _: blocked(True, merging=True, begins=5.0, meets=30.0), 0.0)
+    assert alone.s[0] > 30.0
+
+
+def test_who_turns_left_waits_in_its_bay_for_whoever_is_on_the_junction() -> None:
+    """Its line is at 3 m, its bay at 12 m, the ways cross at 25 m: it stops 0.1 m before the end of the bay, although the
+    other one, who crawls, is 11 m further on."""
+    egos = egos_of(replace(crossroads(3.0, rule="m"), bay=12.0))
+    drive(egos, 8.0, lambda _: blocked(True, meets=25.0, before=3.0, first=False), 0.0)
+    assert egos.s[0] + 2.5 == pytest.approx(11.9, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("sides", "offset", "heading", "follows"),
+    [
+        (((-3.2, "same"), (3.2, "opposite")), 1.9, 0.0, True),  # less than 0.365 m over the line, which is at 1.6 m
+        (((-3.2, "same"), (3.2, "opposite")), 2.0, 0.0, False),
+        (((-3.2, "same"), (3.2, "opposite")), 1.94, 0.2, False),  # turned by 0.2 rad: 0.323 m
+        (((3.2, "opposite"),), 1.65, 0.0, False),  # a road of two lanes that leads to no junction
+        (((-3.2, "same"), (3.2, "same")), 1.65, 0.0, False),
+        (((-3.2, "same"), (3.2, "opposite")), 1.4, math.pi, False),  # comes: 0.295 m before the line
+        (((-3.2, "same"), (3.2, "opposite")), 1.2, math.pi, True),
+    ],
+)
+def test_beside_a_lane_of_the_other_direction_others_count_as_in_the_lane_for_longer(
+    sides: tuple[tuple[float, str], ...], offset: float, heading: float, follows: bool
+) -> None:
+    """A car that stands 12 m ahead with the middle of its front ``offset`` to the left of the ego's path."""
+    egos = egos_of(replace(situation([leader()], model=KRAUSS, speed=10.0), ego_sides=sides))
+    there = (np.array([12.0]), np.array([offset - 2.5 * math.sin(heading)]), np.array([heading]))
+    egos.step(0.0, there, np.array([0.0]))
+    assert bool(egos.disturbed[0]) == follows
 
 
 # ---- its line is at 6 m, the ways meet at 10 m, it comes with 5 m/s. To be over it has 7.5 + 5 + 2 = 14.5 m, which it

@@ -150,7 +150,7 @@ def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_
     assert (before.before[0], before.back[0], before.behind[0]) == pytest.approx((20.9, 25.9, 37.5))
     assert (before.zone[0], before.speed[0], before.length[0]) == pytest.approx((1.6, 8.0, 5.0))
 
-    stations = (17.4, 12.5 + 0.7, 12.5 + 0.9, 29.0, 29.2)  # 0.8 m later than it is: a step at 8 m/s
+    stations = (17.4, 12.5 - 0.1, 12.5 + 0.1, 29.0, 29.2)
     assert [bool(ground.blocked(at_station(ground, s)).on[0]) for s in stations] == [True, False, True, True, False]
     leaving = ground.blocked(at_station(ground, 28.4))
     assert (leaving.before[0], leaving.back[0], leaving.behind[0]) == pytest.approx((-7.5, -2.5, 9.1))

@@ -18,6 +18,7 @@ from sumo_adv.situation import SHIFT_STEP, OnPath, Signal, Situation, Target, fa
 from sumo_adv.world.network import Connection, RoadMap, Way
 
 OTHERS_NEAR = 90.0  # m: whose motion is kept, those who come so close to the unattacked ego
+ANOTHER = 1.0  # m: a junction so much further on is another one
 UNLIKE = 0.05  # m: less than this SUMO's places on lanes side by side are the same
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
@@ -168,7 +169,16 @@ def survey(
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
         float(junction), rule, bay=float(bay), shifts=_shifts(road, ego.lane, path),
         ahead=_ahead(tracks, ego_track, path, stations, dt, width),
+        later=tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER),
     )  # fmt: skip
+
+
+def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
+    """Stations [m] of the ego's path at which the junctions begin that it drove onto."""
+    inside = [lane in road.lanes and road.lanes[lane].internal for lane in ego.lane]
+    onto = [k for k in range(1, len(inside)) if inside[k] and not inside[k - 1] and ego.lane[k - 1] in road.lanes]
+    ends = [road.lanes[ego.lane[k - 1]].shape[-1] for k in onto]
+    return [path.project(float(x), float(y), near=float(stations[k]))[0] for k, (x, y) in zip(onto, ends, strict=True)]
 
 
 def _shifts(road: RoadMap, lane: str, path: Path) -> tuple[tuple[float, Floats], ...]:

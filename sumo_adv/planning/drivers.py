@@ -25,6 +25,8 @@ from sumo_adv.planning.sidestep import SUBLANE, Sidestep
 WITHIN = 0.045  # m by which a side lies within a strip's edge to count as in it (measured: between 0.034 and 0.058)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
+OVER, TURNED = 0.365, 0.21  # m over the line to the other direction at which SUMO has a vehicle there; less by rad that
+BACK = 0.1  # it is turned; m over it at which it is back (measured)
 LEAST_STEP = 0.05  # m: over less way an ego that was seen has the path's heading, or nearly
 
 
@@ -65,6 +67,8 @@ class PredictedEgos:
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._sidestep = Sidestep(scenes, length, width)
         self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
+        self._opposed = np.zeros(n, bool) if self._passes_right else scenes.opposed()
+        self._gone_over = np.zeros(n, bool)
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -121,7 +125,7 @@ class PredictedEgos:
         that SUMO has them at, whether their fronts are ahead of the egos', and their fronts' offsets."""
         (_, _, h), (s, ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
-        leads = self._in_lane(front_d) & ahead & ~across
+        leads = self._in_lane(front_d, h) & ahead & ~across
         gap = s - self.s - (self._length + self.scenes.ego.length) / 2
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
@@ -140,15 +144,24 @@ class PredictedEgos:
         s = self.s[:, None] + self.v[:, None] * self.scenes.dt * np.arange(steps)
         return np.stack([*self.scenes.ego_at(s, self.d[:, None]), np.broadcast_to(self.v[:, None], s.shape)])
 
-    def _in_lane(self, front_d: Floats) -> Bools:
+    def _in_lane(self, front_d: Floats, h: Floats) -> Bools:
         """Whether SUMO's driver has the adversary in its lane: its front's centre is within the lane's lines (another
         driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),
         its side is within the strips that the ego takes up; not where it went over to a lane of the other direction."""
-        inside, half = np.abs(front_d) < self._sees, self._width / 2
+        inside, half = self._within(front_d, h), self._width / 2
         left, right = seen_edges(self._lane, self.scenes.ego.width, self.d)
         partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly & np.where(front_d > 0.0, *self._beside))
+
+    def _within(self, front_d: Floats, h: Floats) -> Bools:
+        """Whether the front's centre is in the lane; SUMO keeps who drives beside a lane of the other direction in one of
+        its own direction for longer (``OVER``)."""
+        more = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
+        left = self._sees + np.where(self._opposed, more, 0.0)
+        inside = (front_d > -self._sees) & (front_d < left)
+        self._gone_over = ~inside & (front_d > 0.0)
+        return inside
 
     def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
         """The speed of SUMO's driver, who at more than ``JAM`` does not overtake on the right: behind whoever is in the

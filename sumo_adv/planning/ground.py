@@ -31,6 +31,7 @@ AROUND = np.arange(1 - COARSE, COARSE)
 TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
 AFTER = 10.0  # m behind where ways meet
 BESIDE = np.arange(-12, 13)
+ONE = 0.78  # of a lane's width: ways that merge so far apart are one (SUMO; measured)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
@@ -54,7 +55,7 @@ class Ground:
         most = int(self._count.max())
         self._conflicts = np.array([at[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
         self._roads: dict[int, PathRow] = {}
-        self._junctions = np.array([_junction(w) for w in lines])
+        self._junctions = np.array([_junction(w, situations[0].lane_width) for w in lines])
         self._first = np.array([w.before_ego for w in lines])
         self._bays = np.array([w.bay for w in lines])
         own = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
@@ -94,16 +95,16 @@ class Ground:
         if not np.isfinite(self._junctions[:, 2]).any():
             return None
         row = self._taken_ways(motion)
-        entry, meets, ego, merging, wide = self._junctions[row].T
+        entry, meets, ego, merging, wide, joins = self._junctions[row].T
         bay = self._bays[row]
         entry = np.where(np.isfinite(bay), bay, entry)
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
-        late = np.where(merges & ~self._yields, 0.0, motion.v * self.scenes.dt)  # others are seen a step later
         front, rear = motion.s + half, motion.s - half
         return Blocked(
-            on=(front - late > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
-            yields=self._yields, first=self._first[row], merging=merges, meets=ego, zone=zone,
+            entered=front > entry,
+            on=(front > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
+            yields=self._yields, first=self._first[row], merging=merges, meets=ego, zone=zone, joins=joins,
             before=meets - zone - front, back=meets - zone - rear,
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
@@ -266,14 +267,18 @@ def _inside(target: Target) -> tuple[float, float]:
     return begins, max(meets, default=begins) + AFTER
 
 
-def _junction(way: WayLine) -> tuple[float, float, float, float, float]:
+def _junction(way: WayLine, lane: float) -> tuple[float, float, float, float, float, float]:
     """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; 1 if
-    they merge, 0 if they cross; what part of a lane's width each takes up of the other (SUMO's ``conflictSize``)."""
+    they merge, 0 if they cross; what part of a lane's width [m] each takes up of the other (SUMO's ``conflictSize``);
+    the station of the ego's path at which ways that merge become one."""
     c = way.conflict
     if c is None:
-        return np.inf, 0.0, np.inf, 0.0, 0.0
+        return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
     wide = 2.0 / max(abs(math.sin(c.angle)), FLATTEST) - 1.0
-    return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide
+    at = int(c.bv_s / PATH_STEP)
+    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > ONE * lane)
+    joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
+    return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins
 
 
 def _yields(situation: Situation, target: Target) -> bool:

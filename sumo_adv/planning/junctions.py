@@ -31,20 +31,23 @@ CRAWL = 0.1  # m/s, SUMO's haltingSpeed
 class Blocked(NamedTuple):
     """Who could be in the ego's way at a junction, ``(n,)``.
 
-    on: its front is on the junction, its rear not yet past the place where the ways meet; yields: it came against a red
-    light (SUMO then never has it come); first: it goes before an ego that has to give way; merging: they merge there,
-    else they cross; meets: the station of that place on the ego's path [m], inf where they do not meet; zone: half the
-    length [m] that each takes up there; before, back: metres that its front and its rear have to where that begins;
-    behind: that its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at
-    (merging); speed [m/s], length [m].
+    entered: its front is on the junction or past it; on: that is seen, and its rear is not yet past the place where the
+    ways meet; yields: it came against a red light (SUMO then never has it come); first: it goes before an ego that has to
+    give way; merging: they merge there, else they cross; meets: the station of that place on the ego's path [m], inf
+    where they do not meet; zone: half the length [m] that each takes up there; joins: the station of the ego's path where
+    ways that merge become one; before, back: metres that its front and its rear have to where that begins; behind: that
+    its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at (merging);
+    speed [m/s], length [m].
     """
 
+    entered: Bools
     on: Bools
     yields: Bools
     first: Bools
     merging: Bools
     meets: Floats
     zone: Floats
+    joins: Floats
     before: Floats
     back: Floats
     behind: Floats
@@ -64,8 +67,15 @@ class Junctions:
         self._line = np.where(stays, self._bay, scenes.each(lambda s: math.inf if s.rule in GOES else s.junction))
         self._waits = bool(np.isfinite(self._line).any())
         self._sees = np.where(stays & (scenes.each(_has_priority) > 0.0), FAR, SEES)
+        most = max(len(s.later) for s in scenes.of)
+        self._later = np.array([(*s.later, *[math.inf] * (most - len(s.later))) for s in scenes.of]).reshape(
+            len(scenes.of), most
+        )
         n = len(self._begins)
-        self._came_first, self._other_came = np.zeros(n, bool), np.zeros(n, bool)
+        self._first_at, self._other_came = (
+            np.full(n, np.nan),
+            np.zeros(n, bool),
+        )  # the junction where it was there first
 
     def bound(self, blocked: Blocked, s: Floats, v: Floats) -> Floats:
         """The speeds [m/s] of SUMO's drivers at stations ``s`` [m] with speeds ``v``; inf where nobody is in the way.
@@ -74,40 +84,54 @@ class Junctions:
         and is not yet where the ways meet; where they have to give way themselves they wait at the line.
         """
         front = s + self._half
-        self._other_came |= blocked.on
         late = blocked.first | blocked.yields
-        there = (front > np.where(late, self._begins, self._enters)) & (blocked.meets < self._begins + LONGEST)
-        self._came_first |= there & ~self._other_came
-        clear = np.where(blocked.merging, self._merging(blocked, front, v), self._crossing(blocked, front, v))
-        return np.minimum(clear, self._giving_way(blocked, front, v)) if self._waits else clear
+        begins, enters = self._of(blocked.meets)
+        near = (blocked.meets < begins + LONGEST) | ~np.isfinite(blocked.meets)
+        there = (front > np.where(late, begins, enters)) & near & ~self._other_came
+        there &= ~blocked.entered | (v >= blocked.speed)  # of two who come in one step the slower one yields
+        self._first_at = np.where(there & ~(self._first_at == begins), begins, self._first_at)
+        self._other_came |= blocked.entered
+        merging, crossing = (f(blocked, begins, front, v) for f in (self._merging, self._crossing))
+        clear = np.where(blocked.merging, merging, crossing)
+        return np.minimum(clear, self._giving_way(blocked, begins, front, v)) if self._waits else clear
 
-    def _merging(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+    def _of(self, meets: Floats) -> tuple[Floats, Floats]:
+        """Where the junctions begin on which the ways meet, and where the egos are on them."""
+        if not self._later.shape[1]:
+            return self._begins, self._enters
+        at = np.where(np.isfinite(meets)[:, None] & (self._later < meets[:, None]), self._later, -np.inf).max(axis=1)
+        return np.where(at > 0.0, at, self._begins), np.where(at > 0.0, at, self._enters)
+
+    def _merging(self, blocked: Blocked, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Behind who merges as behind a leader; where that one is not far enough ahead, not onto the junction."""
         gap = blocked.begins - front
-        held = blocked.on & (front < blocked.meets) & (~self._came_first | (blocked.before < 0.0))
-        entry = np.where(np.isfinite(self._begins), self._begins - front - CRAWL, 0.0)
+        late = (front < blocked.joins) & (self._first_at != begins)
+        held = blocked.on & (late | ((front < blocked.meets) & (blocked.before < 0.0)))
+        entry = np.where(np.isfinite(begins), begins - front - CRAWL, 0.0)
         follow = self._driver.behind(v, np.minimum(gap, FAR), blocked.speed)
         near = np.where(gap >= self._driver.min_gap, follow, self._driver.stopping(v, entry))
         return np.where(held, near, np.inf)
 
-    def _crossing(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+    def _crossing(self, blocked: Blocked, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Before the zone where the ways cross, or so slowly that the other one is past it by then."""
         to = np.minimum(blocked.meets - blocked.zone - front, FAR)
         rest = np.maximum(blocked.back + 2 * blocked.zone, 0.0)  # until its rear is past
         in_the_way = (to > 0.0) & (blocked.before < 0.0)
-        held = blocked.on & (to + 2 * blocked.zone >= 0.0) & (~self._came_first | in_the_way)
+        held = blocked.on & (to + 2 * blocked.zone >= 0.0) & ((self._first_at != begins) | in_the_way)
         if not held.any():
             return np.full(len(v), np.inf)
         driver, gap = self._driver, to - self._driver.min_gap - rest
         room = to - driver.min_gap
-        entry = np.where(np.isfinite(self._begins), self._begins - front - CRAWL, room)
+        entry = np.where(np.isfinite(begins), begins - front - CRAWL, room)
         follow = np.where(gap >= 0.0, driver.behind(v, gap + driver.min_gap, blocked.speed), driver.stopping(v, entry))
         time = np.maximum(rest, 1e-3) / np.maximum(blocked.speed, CRAWL)
         through = v + (np.maximum(v, 2 * room / time - v) - v) / time * self._dt
         near = np.where(to >= 0.0, np.maximum(follow, np.minimum(through, driver.stopping(v, room))), follow)
+        in_bay = np.isfinite(self._bay) & (front < begins)
+        near = np.where(in_bay, driver.stopping(v, entry), near)
         return np.where(held, near, np.inf)
 
-    def _giving_way(self, blocked: Blocked, front: Floats, v: Floats) -> Floats:
+    def _giving_way(self, blocked: Blocked, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Whether it waits before its line: it can still stop there, and would be on the junction together with the
         other one, who is expected to speed up."""
         room = np.where(np.isfinite(self._line), self._line - front, -FAR)
@@ -123,6 +147,7 @@ class Junctions:
             & ~blocked.yields
             & ~blocked.on
             & np.isfinite(blocked.meets)
+            & (begins == self._begins)
             & (blocked.behind > 0.0)
             & (over + AHEAD > comes)
             & (gone > mine)

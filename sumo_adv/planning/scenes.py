@@ -42,6 +42,13 @@ class Scenes:
         each = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.ego_sides) for s in self._each]
         return np.array(each, bool)[self._row]
 
+    def opposed(self) -> Bools:
+        """Whether a lane of the other direction is next to the left of the egos', on roads of more than two lanes or
+        that lead to a junction."""
+        left = [min(((o, kind) for o, kind in s.ego_sides if o > 0.0), default=(0.0, "")) for s in self._each]
+        opposite = np.array([kind == "opposite" for _, kind in left], bool)[self._row]
+        return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.junction)))
+
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
         read = [profile_at(s, time) for s in self._each]
