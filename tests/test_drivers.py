@@ -35,10 +35,10 @@ def crossroads(
 def blocked(
     on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
     meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
-    first: bool = True, joins: float = math.inf,
+    first: bool = True, joins: float = math.inf, turns: bool = False,
 ) -> Blocked:  # fmt: skip
     """A car of 5 m; ``before``: metres from its front to the zone."""
-    flags = (np.array([q]) for q in (on, on, yields, first, merging))
+    flags = (np.array([q]) for q in (on, on, turns, yields, first, merging))
     places = (meets, zone, min(joins, meets), before, before + 5.0, behind, begins, speed, 5.0)
     return Blocked(*flags, *(np.array([float(q)]) for q in places))
 
@@ -250,8 +250,8 @@ def test_who_was_on_one_junction_first_was_not_on_the_next() -> None:
 
 
 def test_who_turns_left_waits_in_its_bay_for_whoever_is_on_the_junction() -> None:
-    """Its line is at 3 m, its bay at 12 m, the ways cross at 25 m: it stops 0.1 m before the end of the bay, although the
-    other one, who crawls, is 11 m further on."""
+    """Its line is at 3 m, its bay at 12 m, the ways cross at 25 m: it stops 0.1 m before the end of the bay, although
+    there is room for it up to the other one, who stands."""
     egos = egos_of(replace(crossroads(3.0, rule="m"), bay=12.0))
     drive(egos, 8.0, lambda _: blocked(True, meets=25.0, before=3.0, first=False), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(11.9, abs=0.05)
@@ -311,6 +311,15 @@ def test_it_waits_where_both_would_be_there_at_once(speed: float, before: float,
     egos = egos_of(crossroads(6.0, speed=5.0))
     drive(egos, 0.5, crossing_at(speed, before=before, behind=behind), speed)
     assert bool(egos.disturbed[0]) is waits
+
+
+def test_it_waits_at_its_line_for_one_on_the_junction_that_turns_over_a_bay() -> None:
+    """Its line is at 6 m; the ways cross at 14 m, and for one that goes straight on it drives up to there."""
+    for turns, front in ((True, 6.0), (False, 14.0 - 1.6 - 2.5)):
+        egos = egos_of(crossroads(6.0, speed=5.0))
+        here = blocked(True, meets=14.0, before=-1.0, behind=3.0, turns=turns)
+        drive(egos, 6.0, lambda _, b=here: b, 0.0)
+        assert egos.s[0] + 2.5 == pytest.approx(front, abs=0.3)
 
 
 @pytest.mark.parametrize(("line", "waits"), [(4.7, False), (4.9, True), (7.1, False)])

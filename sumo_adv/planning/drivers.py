@@ -155,8 +155,8 @@ class PredictedEgos:
         return inside | (self._was_inside & partly & np.where(front_d > 0.0, *self._beside))
 
     def _within(self, front_d: Floats, h: Floats) -> Bools:
-        """Whether the front's centre is in the lane; SUMO keeps who drives beside a lane of the other direction in one of
-        its own direction for longer (``OVER``)."""
+        """Whether the front's centre is in the lane; SUMO has who goes over to a lane of the other direction in its own
+        for longer (``OVER``)."""
         more = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
         left = self._sees + np.where(self._opposed, more, 0.0)
         inside = (front_d > -self._sees) & (front_d < left)

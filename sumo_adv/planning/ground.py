@@ -104,7 +104,8 @@ class Ground:
         return Blocked(
             entered=front > entry,
             on=(front > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
-            yields=self._yields, first=self._first[row], merging=merges, meets=ego, zone=zone, joins=joins,
+            turns=np.isfinite(bay), yields=self._yields, first=self._first[row], merging=merges, meets=ego,
+            zone=zone, joins=joins,
             before=meets - zone - front, back=meets - zone - rear,
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip

@@ -31,17 +31,18 @@ CRAWL = 0.1  # m/s, SUMO's haltingSpeed
 class Blocked(NamedTuple):
     """Who could be in the ego's way at a junction, ``(n,)``.
 
-    entered: its front is on the junction or past it; on: that is seen, and its rear is not yet past the place where the
-    ways meet; yields: it came against a red light (SUMO then never has it come); first: it goes before an ego that has to
-    give way; merging: they merge there, else they cross; meets: the station of that place on the ego's path [m], inf
-    where they do not meet; zone: half the length [m] that each takes up there; joins: the station of the ego's path where
-    ways that merge become one; before, back: metres that its front and its rear have to where that begins; behind: that
-    its rear has to the end of the junction; begins: the station of the ego's path [m] that its rear is at (merging);
-    speed [m/s], length [m].
+    entered: its front is on the junction or past it; on: and its rear is not yet past the place where the ways meet;
+    turns: its way has a bay; yields: it came against a red light (SUMO then never has it come); first: it goes before
+    an ego that has to give way; merging: they merge there, else they cross; meets: the station of that place on the
+    ego's path [m], inf where they do not meet; zone: half the length [m] that each takes up there; joins: the station
+    of the ego's path where ways that merge become one; before, back: metres that its front and its rear have to where
+    that begins; behind: that its rear has to the end of the junction; begins: the station of the ego's path [m] that
+    its rear is at (merging); speed [m/s], length [m].
     """
 
     entered: Bools
     on: Bools
+    turns: Bools
     yields: Bools
     first: Bools
     merging: Bools
@@ -133,7 +134,7 @@ class Junctions:
 
     def _giving_way(self, blocked: Blocked, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Whether it waits before its line: it can still stop there, and would be on the junction together with the
-        other one, who is expected to speed up."""
+        other one, who is expected to speed up, or, of those who are on it already, turns over a bay."""
         room = np.where(np.isfinite(self._line), self._line - front, -FAR)
         left = blocked.meets - front
         stops = (room > -0.5) & (room < self._sees) & (room > v * v / (2 * self._driver.deceleration) - CAN_STOP)
@@ -145,7 +146,7 @@ class Junctions:
             stops
             & blocked.first
             & ~blocked.yields
-            & ~blocked.on
+            & (~blocked.on | blocked.turns)
             & np.isfinite(blocked.meets)
             & (begins == self._begins)
             & (blocked.behind > 0.0)
