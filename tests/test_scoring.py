@@ -19,6 +19,7 @@ from sumo_adv.episode.scoring import (
     OFF_ROAD,
     REAR,
     THIRD,
+    _brakes,
     _cut,
     _held,
     _score,
@@ -139,6 +140,14 @@ def test_motions_without_a_contact_stay_as_they_are() -> None:
 
 
 DRIFTS = np.maximum(1.2 - 0.8 * TIME, 0.5)  # from the line into the ego's lane: 0.4 m within 0.5 s
+
+
+def test_how_much_it_brakes_until_the_contact_is_told() -> None:
+    """From 10 m/s by 0.9, then by 2 m/s2, each in half of the steps before the contact; what comes then is nothing."""
+    speeds = np.concatenate([10.0 - 0.09 * np.arange(11), 9.1 - 0.2 * np.arange(1, 11), np.full(30, 0.0)])
+    assert _brakes(speeds[None, :], 0.1)[0, :20].tolist() == [False] * 10 + [True] * 10
+    ego = motion(0.0, 0.0, 30.0)
+    assert judged(ego, motion(60.0, 0.0, 5.0))["braking"] == 0.0
 
 
 def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:

@@ -29,7 +29,8 @@ MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
-LATE = 0.02  # what each second until a predicted contact costs: the later, the less sure
+HARSH = 0.4  # what it costs to brake all the time up to the contact: traffic hardly brakes
+LATE = 0.06  # what each second until a predicted contact costs: the later, the less sure
 SPARE = 2.0  # s before the end: against a driver that nobody knows a contact comes later than foreseen, maybe too late
 AT_THE_END = 0.3  # what a contact at the very end costs there
 AGAIN = 240  # of the best ones are predicted again where the ego is thought to be another driver
@@ -158,12 +159,13 @@ class Expert:
         return found
 
     def price(self, p: Proposal) -> float:
-        """The predicted score, what evidence of its planner adds to it, how late the contact comes, and whether a brake
-        would do."""
+        """The predicted score, what evidence of its planner adds to it, how late the contact comes, how much it brakes
+        until then, and whether a brake would do."""
         hurried = self._at_the_end * max(1.0 - float(p.predicted.get("spare", SPARE)) / SPARE, 0.0)
         late = LATE * float(p.predicted.get("time", 0.0)) + hurried if p.score < REACHES else 0.0
+        harsh = HARSH * float(p.predicted.get("braking", 0.0)) if p.score < REACHES else 0.0
         brakes = CLEAR if alone(p) < BRAKES else 0.0
-        return p.score + self._bias.get(p.planner.hash, 0.0) + late - brakes
+        return p.score + self._bias.get(p.planner.hash, 0.0) + late + harsh - brakes
 
     def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
         """How many are drawn at most: more where nobody could avoid it by braking, most where by nothing, and then ever

@@ -43,6 +43,7 @@ BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids
 SLOWER = 0.4  # s
 UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
 GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
+GENTLY = 1.0  # m/s2: so much braking is nothing
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
 
@@ -51,8 +52,9 @@ def judge_all(
     situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
 ) -> list[dict[str, Any]]:
     """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
-    comes, and the score."""
+    comes, the share of the steps up to it in which the adversary brakes, and the score."""
     n, steps = rollouts.ego[0].shape
+    brakes = _brakes(rollouts.adversary[3], situation.dt)
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
     widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
     ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
@@ -86,9 +88,15 @@ def judge_all(
             "beyond": bool(beyond[k]),
             "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
             "warning": float((last[k] - hazard[k]) * situation.dt),
+            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()),
         }
         for k in range(n)
     ]  # fmt: skip
+
+
+def _brakes(speed: Floats, dt: float) -> Bools:
+    """Whether it brakes by more than ``GENTLY``, step by step."""
+    return np.asarray(np.diff(speed, axis=1) / dt < -GENTLY)
 
 
 def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
