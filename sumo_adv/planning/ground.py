@@ -270,8 +270,8 @@ def _inside(target: Target) -> tuple[float, float]:
 
 def _junction(way: WayLine, lane: float) -> tuple[float, float, float, float, float, float]:
     """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; 1 if
-    they merge, 0 if they cross; what part of a lane's width [m] each takes up of the other (SUMO's ``conflictSize``);
-    the station of the ego's path at which ways that merge become one."""
+    they merge, 0 if they cross; what part of a lane's width each takes up of the other (SUMO's ``conflictSize``); the
+    station of the ego's path at which ways that merge become one."""
     c = way.conflict
     if c is None:
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf

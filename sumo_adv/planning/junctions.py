@@ -69,14 +69,10 @@ class Junctions:
         self._waits = bool(np.isfinite(self._line).any())
         self._sees = np.where(stays & (scenes.each(_has_priority) > 0.0), FAR, SEES)
         most = max(len(s.later) for s in scenes.of)
-        self._later = np.array([(*s.later, *[math.inf] * (most - len(s.later))) for s in scenes.of]).reshape(
-            len(scenes.of), most
-        )
         n = len(self._begins)
-        self._first_at, self._other_came = (
-            np.full(n, np.nan),
-            np.zeros(n, bool),
-        )  # the junction where it was there first
+        self._later = np.array([(*s.later, *[math.inf] * (most - len(s.later))) for s in scenes.of]).reshape(n, most)
+        self._first_at = np.full(n, np.nan)  # where the junction begins that it was on first
+        self._other_came = np.zeros(n, bool)
 
     def bound(self, blocked: Blocked, s: Floats, v: Floats) -> Floats:
         """The speeds [m/s] of SUMO's drivers at stations ``s`` [m] with speeds ``v``; inf where nobody is in the way.
@@ -90,7 +86,7 @@ class Junctions:
         near = (blocked.meets < begins + LONGEST) | ~np.isfinite(blocked.meets)
         there = (front > np.where(late, begins, enters)) & near & ~self._other_came
         there &= ~blocked.entered | (v >= blocked.speed)  # of two who come in one step the slower one yields
-        self._first_at = np.where(there & ~(self._first_at == begins), begins, self._first_at)
+        self._first_at = np.where(there, begins, self._first_at)
         self._other_came |= blocked.entered
         merging, crossing = (f(blocked, begins, front, v) for f in (self._merging, self._crossing))
         clear = np.where(blocked.merging, merging, crossing)
@@ -106,8 +102,8 @@ class Junctions:
     def _merging(self, blocked: Blocked, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Behind who merges as behind a leader; where that one is not far enough ahead, not onto the junction."""
         gap = blocked.begins - front
-        late = (front < blocked.joins) & (self._first_at != begins)
-        held = blocked.on & (late | ((front < blocked.meets) & (blocked.before < 0.0)))
+        beside = (front < blocked.joins) & (self._first_at != begins)
+        held = blocked.on & (beside | ((front < blocked.meets) & (blocked.before < 0.0)))
         entry = np.where(np.isfinite(begins), begins - front - CRAWL, 0.0)
         follow = self._driver.behind(v, np.minimum(gap, FAR), blocked.speed)
         near = np.where(gap >= self._driver.min_gap, follow, self._driver.stopping(v, entry))
