@@ -118,15 +118,15 @@ def test_evidence_of_a_planner_is_added_to_its_price_alone() -> None:
 
 
 def test_a_later_contact_costs_a_little() -> None:
-    """0.06 a second; nothing where there is no contact that counts."""
+    """0.06 a second; where there is none until the prediction ends, so that a late one is no dearer than none."""
     assert expert().price(replace(proposal(), predicted={"time": 5.0})) == pytest.approx(0.3 + 0.3)
-    assert expert().price(replace(proposal(), score=2.0, predicted={"time": 5.0})) == 2.0
+    late, none = (replace(proposal(), score=score, predicted={"time": 11.9}) for score in (1.1, 1.6))
+    assert expert().price(late) < expert().price(none) == pytest.approx(1.6 + 0.714)
 
 
 def test_who_brakes_all_the_time_costs_a_little() -> None:
-    """0.4 times the share of the steps up to the contact; nothing where there is no contact that counts."""
+    """0.4 times the share of the steps up to the contact."""
     assert expert().price(replace(proposal(), predicted={"braking": 0.25})) == pytest.approx(0.3 + 0.1)
-    assert expert().price(replace(proposal(), score=2.0, predicted={"braking": 0.25})) == 2.0
 
 
 def test_against_an_unknown_driver_a_contact_at_the_very_end_costs_more() -> None:

@@ -162,8 +162,8 @@ class Expert:
         """The predicted score, what evidence of its planner adds to it, how late the contact comes, how much it brakes
         until then, and whether a brake would do."""
         hurried = self._at_the_end * max(1.0 - float(p.predicted.get("spare", SPARE)) / SPARE, 0.0)
-        late = LATE * float(p.predicted.get("time", 0.0)) + hurried if p.score < REACHES else 0.0
-        harsh = HARSH * float(p.predicted.get("braking", 0.0)) if p.score < REACHES else 0.0
+        late = LATE * float(p.predicted.get("time", 0.0)) + hurried  # of a miss: to the end
+        harsh = HARSH * float(p.predicted.get("braking", 0.0))
         brakes = CLEAR if alone(p) < BRAKES else 0.0
         return p.score + self._bias.get(p.planner.hash, 0.0) + late + harsh - brakes
 
