@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]
 Acceleration = float | tuple[tuple[float, float], ...]
 """m/s2: a number, or 1 to ``MOST_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
 

@@ -248,18 +248,19 @@ def _avoidable(
     def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
         return _rows(a, rows), _rows(b, rows), hazard[rows], dt
 
-    for bv in np.unique(names):
-        others = [t for t in situation.others if t.id != bv]
-        around = on_grid(others, time) if others else None
+    others_of = {bv: [t for t in situation.others if t.id != bv] for bv in np.unique(names)}
+    around = {bv: on_grid(tracks, time) for bv, tracks in others_of.items() if tracks}
+    for bv, others in around.items():  # they may leave no room
         rows = np.flatnonzero((names == bv) & careful)
-        if len(rows) and around is not None:  # others may leave no room
-            careful[rows] = careful_after(*where(rows), (0.0,), others=around)[0]
-        rows = np.flatnonzero((names == bv) & ~careful)
         if len(rows):
-            manoeuvre[rows] = _manoeuvre(*where(rows), drivable)
+            careful[rows] = careful_after(*where(rows), (0.0,), others=others)[0]
+    rows = np.flatnonzero(~careful)
+    if len(rows):
+        manoeuvre[rows] = _manoeuvre(*where(rows), drivable)
+    for bv, others in around.items():
         rows = np.flatnonzero((names == bv) & manoeuvre.any(axis=1))
-        if len(rows) and around is not None:
-            manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around)
+        if len(rows):
+            manoeuvre[rows] = _manoeuvre(*where(rows), drivable, others)
     return careful, careful & late, nearly, manoeuvre, hazard
 
 

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Endpoint, Floats
+from sumo_adv.datatypes import Endpoint, Floats, Ints
 from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planning.edges import NOWHERE, begins_of, edge_at, shared
 from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
 from sumo_adv.planning.junctions import Blocked
@@ -64,6 +65,10 @@ class Ground:
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
+        self._begins = begins_of(situations)
+        where = {id(t): s for s, t in zip(situations, self.targets, strict=True)}
+        most = self._begins.shape[1]
+        self._shares = np.array([shared(where[id(t)], w, most) for t in unique for w in t.ways], bool)
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -109,6 +114,14 @@ class Ground:
             before=meets - zone - front, back=meets - zone - rear,
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
+
+    def edges(self, relative: tuple[Floats, Floats, Floats]) -> Ints:
+        """On which edges of the egos' ways the vehicles' fronts are (``Edges``), ``(n,)``; ``relative``: of the same
+        step, for which ``blocked`` was asked before."""
+        s, _, h = relative
+        found = edge_at(self._begins, s + self.length / 2 * np.cos(h))
+        row = self.rows.row if self._taken is None else self._taken
+        return np.where(self._shares[row, found], found, NOWHERE) if self._shares.shape[1] else found
 
     def _taken_ways(self, motion: Motion) -> Any:
         """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose

@@ -100,7 +100,8 @@ def predict(
             driven = k
             if touch is not None:
                 over |= touch(ego[:, :, k], adversary[:, :, k], ~over)
-            egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
+            relative, blocked = ground.relative(motion), ground.blocked(motion)
+            egos.step(now, relative, motion.v, blocked, ground.edges(relative))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[:, :, driven + 1 :] = egos.onwards(steps - driven - 1)
