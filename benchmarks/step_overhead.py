@@ -28,8 +28,8 @@ from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.sessions import Roads, Sessions
 from sumo_adv.episode.task import Found, Task
 from sumo_adv.episode.worker import Worker
-from sumo_adv.planning.ground import road_of
 from sumo_adv.planning.predict import Answer, Told, world_endpoint
+from sumo_adv.planning.road import road_of
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.source import HELPERS_CODE, make_planner
 from sumo_adv.world.engine import Engine

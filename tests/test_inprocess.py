@@ -13,8 +13,9 @@ from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerRuntimeError, SandboxError
-from sumo_adv.planning.ground import Ground, road_of
+from sumo_adv.planning.ground import Ground
 from sumo_adv.planning.inprocess import OWN, InProcessSession, fingerprint, is_own
+from sumo_adv.planning.road import road_of
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.planning.session import Call
 from sumo_adv.planning.source import make_planner

@@ -18,6 +18,7 @@ from sumo_adv.episode.scoring import (
     NONE,
     OFF_ROAD,
     REAR,
+    STRAYS,
     THIRD,
     _brakes,
     _cut,
@@ -58,11 +59,13 @@ def scene(bv: State, others: Sequence[Track] = ()) -> Situation:
 
 
 def judged(
-    ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3), left: float = np.inf
-) -> Any:
-    """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
+    ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3), left: float = np.inf,
+    strays: float = 0.0,
+) -> Any:  # fmt: skip
+    """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps; the
+    adversary ``strays`` so long [s]."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
-    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]), np.array([strays]))
     (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits())
     return found
 
@@ -223,6 +226,13 @@ def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
     assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
 
 
+def test_who_strays_from_its_way_on_a_junction_for_longer_than_half_a_second_is_less_sure_to_hit() -> None:
+    ego, bv = motion(0.0, 0.0, 30.0), motion(60.0, 0.0, 10.0)
+    sure, briefly, strays = (judged(ego, bv, strays=s)["score"] for s in (0.0, 0.5, 0.6))
+    assert briefly == sure
+    assert strays - sure == pytest.approx(STRAYS)
+
+
 def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:
     """The bumpers are 135 m apart and come nearer by 25 m/s: they touch after 5.4 s, 54 steps."""
     ego, bv = motion(0.0, 0.0, 30.0), motion(140.0, 0.0, 5.0)
@@ -274,7 +284,7 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     ego, bv = motion(0.0, 0.0, 20.0), motion(60.0, 0.0, 10.0)
     follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
     now = replace(scene(bv, [follower]), reacting=reacting)
-    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]), np.array([0.0]))
     (found,) = judge_all(now, [PROPOSAL], rollouts, Drivable(box(-100.0, -4.8, 500.0, 2.3)), Limits())
     assert found["third_party"] is third
     assert (found["score"] == THIRD) is third

@@ -8,7 +8,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import Found
 from sumo_adv.episode.worker import body
-from sumo_adv.planning.ground import road_of
+from sumo_adv.planning.road import road_of
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import load_input
 

@@ -43,6 +43,7 @@ BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids
 SLOWER = 0.4  # s
 UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
 GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
+BRIEFLY, STRAYS = 0.5, 0.4  # s; score of one that is off its way on a junction for longer: of 40 such 10 came true
 GENTLY = 1.0  # m/s2: so much braking is nothing
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
@@ -79,7 +80,7 @@ def judge_all(
         careful[good], late, nearly, manoeuvre[good], hazard[good] = found
         warning = (last[good] - hazard[good]) * situation.dt
         score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning)
-        score[good] += np.where(firm[good], 0.0, GRAZES)
+        score[good] += np.where(firm[good], 0.0, GRAZES) + np.where(rollouts.strays[good] > BRIEFLY, STRAYS, 0.0)
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),

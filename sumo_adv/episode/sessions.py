@@ -12,9 +12,9 @@ import numpy as np
 from sumo_adv.datatypes import Proposal, acceleration_at
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planning.follow import off_road
-from sumo_adv.planning.ground import road_of
 from sumo_adv.planning.inprocess import InProcessSession, is_own
 from sumo_adv.planning.predict import Answer, Told, world_endpoint
+from sumo_adv.planning.road import road_of
 from sumo_adv.planning.sandbox import Call, PlannerSession, Sandbox
 from sumo_adv.situation import Situation
 from sumo_adv.world.network import Drivable

@@ -1,7 +1,7 @@
 """Adversaries on their ways, ``n`` of them at once (one inside an attempt, many in a prediction).
 
 ``Ground`` knows which way each vehicle is on, turns endpoints into goals along it, and writes down what a planner is
-told: the dictionaries ``bv``, ``ego`` and ``road`` in the frame of the ego's pose at the trigger.
+told at every step: the dictionaries ``bv`` and ``ego`` in the frame of the ego's pose at the trigger.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Endpoint, Floats, Ints
+from sumo_adv.datatypes import Bools, Endpoint, Floats, Ints
 from sumo_adv.geometry import PATH_STEP, wrap_all
 from sumo_adv.planning.edges import NOWHERE, begins_of, edge_at, shared
 from sumo_adv.planning.follow import Follower, Line, aligned
@@ -21,7 +21,7 @@ from sumo_adv.planning.forecast import LOOK, arrivals, stations
 from sumo_adv.planning.junctions import Blocked
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
-from sumo_adv.situation import NO_ARRIVAL, Situation, Target, WayLine
+from sumo_adv.situation import Situation, Target, WayLine
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
@@ -32,6 +32,7 @@ AROUND = np.arange(1 - COARSE, COARSE)
 TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
 AFTER = 10.0  # m behind where ways meet
 BESIDE = np.arange(-12, 13)
+OFF = 2.0  # m from its way: on another one's lane
 ONE = 0.78  # of a lane's width: ways that merge so far apart are one (SUMO; measured)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
@@ -63,6 +64,7 @@ class Ground:
         self._own = np.where(own < 0, -1, self._base + own)
         self._taken: Any = None  # the ways that SUMO takes them to be on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
+        self._crosses = np.array([t.relation in ("crossing", "merging") for t in self.targets])
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
         self._begins = begins_of(situations)
@@ -122,6 +124,13 @@ class Ground:
         found = edge_at(self._begins, s + self.length / 2 * np.cos(h))
         row = self.rows.row if self._taken is None else self._taken
         return np.where(self._shares[row, found], found, NOWHERE) if self._shares.shape[1] else found
+
+    def strays(self, motion: Motion) -> Bools:
+        """Who of those that cross the egos' ways or merge is so far off its own way on the junction that SUMO has it on
+        lanes that others come from, ``(n,)``: what the ego makes of that is not known."""
+        half = self.length / 2
+        on = (motion.s + half > self._enters) & (motion.s - half < self._leaves)
+        return np.asarray(on & self._crosses & (np.abs(motion.d) > OFF))
 
     def _taken_ways(self, motion: Motion) -> Any:
         """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose
@@ -305,41 +314,3 @@ BV_FIELDS = (
     "x", "y", "heading", "speed", "acceleration", "travelled", "offset", "ahead", "left", "relative_heading",
     "road_heading", "target_left", "lateral_time", "speed_along",
 )  # fmt: skip
-
-
-def road_of(situation: Situation, name: str) -> dict[str, Any]:
-    """What a planner is told once of the road around a BV (frame of the ego at the trigger)."""
-    target = situation.targets[name]
-    frame = situation.frame
-    x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
-    ways = []
-    for way in target.ways:
-        entry: dict[str, Any] = {"movement": way.movement, "junction": min(way.junction, NO_ARRIVAL), "conflict": None}
-        entry["centreline"] = _points(situation, way.path)
-        if way.conflict is not None:
-            c = way.conflict
-            cx, cy, ch = frame.to_local(c.x, c.y, c.heading)
-            entry["conflict"] = {
-                "kind": c.kind, "x": cx, "y": cy, "heading": ch, "bv_distance": c.bv_s, "ego_distance": c.ego_s,
-                "angle": c.angle,
-            }  # fmt: skip
-        ways.append(entry)
-    return {
-        "relation": target.relation, "left": float(target.ways[0].ego_d[0] + target.offset),
-        "lane_width": situation.lane_width, "ways": ways,
-        "sides": [{"offset": o, "kind": k} for o, k in target.sides],
-        "start": {"x": x, "y": y, "heading": h, "speed": target.state.speed},
-        "ego_centreline": _points(situation, situation.ego_path), "fastest": target.fastest,
-        "signals": {"bv": _signals(situation, name), "ego": _signals(situation, situation.ego.id)},
-    }  # fmt: skip
-
-
-def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
-    return [{"id": i, "distance": d, "state": s} for i, d, s in situation.signals.get(vehicle, ())]
-
-
-def _points(situation: Situation, path: Any) -> list[list[float]]:
-    """A centreline every 2 m up to 200 m as [x, y] in the ego's frame."""
-    step = slice(0, 400, 4)
-    x, y, _ = situation.frame.points_to_local(path.x[step], path.y[step], path.heading[step])
-    return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]

@@ -40,18 +40,21 @@ Touch = Callable[[Floats, Floats, Bools], Bools]
 
 @dataclass(frozen=True, slots=True)
 class Rollouts:
-    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k."""
+    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k.
+
+    ``strays``: for how many s the adversary was off its way on a junction (``Ground.strays``), ``(n,)``."""
 
     time: Floats
     ego: tuple[Floats, Floats, Floats, Floats]
     adversary: tuple[Floats, Floats, Floats, Floats]
     disturbed: Bools
+    strays: Floats
 
 
 def part(rollouts: Rollouts, rows: Any) -> Rollouts:
     """Some of the rows."""
     ego, adversary = (tuple(q[rows] for q in motion) for motion in (rollouts.ego, rollouts.adversary))
-    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows])
+    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows], rollouts.strays[rows])
 
 
 def predict(
@@ -82,7 +85,7 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
     followers: dict[int, Follower] = {}
-    over, parting, driven, asked = np.zeros(n, bool), Parting(ground), -1, egos.v
+    over, parting, driven, asked, strays = np.zeros(n, bool), Parting(ground), -1, egos.v, np.zeros(n)
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
@@ -98,6 +101,7 @@ def predict(
         if to_the_end or not over.all():
             ego[:, :, k] = egos.pose()
             driven = k
+            strays += ground.strays(motion) & ~over
             if touch is not None:
                 over |= touch(ego[:, :, k], adversary[:, :, k], ~over)
             relative, blocked = ground.relative(motion), ground.blocked(motion)
@@ -106,7 +110,8 @@ def predict(
         goal = goal._replace(time=goal.time - dt)
     ego[:, :, driven + 1 :] = egos.onwards(steps - driven - 1)
     x, y, h, v = ego
-    return Rollouts(np.arange(steps) * dt, (x, y, h, v), tuple(adversary), egos.disturbed)  # type: ignore[arg-type]
+    times = np.arange(steps) * dt
+    return Rollouts(times, (x, y, h, v), tuple(adversary), egos.disturbed, strays * dt)  # type: ignore[arg-type]
 
 
 def _replan(
