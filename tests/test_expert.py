@@ -129,6 +129,11 @@ def test_who_brakes_all_the_time_costs_a_little() -> None:
     assert expert().price(replace(proposal(), predicted={"braking": 0.25})) == pytest.approx(0.3 + 0.1)
 
 
+@pytest.mark.parametrize(("seconds", "dearer"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.4)])
+def test_who_is_off_its_way_on_a_junction_for_long_is_dearer(seconds: float, dearer: float) -> None:
+    assert expert().price(replace(proposal(), predicted={"strays": seconds})) == pytest.approx(0.3 + dearer)
+
+
 def test_against_an_unknown_driver_a_contact_at_the_very_end_costs_more() -> None:
     """It comes later than foreseen, and then there is no time left: 0.3 at the end, half of it a second before."""
     unsure = Expert(Same(), proposals=10, seed=1, unsure=True)

@@ -18,7 +18,6 @@ from sumo_adv.episode.scoring import (
     NONE,
     OFF_ROAD,
     REAR,
-    STRAYS,
     THIRD,
     _brakes,
     _cut,
@@ -226,11 +225,11 @@ def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
     assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
 
 
-def test_who_strays_from_its_way_on_a_junction_for_longer_than_half_a_second_is_less_sure_to_hit() -> None:
+def test_for_how_long_the_adversary_strays_is_said_and_changes_no_score() -> None:
     ego, bv = motion(0.0, 0.0, 30.0), motion(60.0, 0.0, 10.0)
-    sure, briefly, strays = (judged(ego, bv, strays=s)["score"] for s in (0.0, 0.5, 0.6))
-    assert briefly == sure
-    assert strays - sure == pytest.approx(STRAYS)
+    stays, strays = judged(ego, bv), judged(ego, bv, strays=0.6)
+    assert (stays["strays"], strays["strays"]) == (0.0, 0.6)
+    assert strays["score"] == stays["score"]
 
 
 def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:

@@ -30,6 +30,7 @@ FEW = 5  # where so few proposals are avoidable, intents that the library lacks 
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 HARSH = 0.4  # what it costs to brake all the time up to the contact: traffic hardly brakes
+BRIEFLY, STRAYS = 0.5, 0.4  # s; what it costs to be off one's way on a junction for longer: of 40 such 10 came true
 LATE = 0.06  # what each second until a predicted contact costs: the later, the less sure
 SPARE = 2.0  # s before the end: against a driver that nobody knows a contact comes later than foreseen, maybe too late
 AT_THE_END = 0.3  # what a contact at the very end costs there
@@ -160,12 +161,13 @@ class Expert:
 
     def price(self, p: Proposal) -> float:
         """The predicted score, what evidence of its planner adds to it, how late the contact comes, how much it brakes
-        until then, and whether a brake would do."""
+        until then, whether it strays, and whether a brake would do."""
         hurried = self._at_the_end * max(1.0 - float(p.predicted.get("spare", SPARE)) / SPARE, 0.0)
         late = LATE * float(p.predicted.get("time", 0.0)) + hurried  # of a miss: to the end
         harsh = HARSH * float(p.predicted.get("braking", 0.0))
+        strays = STRAYS if p.predicted.get("strays", 0.0) > BRIEFLY else 0.0
         brakes = CLEAR if alone(p) < BRAKES else 0.0
-        return p.score + self._bias.get(p.planner.hash, 0.0) + late + harsh - brakes
+        return p.score + self._bias.get(p.planner.hash, 0.0) + late + harsh + strays - brakes
 
     def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
         """How many are drawn at most: more where nobody could avoid it by braking, most where by nothing, and then ever

@@ -43,7 +43,6 @@ BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids
 SLOWER = 0.4  # s
 UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
 GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
-BRIEFLY, STRAYS = 0.5, 0.4  # s; score of one that is off its way on a junction for longer: of 40 such 10 came true
 GENTLY = 1.0  # m/s2: so much braking is nothing
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
 LEAST_STEPS = 3
@@ -53,7 +52,7 @@ def judge_all(
     situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
 ) -> list[dict[str, Any]]:
     """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
-    comes, the share of the steps up to it in which the adversary brakes, and the score."""
+    comes, the share of the steps up to it in which the adversary brakes, for how many s it strays, and the score."""
     n, steps = rollouts.ego[0].shape
     brakes = _brakes(rollouts.adversary[3], situation.dt)
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
@@ -80,7 +79,7 @@ def judge_all(
         careful[good], late, nearly, manoeuvre[good], hazard[good] = found
         warning = (last[good] - hazard[good]) * situation.dt
         score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning)
-        score[good] += np.where(firm[good], 0.0, GRAZES) + np.where(rollouts.strays[good] > BRIEFLY, STRAYS, 0.0)
+        score[good] += np.where(firm[good], 0.0, GRAZES)
     return [
         {
             "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
@@ -89,7 +88,7 @@ def judge_all(
             "beyond": bool(beyond[k]),
             "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
             "warning": float((last[k] - hazard[k]) * situation.dt),
-            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()),
+            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()), "strays": float(rollouts.strays[k]),
         }
         for k in range(n)
     ]  # fmt: skip
