@@ -55,6 +55,14 @@ def test_what_was_seen_counts_for_a_half_and_then_for_three_quarters() -> None:
     assert [c is SLOWER for c in scorer.asked[-1][1]] == [True, True]  # the last one seen
 
 
+def test_of_a_driver_that_is_known_what_was_seen_only_makes_predictions_worse() -> None:
+    """Against the ego that was seen both score 1.0: what was predicted to hit comes half way, a miss stays one."""
+    hindsight = Hindsight(BySpeed(), known=True)
+    pool = [proposal(0.2), proposal(1.9), proposal(4.0)]
+    pool = hindsight.weigh(pool, hindsight.surprised(pool[0], SLOW))
+    assert scores(pool) == pytest.approx([0.5 * 0.2 + 0.5 * 1.0, 1.9, 4.0])
+
+
 def test_weighing_twice_does_not_compound() -> None:
     hindsight = Hindsight(BySpeed())
     pool = [proposal(0.2)]

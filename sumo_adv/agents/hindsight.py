@@ -3,7 +3,9 @@
 After an attempt that came otherwise than predicted, the proposals of that vehicle and moment are also predicted against
 an ego that drives as it was seen to in the most similar attempt; their score becomes a mean of both predictions, with
 a weight that grows with every such surprise (in CAT, too, real rollouts take the place of predicted ones; Zhang et al.
-2023, CoRL).  This is how an ego whose driver is unknown is learnt within an encounter.
+2023, CoRL).  This is how an ego whose driver is unknown is learnt within an encounter.  Of a driver that is known what
+was seen only makes predictions worse: an ego that drives as in another attempt does not see this one's adversary, and
+of 78 attempts that were predicted to miss, and to hit such an ego, none did.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ HOPELESS = ("off_road", "beyond", "third_party", "failed")
 class Hindsight:
     """What was seen of the ego, by the vehicle that attacked and when."""
 
-    def __init__(self, scorer: Scorer) -> None:
-        self._scorer = scorer
+    def __init__(self, scorer: Scorer, known: bool = False) -> None:
+        """``known``: the ego's driver is."""
+        self._scorer, self._known = scorer, known
         self._seen: dict[Key, list[tuple[Proposal, EgoCourse]]] = {}
 
     def surprised(self, tried: Proposal, course: EgoCourse) -> Key:
@@ -51,6 +54,7 @@ class Hindsight:
             first = float(before.get("before", before.pop(ALONE, found[k].score)))
             before.pop(ALONE, None)  # its neighbours are to be asked again
             score = (1.0 - weight) * min(first, WORST) + weight * min(again.score, WORST)
+            score = max(score, first) if self._known else score
             found[k] = replace(found[k], score=score, predicted={**before, "before": first, "seen": again.score})
         return found
 

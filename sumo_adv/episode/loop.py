@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.agents.expert import REACHES, Expert, composed
-from sumo_adv.config import Settings
+from sumo_adv.config import Settings, Until
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
@@ -25,6 +25,7 @@ from sumo_adv.episode.task import Found, NotFound, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
+from sumo_adv.planning.car_following import exact
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.demand import generate
 from sumo_adv.world.engine import Engine
@@ -196,10 +197,11 @@ def foresee(
     episode: Episode, found: Found, foresight: Foresight, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Expert, Intent | None]:
     """The expert with its predictions of an encounter; or, with ``recall = scene``, what worked in a like scene."""
-    settings = episode.settings
+    settings, driver = episode.settings, found.first.ego_model
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
-        bias=evidence_bias(episode.bandit), unsure=bool(found.first.ego_model.get("unknown", False)),
+        bias=evidence_bias(episode.bandit), unsure=bool(driver.get("unknown", False)), known=exact(driver),
+        patient=settings.until is Until.VALID,
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:

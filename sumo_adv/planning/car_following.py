@@ -16,6 +16,12 @@ EMERGENCY, AMPLIFIED = 9.0, 1.2  # m/s2, SUMO's emergencyDecel of our drivers; h
 # SUMO's DEFAULT_VEHTYPE (m/s2, s, m), with a speed [m/s] that nobody exceeds
 DEFAULT_DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
 NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
+EXACT = ("krauss", "idm", "careful")  # drivers whose following is known as SUMO has it
+
+
+def exact(model: Mapping[str, Any]) -> bool:
+    """Whether a driver's following is known exactly; not where nobody knows which driver it is."""
+    return model["kind"] in EXACT and not model.get("unknown", False)
 
 
 class CarFollowing:

@@ -12,14 +12,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.planning.car_following import DEFAULT_DRIVER, EMERGENCY, CarFollowing
+from sumo_adv.planning.car_following import DEFAULT_DRIVER, EMERGENCY, CarFollowing, exact
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.situation import Situation
 
 HELD = 0.02  # m/s: so near to what it would drive behind the other, the other is why
 ALONG = 0.9  # rad: a vehicle at more of an angle crosses, and is no leader
 BRAKES = -0.3  # m/s2: an ego that was held up and brakes harder does so for something else
-EXACT = ("krauss", "idm", "careful")  # drivers whose following ``car_following.py`` has as SUMO has it
 FAR = 1e6  # m: where those are who are not there
 IN_SIGHT = 100.0  # m
 LATE = 0.05  # m behind where it would be unattacked
@@ -146,7 +145,7 @@ def _held_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
     found = np.zeros(len(s), bool)
     other = next((o for o in situation.ahead if o.id == name), None)
     model = situation.ego_model
-    if other is None or len(s) < 2 or model["kind"] not in EXACT or model.get("unknown", False):
+    if other is None or len(s) < 2 or not exact(model):
         return found
     d, half = other.d[:-1], situation.lane_width / 2
     follows = np.abs(d) < half
