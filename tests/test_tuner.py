@@ -98,10 +98,10 @@ class InTurn:
         return False
 
 
-def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,), patient: bool = False) -> Tuner:
+def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> Tuner:
     """A tuner whose pool holds so many predictions of one way to attack."""
     situations, library = dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))]
-    expert = Expert(scorer, proposals=proposals, seed=7, patient=patient)
+    expert = Expert(scorer, proposals=proposals, seed=7)
     expert.analyze(situations, library)
     return Tuner(expert, families(situations, library), share=8)
 
@@ -222,16 +222,6 @@ def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brak
     assert count() == then
     taken += [tuner.next(), tuner.next()]
     assert count() == then + after_two
-
-
-@pytest.mark.parametrize(("score", "then", "after_two"), [(1.2, 30 + 34 * 150, 300), (0.5, 30 + 5 * 150, 0)])
-def test_where_only_what_is_avoidable_will_do_most_is_drawn_before_the_first_attempt(score, then, after_two):
-    """To 5000, 150 at once; the next two attempts want 5180 and 5360, of which 5130 are there."""
-    tuner = tuner_of(InTurn((1, score)), patient=True)
-    taken = [tuner.next()]
-    assert len(drawn([*tuner.pool, *taken])) == then
-    taken += [tuner.next(), tuner.next()]
-    assert len(drawn([*tuner.pool, *taken])) == then + after_two
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():

@@ -25,8 +25,7 @@ AVOIDABLE = 0.75  # a score below is one that somebody could have avoided
 BRAKES = 0.09  # a score below is one that a careful driver who only brakes could have avoided
 REDRAW = 150  # proposals drawn at once where the first were not good
 FOR_BRAKES = 750  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
-MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so many more for each attempt;
-PATIENT, MORE = 5000, 180  # the same where nothing else will do: what is drawn later costs attempts besides
+MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so many more for each attempt
 FEW = 5  # where so few proposals are avoidable, intents that the library lacks are composed as well
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
@@ -79,10 +78,9 @@ class Expert:
         bias: Mapping[str, float] | None = None,
         unsure: bool = False,
         known: bool = False,
-        patient: bool = False,
     ) -> None:
-        """``unsure``: nobody knows the ego's driver; ``known``: it is known exactly; ``patient``: only what somebody
-        could have avoided will do; ``bias``: planner hash -> what evidence adds to its scores."""
+        """``unsure``: nobody knows the ego's driver; ``known``: it is known exactly; ``bias``: planner hash -> what
+        evidence adds to its scores."""
         self._scorer = scorer
         self._count = proposals
         self._draw = random.Random(seed)
@@ -90,7 +88,6 @@ class Expert:
         self.hindsight = Hindsight(scorer, known)
         self._bias = bias or {}
         self._at_the_end = AT_THE_END if unsure else 0.0
-        self._most, self._each = (PATIENT, MORE) if patient else (MOST_DRAWN, EACH)
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -178,9 +175,7 @@ class Expert:
         """How many are drawn at most: more where nobody could avoid it by braking, most where by nothing, and then ever
         more as attempts go on."""
         best = min((p.score for p in pool), default=REACHES)
-        return (
-            0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else self._most + self._each * tried)
-        )
+        return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + EACH * tried)
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
         """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.agents.expert import REACHES, Expert, composed
-from sumo_adv.config import Settings, Until
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
@@ -201,7 +201,6 @@ def foresee(
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
         bias=evidence_bias(episode.bandit), unsure=bool(driver.get("unknown", False)), known=exact(driver),
-        patient=settings.until is Until.VALID,
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:
