@@ -20,6 +20,7 @@ from sumo_adv.situation import WayLine, relate
 from sumo_adv.world.network import RoadMap
 from sumo_adv.world.simulation import heading_of
 
+MEET_AHEAD = ("crossing", "merging")  # how those stand to the ego who can meet it only where their ways do
 ON, OFF, LOOKS = 0.40, 0.30, 2
 LOOK_EVERY = 0.5  # s
 NEAR, ONCOMING_NEAR = 70.0, 320.0  # m
@@ -52,7 +53,7 @@ class Candidate:
     @property
     def meets_ahead(self) -> bool:
         """Whether the ego can meet it only where their ways do."""
-        return self.relation in ("crossing", "merging")
+        return self.relation in MEET_AHEAD
 
 
 class Encounter:

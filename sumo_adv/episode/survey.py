@@ -12,6 +12,7 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
+from sumo_adv.episode.moments import delays, spent
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.situation import SHIFT_STEP, OnPath, Signal, Situation, Target, fastest_of, on_path, relate
@@ -22,8 +23,6 @@ ANOTHER = 1.0  # m: a junction so much further on is another one
 UNLIKE = 0.05  # m: less than this SUMO's places on lanes side by side are the same
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 ROAD_MARGIN = 150.0  # m around the unattacked ego's way within which the drivable area is known
-FORESEEN = 7.0  # s: an attack begins at most so long before the ego is at the conflict
-MOST_SHIFT = 8.0  # s
 FARTHEST_TIME = 20.0  # s at its fastest: so far no vehicle comes in an attempt and what is planned at its end
 IN_SIGHT = 120.0  # m
 HISTORY = 1.1  # s of everybody's past that a situation keeps (the paper's)
@@ -47,16 +46,24 @@ def surveys(
     """A situation for every delay [s after ``time``] that may be tried; empty if the vehicles near leave at once.
 
     ``left``: steps from ``time`` on until the log is over; ``reacting``: whether the others have drivers."""
-    found = {}
-    for delay in _delays(candidates, tracks[ego_id].between(time, math.inf), settings):
-        situation = survey(
-            road, tracks, ego_id, candidates, time + delay, dt=settings.step_length, horizon=settings.horizon,
-            ego_model=ego_model, route=route, routes=routes, signals=signals,
-        )  # fmt: skip
-        if situation is not None and settings.forecast == "constant":
-            situation = _at_constant_velocity(situation)
-        if situation is not None:
-            found[delay] = replace(situation, left=left - settings.steps(delay), reacting=reacting)
+
+    def at(moments: Sequence[float]) -> dict[float, Situation]:
+        found = {}
+        for delay in moments:
+            situation = survey(
+                road, tracks, ego_id, candidates, time + delay, dt=settings.step_length, horizon=settings.horizon,
+                ego_model=ego_model, route=route, routes=routes, signals=signals,
+            )  # fmt: skip
+            if situation is not None and settings.forecast == "constant":
+                situation = _at_constant_velocity(situation)
+            if situation is not None:
+                found[delay] = replace(situation, left=left - settings.steps(delay), reacting=reacting)
+        return found
+
+    ahead = {name: track.between(time, math.inf) for name, track in tracks.items()}
+    found, lateral = at(delays(candidates, ahead, ego_id, settings)), settings.limits.limits().lateral
+    if all(spent(target, lateral) for situation in found.values() for target in situation.targets.values()):
+        found = at(delays(candidates, ahead, ego_id, settings, both=True)) or found
     return found
 
 
@@ -68,22 +75,6 @@ def _at_constant_velocity(situation: Situation) -> Situation:
         situation, profile_s=stations, profile_v=speed, profile_a=np.zeros_like(speed),
         ego_model={**situation.ego_model, "kind": "replay"},
     )  # fmt: skip
-
-
-def _delays(candidates: Sequence[Candidate], ego: Track, settings: Settings) -> list[float]:
-    """Seconds after the trigger at which attacks may begin: later where the ways meet only far ahead."""
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))])
-    soonest = min((_meeting_time(c, travelled, settings.step_length) for c in candidates), default=0.0)
-    shift = min(max(0.0, math.floor(soonest - FORESEEN)), MOST_SHIFT)
-    return [shift + d for d in settings.delays]
-
-
-def _meeting_time(candidate: Candidate, travelled: Any, dt: float) -> float:
-    """When the unattacked ego is where it can meet a candidate [s]: at once in its own lanes, else at the conflict."""
-    if not candidate.meets_ahead:
-        return 0.0
-    stations = [w.conflict.ego_s for w in candidate.ways if w.conflict is not None]
-    return float(min(np.searchsorted(travelled, s) * dt for s in stations)) if stations else 0.0
 
 
 def area_of(ego: Track) -> tuple[float, float, float]:

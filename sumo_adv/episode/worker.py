@@ -21,8 +21,9 @@ from sumo_adv.episode.attack import attack, leader
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.moments import MOST_SHIFT
 from sumo_adv.episode.scout import Scout
-from sumo_adv.episode.survey import MOST_SHIFT, area_of, surveys
+from sumo_adv.episode.survey import area_of, surveys
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
 from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.errors import SimulationError

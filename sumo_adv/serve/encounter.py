@@ -15,9 +15,10 @@ from sumo_adv.episode.attack import Driven, attack, leader
 from sumo_adv.episode.brain import answer_of
 from sumo_adv.episode.danger import danger
 from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.moments import MOST_SHIFT
 from sumo_adv.episode.outlook import outlook
 from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.episode.survey import MOST_SHIFT, area_of, survey, surveys
+from sumo_adv.episode.survey import area_of, survey, surveys
 from sumo_adv.episode.task import AttemptResult, Found
 from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.planning.sandbox import Sandbox

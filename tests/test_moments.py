@@ -1,0 +1,74 @@
+"""When attacks may begin. The ego goes east at 10 m/s, the other one comes from the south and crosses its way."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, target
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.moments import delays, spent
+from sumo_adv.situation import Target
+
+LIMIT = 4.0  # m/s2
+
+
+def drives(name: str, speed: float, seconds: float = 30.0) -> Track:
+    """East at an even speed, a tenth of a second a step; how far it is says all."""
+    time = np.arange(0.0, seconds, 0.1)
+    same = np.full_like(time, speed)
+    return Track(name, Role.BACKGROUND, time, speed * time, 0 * time, 0 * time, same, 0 * time, 5.0, 2.0)
+
+
+def candidate(one: Target) -> Candidate:
+    return Candidate(one.state.id, one.relation, 0.5, one.ways, "")
+
+
+def far_crossing(x: float, before: float) -> Target:
+    """A car ``before`` metres south of the ego's path, which it crosses at ``x``."""
+    way = line((x, -before), (x, 150.0))
+    return target(car("bv", x, -before, math.pi / 2), "crossing", [(way, "straight", before - 10.0)], EGO_PATH)
+
+
+TRACKS = {"ego": drives("ego", 10.0), "bv": drives("bv", 10.0)}
+
+
+def test_where_ways_meet_130_m_ahead_attacks_begin_6_s_later() -> None:
+    """The ego is there after 13 s, 7 s of which an attack may take."""
+    assert delays([candidate(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings()) == [6.0, 7.5, 9.0]
+
+
+def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
+    """It is there after 9 s."""
+    assert delays([candidate(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings(), both=True) == [2.0, 3.5, 5.0]
+
+
+def test_who_drives_beside_the_ego_can_attack_at_once() -> None:
+    both = [candidate(far_crossing(130.0, 90.0)), candidate(neighbour())]
+    assert delays(both, TRACKS, "ego", Settings()) == [0.0, 1.5, 3.0]
+
+
+def test_no_attack_begins_more_than_8_s_later() -> None:
+    assert delays([candidate(far_crossing(250.0, 90.0))], TRACKS, "ego", Settings()) == [8.0, 9.5, 11.0]
+
+
+def test_one_that_is_past_the_place_is_spent_and_a_leader_never_is() -> None:
+    north = target(
+        car("bv", 30.0, 6.0, math.pi / 2), "crossing", [(line((30.0, 6.0), (30.0, 90.0)), "none", 0.0)], EGO_PATH
+    )
+    assert spent(north, LIMIT)
+    assert not spent(crossing(), LIMIT)
+    assert not spent(leader(), LIMIT)
+
+
+@pytest.mark.parametrize(("speed", "too_fast"), [(7.5, False), (9.0, True)])
+def test_one_that_turns_harder_than_an_adversary_may_is_spent(speed: float, too_fast: bool) -> None:
+    """On a bend of 16 m radius 7.5 m/s is 3.5 m/s2 sideways, 9 m/s is 5.1."""
+    arc = [(14.0 + 16.0 * math.sin(a), -20.0 + 16.0 * (1.0 - math.cos(a))) for a in np.arange(0.0, 1.5, 0.02)]
+    turning = target(car("bv", *arc[0], 0.0), "crossing", [(line(*arc, (30.0, 60.0)), "left", 0.0)], EGO_PATH)
+    assert spent(replace(turning, state=replace(turning.state, speed=speed)), LIMIT) == too_fast
