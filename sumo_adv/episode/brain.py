@@ -15,28 +15,28 @@ from sumo_adv.world.engine import Engine
 
 
 class Brain:
-    """Runs attempts on the engine, each with a fresh sandbox session of its planner."""
+    """Runs attempts on the engine, each with a fresh sandbox session of its planner where that is not our own."""
 
     def __init__(self, engine: Engine, sandbox: Sandbox, found: Found, seed: int) -> None:
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
 
     def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of the proposals, in order; they run at the same time where the engine can fork."""
-        opened: list[tuple[Proposal, Sessions]] = []
+        opened: dict[int, Sessions] = {}
         roads = Roads(self._found.situations)
+
+        def answer(question: tuple[int, Any]) -> Answer | str:
+            k, told = question
+            if k not in opened:
+                mine = Sessions(self._sandbox, roads, [proposals[k]], self._seed, drivable=self._found.drivable)
+                opened[k] = mine.__enter__()
+            return answer_of(proposals[k], opened[k], told)
+
         try:
-            for proposal in proposals:
-                sessions = Sessions(self._sandbox, roads, [proposal], self._seed, drivable=self._found.drivable)
-                opened.append((proposal, sessions.__enter__()))
-
-            def answer(question: tuple[int, Any]) -> Answer | str:
-                k, told = question
-                return answer_of(*opened[k], told)
-
             results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)
             return results
         finally:
-            for _, sessions in opened:
+            for sessions in opened.values():
                 sessions.__exit__(None, None, None)
 
 

@@ -22,6 +22,7 @@ from sumo_adv.episode.danger import danger
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
 from sumo_adv.episode.moments import MOST_SHIFT
+from sumo_adv.episode.own import answers
 from sumo_adv.episode.scout import Scout
 from sumo_adv.episode.survey import area_of, surveys
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
@@ -211,14 +212,12 @@ class Worker:
     # -- attempts -----------------------------------------------------------------------------------------------
 
     def _work(self, index: int, proposal: Proposal, slot: Connection) -> Callable[[], AttemptResult]:
-        def ask(told: Told) -> Any:
+        def asked(told: Told) -> Any:
             slot.send((index, told))
             return slot.recv()
 
-        def run() -> AttemptResult:
-            return self._attempt(proposal, ask)
-
-        return run
+        ask = answers(proposal, self._situation_for(proposal), asked)  # made here, once for all forks
+        return partial(self._attempt, proposal, ask)
 
     def _attempt(self, proposal: Proposal, ask: Callable[[Told], Any]) -> AttemptResult:
         drive, settings = self._drive, self._settings

@@ -1,8 +1,8 @@
-"""Planners whose text is our own run in this process, for predictions: the same answers, some 20 times as fast.
+"""Planners whose text is our own run in this process: the same answers, some 20 times as fast.
 
 Our own is what we ship (``OWN``), and what differs from it in nothing but the table ``PARAMETERS`` (which is read and
 never run here) and the word ``MOVEMENT``: so the expert writes new versions.  Whatever else a bank or a model brings
-runs in the sandbox, and so does what fails here, for the sandbox's sentence.  Attempts ask the sandbox in any case.
+runs in the sandbox, and so does what fails here, for the sandbox's sentence.
 """
 
 from __future__ import annotations
