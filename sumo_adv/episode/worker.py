@@ -216,7 +216,7 @@ class Worker:
             slot.send((index, told))
             return slot.recv()
 
-        ask = answers(proposal, self._situation_for(proposal), asked)  # made here, once for all forks
+        ask = answers(proposal, self._situation_for(proposal), asked)  # here, not in the fork: its text is read once
         return partial(self._attempt, proposal, ask)
 
     def _attempt(self, proposal: Proposal, ask: Callable[[Told], Any]) -> AttemptResult:
