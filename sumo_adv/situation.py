@@ -66,6 +66,9 @@ def fastest_of(speed: float) -> float:
     return max(1.4 * speed, speed + 5.0)
 
 
+MEET_AHEAD = ("crossing", "merging")  # relations of those whom the ego can meet only where their ways do
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A background vehicle that could be the adversary. Its ways begin where it is at the trigger."""
@@ -87,7 +90,7 @@ class Target:
 
     def applies(self) -> tuple[str, ...]:
         """Words an intent's ``applies`` list is matched with."""
-        words = {self.relation} - {"crossing", "merging"}  # these are said by the ways that do meet the ego's path
+        words = {self.relation} - set(MEET_AHEAD)  # these are said by the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:
                 movement = "straight" if way.movement in ("none", "u-turn") else way.movement

@@ -16,11 +16,10 @@ import numpy as np
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.situation import WayLine, relate
+from sumo_adv.situation import MEET_AHEAD, WayLine, relate
 from sumo_adv.world.network import RoadMap
 from sumo_adv.world.simulation import heading_of
 
-MEET_AHEAD = ("crossing", "merging")  # how those stand to the ego who can meet it only where their ways do
 ON, OFF, LOOKS = 0.40, 0.30, 2
 LOOK_EVERY = 0.5  # s
 NEAR, ONCOMING_NEAR = 70.0, 320.0  # m

@@ -9,9 +9,9 @@ import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Track
-from sumo_adv.episode.encounter import MEET_AHEAD, Candidate
+from sumo_adv.episode.encounter import Candidate
 from sumo_adv.geometry import PATH_STEP
-from sumo_adv.situation import Target
+from sumo_adv.situation import MEET_AHEAD, Target
 
 FORESEEN = 7.0  # s: an attack begins at most so long before the ego, or the first of both, is at the conflict
 MOST_SHIFT = 8.0  # s

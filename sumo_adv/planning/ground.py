@@ -21,7 +21,7 @@ from sumo_adv.planning.forecast import LOOK, arrivals, stations
 from sumo_adv.planning.junctions import Blocked
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
-from sumo_adv.situation import Situation, Target, WayLine
+from sumo_adv.situation import MEET_AHEAD, Situation, Target, WayLine
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
@@ -64,7 +64,7 @@ class Ground:
         self._own = np.where(own < 0, -1, self._base + own)
         self._taken: Any = None  # the ways that SUMO takes them to be on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
-        self._crosses = np.array([t.relation in ("crossing", "merging") for t in self.targets])
+        self._crosses = np.array([t.relation in MEET_AHEAD for t in self.targets])
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
         self._begins = begins_of(situations)
