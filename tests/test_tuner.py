@@ -186,6 +186,18 @@ def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one
     assert [p.planner.hash for p in tried(tuner, 10)] == [changed.hash] * 3
 
 
+def test_what_is_predicted_to_drive_like_one_that_was_tried_comes_last():
+    """The numbers of the first two make no difference before the contact: the third, with a worse score, is next."""
+    motion = {"time": 3.0, "min_ttc": 0.0, "warning": 1.0, "braking": 0.0, "strays": 0.0}
+    expert = Expert(NeverHits(), proposals=1, seed=1)
+    one = entry("Near", ("neighbour",)).planners[0]
+    expert.pool = [
+        Proposal("bv", "Near", one, {}, 0.0, 0.0, by="memory", score=score, predicted={**motion, "gap": gap})
+        for score, gap in ((0.0, 0.401), (0.01, 0.4), (0.05, 2.5))
+    ]
+    assert [p.score for p in tried(Tuner(expert, [], share=8), 2)] == [0.0, 0.05]
+
+
 def test_tries_cost_so_another_family_has_its_turn():
     situation = straight_situation()
     near, far = entry("Near", ("neighbour",)), entry("Other", ("neighbour",), SHIFT + "\n# another text\n")

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from sumo_adv.agents.experience import Experience
 from sumo_adv.agents.firmness import OF, alone, drawn, firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
@@ -23,6 +24,7 @@ NAME = "expert"
 REACHES = 1.5  # a score below is a predicted collision that counts
 AVOIDABLE = 0.75  # a score below is one that somebody could have avoided
 BRAKES = 0.09  # a score below is one that a careful driver who only brakes could have avoided
+WORKED = 0.75  # share of the first proposals that are drawn near what came off elsewhere
 REDRAW = 150  # proposals drawn at once where the first were not good
 FOR_BRAKES = 750  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
 MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so many more for each attempt
@@ -78,9 +80,10 @@ class Expert:
         bias: Mapping[str, float] | None = None,
         unsure: bool = False,
         known: bool = False,
+        experience: Experience | None = None,
     ) -> None:
         """``unsure``: nobody knows the ego's driver; ``known``: it is known exactly; ``bias``: planner hash -> what
-        evidence adds to its scores."""
+        evidence adds to its scores; ``experience``: what came off elsewhere."""
         self._scorer = scorer
         self._count = proposals
         self._draw = random.Random(seed)
@@ -88,6 +91,7 @@ class Expert:
         self.hindsight = Hindsight(scorer, known)
         self._bias = bias or {}
         self._at_the_end = AT_THE_END if unsure else 0.0
+        self._experience, self._situations = experience or Experience(), dict[float, Situation]()
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -104,10 +108,11 @@ class Expert:
 
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
+        self._situations = dict(situations)
         ways = families(situations, library, self._allowed)
         known = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [w for w in ways if (w.delay, w.target.state.id, w.entry.label, w.planner.hash) not in known]
-        self.pool += self.draw(fresh, self._count // 2 if self.pool else self._count)
+        self.pool += self._first(fresh, self._count // 2 if self.pool else self._count)
         while ways and len(self.pool) < min(self.wanted(self.pool), AT_FIRST * self._count):
             self.pool += self.more(ways, sorted(self.pool, key=self.price))
         self.pool = self.firmed(self.pool)
@@ -140,11 +145,19 @@ class Expert:
         new = [] if good >= FEW or self._allowed else compose(situations, library)
         return reach + new + rest
 
-    def draw(self, ways: Sequence[Family], count: int) -> list[Proposal]:
-        """``count`` scored proposals, round robin; the first of each family with its author's numbers.
+    def _first(self, ways: Sequence[Family], count: int) -> list[Proposal]:
+        """``count`` scored proposals: of each mode one with its author's numbers, as early as can be; most near what
+        came off elsewhere, the others of any way in turn.
 
         What was learnt comes on top, with the numbers it was learnt with: it takes no draws from others, and these are
         the same as without it."""
+        own = _own(ways)
+        found = [w.proposal(None) for w in _earliest(own)] + self._worked(own, round(WORKED * count))
+        found += self._any(own, count - len(found))
+        return self._scored(found + [w.proposal(None) for w in ways if w.learnt])
+
+    def draw(self, ways: Sequence[Family], count: int) -> list[Proposal]:
+        """``count`` scored proposals, round robin; the first of each family with its author's numbers."""
         own = _own(ways)
         found = [w.proposal(None) for w in own] + self._any(own, count - len(own))
         return self._scored(found + [w.proposal(None) for w in ways if w.learnt])
@@ -178,9 +191,12 @@ class Expert:
         return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + EACH * tried)
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
-        """``REDRAW`` scored proposals, half of them of any way, half near the ``NEAREST`` first of ``best``."""
-        near = best[:NEAREST]
-        return self._scored(self._any(_own(ways), REDRAW // 2) + self._near(near, REDRAW // 2))
+        """``REDRAW`` scored proposals: a third near what came off elsewhere; of the rest half of any way, half near the
+        ``NEAREST`` first of ``best``."""
+        own = _own(ways)
+        found = self._worked(own, REDRAW // 3)
+        found += self._any(own, (REDRAW - len(found)) // 2)
+        return self._scored(found + self._near(best[:NEAREST], REDRAW - len(found)))
 
     def vary(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         """``count`` scored proposals whose numbers are near those of the given ones, in turn."""
@@ -189,6 +205,9 @@ class Expert:
     def _any(self, ways: Sequence[Family], count: int) -> list[Proposal]:
         """Proposals of the ways in turn, with drawn numbers."""
         return [ways[k % len(ways)].proposal(self._draw) for k in range(count if ways else 0)]
+
+    def _worked(self, ways: Sequence[Family], count: int) -> list[Proposal]:
+        return self._experience.draw(self._situations, ways, count, self._draw)
 
     def _near(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         return [varied(proposals[k % len(proposals)], self._draw) for k in range(count if proposals else 0)]
@@ -215,6 +234,14 @@ class Expert:
 def _own(ways: Sequence[Family]) -> list[Family]:
     """What was not learnt, in the order in which it is drawn."""
     return sorted((w for w in ways if not w.learnt), key=lambda w: (w.entry.label, w.planner.mode, w.planner.hash))
+
+
+def _earliest(ways: Sequence[Family]) -> list[Family]:
+    """Of each vehicle's planners the first moment."""
+    found: dict[tuple[str, str], Family] = {}
+    for way in sorted(ways, key=lambda w: w.delay):
+        found.setdefault((way.target.state.id, way.planner.hash), way)
+    return list(found.values())
 
 
 def _share(members: Sequence[Proposal]) -> float:

@@ -16,8 +16,11 @@ from sumo_adv.agents.ways import Family
 from sumo_adv.datatypes import EgoCourse, Planner, Proposal
 
 TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it was built")
+SAME_PRICE = 1.0  # and what is predicted to drive just as one that was tried, for each of these
 RANK_PRICE = 0.3  # score a place in a model's ranking costs: a good candidate further down comes after a fair one above
 DIVERSE_EVERY = 3
+TRACES = ("time", "gap", "min_ttc", "warning", "braking", "strays")  # of a prediction
+Motion = tuple[str | float, ...]
 
 
 class Tuner:
@@ -42,6 +45,7 @@ class Tuner:
         self._drawn = len(drawn(self.pool))
         self._tries: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[Planner] = Counter()
+        self._motions: Counter[Motion | None] = Counter()  # that were tried, as predicted
         self._added: set[str] = set()  # planners' hashes
         self._count = 0
 
@@ -53,16 +57,17 @@ class Tuner:
 
     def first_of(self, bv: str, label: str) -> Proposal | None:
         """The best predicted way of an intent with its author's numbers, taken out of the pool, or None."""
-        planners = {w.planner.hash: w.planner.defaults() for w in self._ways}
-        mine = [
-            p for p in self.pool if (p.bv, p.label) == (bv, label) and dict(p.parameters) == planners[p.planner.hash]
-        ]
-        return self._take(min(mine, key=lambda p: p.score)) if mine else None
+        ways = [w for w in self._ways if (w.target.state.id, w.entry.label) == (bv, label)]
+        mine = [p for p in self.pool if (p.bv, p.label) == (bv, label) and dict(p.parameters) == p.planner.defaults()]
+        there = {(p.delay, p.planner.hash) for p in mine}
+        fresh = self._expert.draw([w for w in ways if (w.delay, w.planner.hash) not in there], 0)
+        self.pool += fresh
+        return self._take(min(mine + fresh, key=lambda p: p.score)) if mine or fresh else None
 
     def next(self) -> Proposal | None:
         """The next proposal, or None when nothing is left to try."""
         open_, closed = self._split()
-        while self._drawn < self._expert.wanted(open_, self._count):
+        while self._drawn < self._expert.wanted(self._untried(open_), self._count):
             over = self._over()
             ways = [w for w in self._ways if self._sharing(w.planner) not in over]
             fresh = self._expert.more(ways, sorted(open_, key=self._price))
@@ -80,11 +85,15 @@ class Tuner:
         self._count += 1
         self._tries[chosen.family] += 1
         self._by_planner[chosen.planner] += 1
+        self._motions[_motion(chosen)] += 1
         return chosen
 
     def heard(self, tried: Proposal, course: EgoCourse, valid: bool) -> None:
         """How the ego went in an attempt; where that was predicted otherwise, the pool is weighed anew."""
-        self.pool = self._expert.heard(self.pool, tried, course)
+        before, self.pool = self.pool, self._expert.heard(self.pool, tried, course)
+        for old, new in zip(before, self.pool, strict=True):  # predicted otherwise, it is still what was tried
+            if new is not old and (count := self._same(old)):
+                self._motions[_motion(new)] = count
         if (alone(tried) < AVOIDABLE) != valid:
             hindsight = self._expert.hindsight
             self.pool = hindsight.weigh(self.pool, hindsight.surprised(tried, course))
@@ -106,6 +115,15 @@ class Tuner:
             [p for p, shut in zip(self.pool, closed, strict=True) if shut],
         )
 
+    def _untried(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """Those that nothing tried was predicted to drive like."""
+        return [p for p in proposals if not self._same(p)]
+
+    def _same(self, p: Proposal) -> int:
+        """How many were tried that were predicted to drive like it."""
+        motion = _motion(p)
+        return 0 if motion is None else self._motions[motion]
+
     def _over(self) -> set[str]:
         """Shares that are used up."""
         tries = Counter[str]()
@@ -125,5 +143,14 @@ class Tuner:
         return min(open_, key=lambda p: self._price(p) + TRIED_PRICE * self._tries[p.family])
 
     def _price(self, p: Proposal) -> float:
-        """The predicted score, and what the analyzer's order adds to it."""
-        return self._expert.price(p) + RANK_PRICE * self._ranks.get((p.bv, p.label), len(self._ranks))
+        """The predicted score, what the analyzer's order adds to it, and what it costs to try the same again."""
+        again = SAME_PRICE * self._same(p)
+        return self._expert.price(p) + RANK_PRICE * self._ranks.get((p.bv, p.label), len(self._ranks)) + again
+
+
+def _motion(p: Proposal) -> Motion | None:
+    """What tells predicted motions of a BV apart: numbers that only matter later than the contact change nothing. None
+    where no motion was predicted."""
+    if not p.predicted.keys() >= set(TRACES):
+        return None
+    return (p.bv, p.delay, *(round(float(p.predicted[name]), 2) for name in TRACES))

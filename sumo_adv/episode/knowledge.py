@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from sumo_adv import __version__
+from sumo_adv.agents.experience import Experience, Worked, driver_class, read_experience
 from sumo_adv.agents.expert import NAME as EXPERT
 from sumo_adv.agents.expert import applies_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
@@ -19,11 +20,13 @@ from sumo_adv.episode.task import Found
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.recall import recall_scene, signature_distance
+from sumo_adv.memory.recall import SCALES, recall_scene, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.situation import Situation
+from sumo_adv.world.inputs import data_folder
 
 CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
+EXPERIENCE = "memory_bank/experience.json"
 EVIDENCE = 0.1  # score: what evidence can add to or take from a prediction
 
 
@@ -47,6 +50,26 @@ def evidence_bias(explained: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """What Thompson's draws add to predicted scores: up to +-``EVIDENCE`` for planners with evidence, 0 for others."""
     arms = [arm for intent in explained for arm in intent["planners"] if arm["rows"] > 0]
     return {str(arm["planner"]): EVIDENCE * (1.0 - 2.0 * float(arm["draw"])) for arm in arms}
+
+
+def experience(bank: MemoryBank, library: Sequence[LibraryEntry], driver: str) -> Experience:
+    """What came off elsewhere: what is shipped, and valid collisions that the bank has learnt since."""
+    learnt = [
+        worked for entry in library for evidence in bank.evidence(entry.label)
+        if evidence.valid and (worked := _worked(entry, evidence)) is not None
+    ]  # fmt: skip
+    return Experience([*read_experience(data_folder(EXPERIENCE)), *learnt], driver_class(driver))
+
+
+def _worked(entry: LibraryEntry, evidence: Evidence) -> Worked | None:
+    """What a piece of evidence says of numbers; None where its planner is retired or its scene has not all numbers."""
+    mode = next((p.mode for p in entry.planners if p.hash == evidence.planner_hash), None)
+    relative = evidence.scene.relative
+    if mode is None or not evidence.parameters or not relative.keys() >= SCALES.keys():
+        return None
+    scene = tuple(float(relative[name]) for name in SCALES)
+    who = driver_class(evidence.scene.controller)
+    return Worked(who, evidence.scene.relation, mode, scene, evidence.parameters, evidence.acceleration)
 
 
 def recall(

@@ -19,7 +19,16 @@ from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import evidence_bias, learn, read_library, recall, remembered, retrieve, signature
+from sumo_adv.episode.knowledge import (
+    evidence_bias,
+    experience,
+    learn,
+    read_library,
+    recall,
+    remembered,
+    retrieve,
+    signature,
+)
 from sumo_adv.episode.refine import NOTHING, Attempts, Refiner, succeeded
 from sumo_adv.episode.task import Found, NotFound, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
@@ -201,6 +210,7 @@ def foresee(
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
         bias=evidence_bias(episode.bandit), unsure=bool(driver.get("unknown", False)), known=exact(driver),
+        experience=experience(bank, library, episode.task.ego_driver),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:
