@@ -1,7 +1,7 @@
 """The built-in expert: plays analyzer, generator and modifier by kinematic prediction. It is no language model.
 
-It draws proposals (BV, intent, mode, parameters, delay) round robin over all that apply, has each predicted against the
-ego's own driver's model, and ranks intents by the share of what was drawn of them that is predicted to collide (more
+It draws proposals (BV, intent, mode, parameters, delay), most near what came off elsewhere and the others round robin over
+all that apply, has each predicted against the ego's own driver's model, and ranks intents by the share of what was drawn of them that is predicted to collide (more
 is drawn near what is good), then by their best score. What is tried first is up to the tuner, if there is one.
 """
 
