@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.expert import Expert, ExpertGenerator, compose
+from sumo_adv.agents.composing import ExpertGenerator, compose
+from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.firmness import ALONE, SPREAD
 from sumo_adv.agents.ways import families
 from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.expert import Expert, ExpertGenerator, ExpertModifier, compose
+from sumo_adv.agents.composing import ExpertGenerator, ExpertModifier, compose
+from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.firmness import drawn
 from sumo_adv.agents.hindsight import WEIGHED
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner

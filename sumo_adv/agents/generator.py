@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.asking import Line, ask
-from sumo_adv.agents.expert import MakePlanner
+from sumo_adv.agents.composing import MakePlanner
 from sumo_adv.agents.prompts import Prompt, Prompts, tame
 from sumo_adv.agents.scene import Names, relative_words, road_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner

@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sumo_adv.agents.expert import NAME, Expert, ExpertGenerator, ExpertModifier
+from sumo_adv.agents.composing import NAME, ExpertGenerator, ExpertModifier
+from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.ledger import Ledger
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner

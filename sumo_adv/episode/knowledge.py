@@ -9,9 +9,9 @@ from dataclasses import replace
 from typing import Any
 
 from sumo_adv import __version__
+from sumo_adv.agents.composing import NAME as EXPERT
+from sumo_adv.agents.composing import applies_of
 from sumo_adv.agents.experience import Experience, Worked, driver_class, read_experience
-from sumo_adv.agents.expert import NAME as EXPERT
-from sumo_adv.agents.expert import applies_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.expert import REACHES, Expert, composed
+from sumo_adv.agents.composing import composed
+from sumo_adv.agents.expert import REACHES, Expert
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.expert import NAME
+from sumo_adv.agents.composing import NAME
 from sumo_adv.agents.ledger import Ledger
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.cast import ROLES
