@@ -52,9 +52,9 @@ def worked(ego: str, file: str, draws: int, best: int) -> list[Row]:
     ):
         engine.request("open", make_task(source, settings, Path(folder)))
         found = engine.request("seek", "")
-        return _drawn(found, Foresight(sandbox, settings, found.drivable, found.situations), ego, draws, best) if (
-            isinstance(found, Found)
-        ) else []  # fmt: skip
+        if not isinstance(found, Found):
+            return []
+        return _drawn(found, Foresight(sandbox, settings, found.drivable, found.situations), ego, draws, best)
 
 
 def _drawn(found: Found, foresight: Foresight, ego: str, draws: int, best: int) -> list[Row]:

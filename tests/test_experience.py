@@ -12,6 +12,7 @@ from random import Random
 
 import numpy as np
 import pytest
+from bank_samples import evidence
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.agents.experience import Experience, Worked, apart, driver_class, read_experience
@@ -20,7 +21,7 @@ from sumo_adv.agents.ways import families
 from sumo_adv.datatypes import EgoCourse, LibraryEntry, Proposal
 from sumo_adv.episode.knowledge import EXPERIENCE, experience
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import Evidence, SceneSignature
+from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planning.source import make_planner
 from sumo_adv.world.inputs import data_folder
 
@@ -93,8 +94,8 @@ def test_scenes_differ_by_clear_changes_and_headings_by_the_shorter_way_round() 
     assert apart(scenes, here) == pytest.approx([0.0, 5.0, 0.5])  # 3 and 4 changes; 0.2 of 0.4 rad
 
 
-class Half:
-    """Every proposal scores half a point, and is kept."""
+class Kept:
+    """A brake avoids every proposal, so no more are drawn; what was asked is kept."""
 
     def __init__(self) -> None:
         self.asked: list[Proposal] = []
@@ -108,7 +109,7 @@ class Half:
 
 
 def test_the_expert_draws_three_quarters_of_its_first_proposals_near_what_came_off() -> None:
-    scorer, situations = Half(), {delay: situation([neighbour()]) for delay in (0.0, 1.5)}
+    scorer, situations = Kept(), {delay: situation([neighbour()]) for delay in (0.0, 1.5)}
     known = Experience([worked(1.0)], "brakes")
     Expert(scorer, proposals=40, seed=1, experience=known).predict(situations, LIBRARY)
     assert len(scorer.asked) == 40
@@ -118,7 +119,7 @@ def test_the_expert_draws_three_quarters_of_its_first_proposals_near_what_came_o
 
 
 def test_without_experience_the_expert_draws_of_any_way() -> None:
-    scorer = Half()
+    scorer = Kept()
     Expert(scorer, proposals=40, seed=1).predict({0.0: situation([crossing(), neighbour()])}, LIBRARY)
     assert len(scorer.asked) == 40 and {p.bv for p in scorer.asked} == {"bv"}
 
@@ -167,26 +168,9 @@ def test_valid_collisions_that_the_bank_has_learnt_count_as_well(tmp_path: Path)
             zip(("ahead", "left", "heading", "speed", "ego_speed"), (500.0, 3.2, 0.0, 12.0, 10.0), strict=True)
         )
         for valid, relative in ((True, scene), (False, scene), (True, {"ahead": 1.0})):
-            bank.record(
-                Evidence(
-                    label=record.label,
-                    planner_hash=planner.hash,
-                    scene=SceneSignature("straight", "neighbour", relative, "idm"),
-                    attempts=1,
-                    min_ttc=0.0,
-                    collided=True,
-                    critical=True,
-                    feasible=True,
-                    rear_end=False,
-                    valid=valid,
-                    strict=False,
-                    version="1",
-                    network="n",
-                    seed=0,
-                    parameters=planner.defaults(),
-                    acceleration=0.0,
-                )
-            )
+            seen = SceneSignature("straight", "neighbour", relative, "idm")
+            numbers = {"label": record.label, "planner_hash": planner.hash, "parameters": planner.defaults()}
+            bank.record(evidence(scene=seen, valid=valid, **numbers))
         situations = {0.0: situation([neighbour(x=500.0)])}
         known = experience(bank, [entry], "idm")
         found = known.draw(situations, families(situations, [entry]), 300, Random(1))

@@ -9,7 +9,6 @@ what the bank has learnt since.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,6 +20,7 @@ import numpy as np
 from sumo_adv.agents.firmness import varied
 from sumo_adv.agents.ways import Family
 from sumo_adv.datatypes import Acceleration, Floats, Proposal
+from sumo_adv.geometry import wrap_all
 from sumo_adv.situation import Situation, Target
 
 Scene = tuple[float, ...]
@@ -97,7 +97,7 @@ class _Known:
 
 
 def driver_class(driver: str) -> str:
-    """Who is attacked alike: drivers that react to nothing, that also swerve, and all others, who brake."""
+    """Whose attacks are alike: ``replay`` reacts to nothing, ``lattice`` also swerves, all others brake."""
     return driver if driver in ("replay", "lattice") else "brakes"
 
 
@@ -110,9 +110,8 @@ def scene_of(situation: Situation, target: Target) -> Scene:
 
 def apart(scenes: Floats, here: Scene) -> Floats:
     """How unlike scenes ``(n, 5)`` are to one, ``(n,)``: clear changes, headings the shorter way round."""
-    off = np.abs(scenes - np.array(here))
-    turned = off[:, 2] % (2.0 * math.pi)
-    off[:, 2] = np.minimum(turned, 2.0 * math.pi - turned)
+    off = scenes - np.array(here)
+    off[:, 2] = wrap_all(off[:, 2])
     return np.asarray(np.hypot.reduce(off / SCALES, axis=1))
 
 

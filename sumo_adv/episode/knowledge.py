@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import time
 from collections.abc import Mapping, Sequence
@@ -11,7 +12,7 @@ from typing import Any
 from sumo_adv import __version__
 from sumo_adv.agents.composing import NAME as EXPERT
 from sumo_adv.agents.composing import applies_of
-from sumo_adv.agents.experience import Experience, Worked, driver_class, read_experience
+from sumo_adv.agents.experience import Experience, Worked, driver_class, read_experience, scene_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
@@ -65,9 +66,9 @@ def _worked(entry: LibraryEntry, evidence: Evidence) -> Worked | None:
     """What a piece of evidence says of numbers; None where its planner is retired or its scene has not all numbers."""
     mode = next((p.mode for p in entry.planners if p.hash == evidence.planner_hash), None)
     relative = evidence.scene.relative
-    if mode is None or not evidence.parameters or not relative.keys() >= SCALES.keys():
+    scene = tuple(float(relative.get(name, math.nan)) for name in SCALES)
+    if mode is None or not evidence.parameters or not all(map(math.isfinite, scene)):
         return None
-    scene = tuple(float(relative[name]) for name in SCALES)
     who = driver_class(evidence.scene.controller)
     return Worked(who, evidence.scene.relation, mode, scene, evidence.parameters, evidence.acceleration)
 
@@ -199,13 +200,10 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
 def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
     """What makes scenes alike: geometry class, relation, relative state of the BV (m, rad, m/s), the ego's driver."""
     target = situation.targets[bv]
-    x, y, h = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
+    scene = scene_of(situation, target)
     kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
     geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
-    relative = {
-        "ahead": round(x, 2), "left": round(y, 2), "heading": round(h, 3), "speed": round(target.state.speed, 2),
-        "ego_speed": round(situation.ego.speed, 2),
-    }  # fmt: skip
+    relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}
     return SceneSignature(geometry, target.relation, relative, driver)
 
 
