@@ -181,7 +181,9 @@ def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary:
     driven = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
     found[rows[~driven]] = True
     rows, others = rows[driven], others[driven]
-    mine = _rows(adversary, rows)
+    if not len(rows):
+        return found
+    mine = _steps(_rows(adversary, rows), slice(0, int(last[rows].max()) + 1))
     reacted = braking(_rows(grid, others), mine, situation.lane_width, situation.dt)
     hit = _first(touching(reacted, mine)) <= last[rows]
     found[rows[hit]] = True
@@ -236,8 +238,8 @@ def _avoidable(
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
     half = situation.lane_width / 2
-    path = _held(_rows(ego, good), last)
-    hazard, _ = hazard_index(path, b, start, last, dt, lane_half_width=half)
+    path, until = _held(_rows(ego, good), last), slice(0, int(last.max()) + 1)
+    hazard, _ = hazard_index(_steps(path, until), _steps(b, until), start, last, dt, lane_half_width=half)
     careful, late, *sooner = careful_after(a, b, hazard, dt, (0.0, SLOWER, *(-t for t in SOONER)))
     careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half)
     nearly = np.where(sooner, np.array(NEARLY)[:, None], 0.0).max(axis=0)
@@ -254,13 +256,9 @@ def _avoidable(
         rows = np.flatnonzero((names == bv) & careful)
         if len(rows):
             careful[rows] = careful_after(*where(rows), (0.0,), others=others)[0]
-    rows = np.flatnonzero(~careful)
-    if len(rows):
-        manoeuvre[rows] = _manoeuvre(*where(rows), drivable)
-    for bv, others in around.items():
-        rows = np.flatnonzero((names == bv) & manoeuvre.any(axis=1))
-        if len(rows):
-            manoeuvre[rows] = _manoeuvre(*where(rows), drivable, others)
+    for bv in np.unique(names[~careful]):
+        rows = np.flatnonzero((names == bv) & ~careful)
+        manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around.get(bv))
     return careful, careful & late, nearly, manoeuvre, hazard
 
 
@@ -274,7 +272,9 @@ def _surely(
     rows = np.flatnonzero(careful & (unsure > 0.1 * UNSURE))
     if not len(rows):
         return careful, hazard
-    mine, other, lasts = _rows(path, rows), _rows(adversary, rows), last[rows]
+    lasts = last[rows]
+    until = slice(0, int(lasts.max()) + 1)
+    mine, other = _steps(_rows(path, rows), until), _steps(_rows(adversary, rows), until)
     latest = hazard[rows]
     for turn in (-unsure[rows, None], unsure[rows, None]):
         turned = replace(mine, heading=mine.heading + turn)
@@ -290,7 +290,7 @@ def _surely(
 
 
 def _manoeuvre(
-    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None = None
+    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None
 ) -> Bools:
     """Whether some manoeuvre avoids it, by ``DELAYS``."""
     return avoidance(
@@ -317,3 +317,7 @@ def _held(b: Boxes, last: Any) -> Boxes:
 def _rows(b: Boxes, rows: Any) -> Boxes:
     size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
     return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
+
+
+def _steps(b: Boxes, steps: slice) -> Boxes:
+    return Boxes(b.x[:, steps], b.y[:, steps], b.heading[:, steps], b.speed[:, steps], b.length, b.width)

@@ -103,7 +103,7 @@ def _clear(
     foe_poses = _straight(foe) if reacting is None else _poses(foe, (reacting,), dt)
     clear: Bools = np.asarray(~_hits(poses, foe_poses, _half(own), _half(foe)).any(axis=-1))
     if others is not None and np.size(others.x):
-        clear &= _clear_of_others(poses, own, others, hazard_index, dt)
+        clear &= _clear_of_others(poses, own, others, hazard_index, dt, clear)
     if on_road is not None:
         clear &= _on_road(poses, own, table, clear, on_road, dt)
     return clear
@@ -207,12 +207,15 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
     return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1), np.concatenate([zero, slope], axis=-1)
 
 
-def _clear_of_others(poses: _Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float) -> Bools:
-    """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake."""
-    clear = np.ones((poses.x.shape[0], len(own.x)), dtype=bool)
+def _clear_of_others(
+    poses: _Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float, asked: Bools
+) -> Bools:
+    """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake; of
+    what is ``asked``, all else counts as clear."""
+    clear = np.ones(asked.shape, dtype=bool)
     half_own = np.asarray(own.length) / 2, np.asarray(own.width) / 2
-    for row, hazard in enumerate(hazard_index):
-        near = window(others, np.full(len(others.x), int(hazard)), own.x.shape[1] - 1, dt)
+    for row in np.flatnonzero(asked.any(axis=0)):
+        near = window(others, np.full(len(others.x), int(hazard_index[row])), own.x.shape[1] - 1, dt)
         c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])
         dx, dy = near.x[:, 0] - own.x[row, 0], near.y[:, 0] - own.y[row, 0]
         behind = (dx * c + dy * s < 0) & (np.abs(dy * c - dx * s) < SAME_LANE)
@@ -220,10 +223,11 @@ def _clear_of_others(poses: _Poses, own: Boxes, others: Boxes, hazard_index: NDA
         if not keep.size:
             continue
         third = _rows(near, keep)
-        mine = _Poses(*(np.asarray(v)[:, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
+        which = np.flatnonzero(asked[:, row])
+        mine = _Poses(*(v[which, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
         half_third = np.asarray(third.length) / 2, np.asarray(third.width) / 2
         touched = _hits(mine, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
-        clear[:, row] = ~touched.any(axis=(1, 2))
+        clear[which, row] = ~touched.any(axis=(1, 2))
     return clear
 
 

@@ -22,9 +22,9 @@ SLOWER = 0.05  # m/s less than unattacked: from then on it follows
 def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Boxes:
     """Each other vehicle's motion where it brakes for the adversary.
 
-    others, adversary: ``(n, T)`` states a step ``dt`` [s] apart, row by row, sizes ``(n, 1)``; the others' motion is
-    the unattacked one, NaN where one is not there.  ``lane_width`` [m]: the adversary is before one whose lane its
-    front's centre is in.  Returned: ``(n, T)``, along the same ways and never further on.
+    others, adversary: ``(n, T)`` and ``(n, t)`` states a step ``dt`` [s] apart from the same moment on, row by row, sizes
+    ``(n, 1)``; the others' motion is the unattacked one, NaN where one is not there, t is not above T.  ``lane_width`` [m]: the adversary is before one whose lane its
+    front's centre is in.  Returned: ``(n, t)``, along the same ways and never further on.
     """
     x, y, heading, there = _filled(others)
     step = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))
@@ -37,10 +37,10 @@ def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Bo
     room = half[:, 0] + np.broadcast_to(np.asarray(others.length), way.shape)[:, 0] / 2
     at = _followed(way, s, front_s, before, adversary.speed, room, dt)
     turns, ways = np.unwrap(heading, axis=1), way + 1e-9 * np.arange(way.shape[1])  # also where one stands
-    found = np.empty((3, *way.shape))
+    found = np.empty((3, *at.shape))
     for k in range(len(way)):
         found[:, k] = [np.interp(at[k], ways[k], q[k]) for q in (x, y, turns)]
-    found[0][~there] = np.nan
+    found[0][~there[:, : at.shape[1]]] = np.nan
     return Boxes(found[0], found[1], found[2], np.gradient(at, dt, axis=1), others.length, others.width)
 
 
@@ -54,7 +54,7 @@ def _filled(b: Boxes) -> tuple[Floats, Floats, Floats, Bools]:
 
 
 def _beside(adversary: Boxes, x: Floats, y: Floats, heading: Floats, way: Floats) -> tuple[Floats, Floats, Floats]:
-    """Station, offset and heading of the adversary at each step along the ways, ``(n, T)``."""
+    """Station, offset and heading of the adversary at each step along the ways, ``(n, t)``."""
     rows = np.arange(len(x))[:, None]
     i = _nearest(adversary, x[:, None, ::COARSE], y[:, None, ::COARSE]) * COARSE
     near = np.clip(i[:, :, None] + np.arange(1 - COARSE, COARSE), 0, x.shape[1] - 1)
@@ -66,18 +66,18 @@ def _beside(adversary: Boxes, x: Floats, y: Floats, heading: Floats, way: Floats
 
 
 def _nearest(adversary: Boxes, x: Floats, y: Floats) -> Any:
-    """Which of the places along the last axis is nearest to the adversary, ``(n, T)``."""
+    """Which of the places along the last axis is nearest to the adversary, ``(n, t)``."""
     dx, dy = adversary.x[:, :, None] - x, adversary.y[:, :, None] - y
     return np.argmin(dx * dx + dy * dy, axis=2)
 
 
 def _followed(way: Floats, s: Floats, front_s: Floats, before: Bools, speed: Floats, room: Floats, dt: float) -> Floats:
-    """Stations ``(n, T)`` of drivers that follow the adversary once it is before them."""
+    """Stations ``(n, t)`` of drivers that follow the adversary once it is before them."""
     driver = CarFollowing(DEFAULT_DRIVER, dt)
     unattacked = np.diff(way, axis=1) / dt
-    at = way.copy()
+    at = way[:, : s.shape[1]].copy()
     v, brakes = unattacked[:, 0].copy(), np.zeros(len(way), bool)
-    for k in range(way.shape[1] - 1):
+    for k in range(at.shape[1] - 1):
         leads = before[:, k] & (front_s[:, k] > at[:, k])
         bound = np.where(leads, driver.behind(v, s[:, k] - at[:, k] - room, speed[:, k]), np.inf)
         brakes |= bound < unattacked[:, k] - SLOWER
