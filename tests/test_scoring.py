@@ -209,6 +209,22 @@ def test_what_does_not_count_as_a_collision() -> None:
     assert judged(ego, motion(50.0, DRIFTS, 5.0), [standing])["score"] == THIRD
 
 
+@pytest.mark.parametrize(("aside", "closing", "rear"), [
+    (1.7, 3.0, True),  # the corners: 0.3 m of the two widths overlap, front to back
+    (2.3, 3.0, False),  # it comes up beside, and over from there
+    (1.7, -3.0, False),  # the ego backs into it, so to say: the adversary is ahead
+])  # fmt: skip
+def test_who_drives_into_the_ego_s_back_does_not_count_also_with_a_corner(
+    aside: float, closing: float, rear: bool
+) -> None:
+    """Both 5 x 2 m, 15 m apart; 2.3 m aside it drifts by 1 m/s over the last second, when it is beside."""
+    drift = np.maximum(TIME - 4.0, 0.0) if aside > 2.0 else 0.0 * TIME
+    ego = motion(0.0, 0.0, 20.0)
+    bv = motion(-15.0 if closing > 0 else 15.0, aside - drift, 20.0 + closing)
+    assert (judged(ego, bv)["score"] == REAR) == judged(ego, bv)["rear"] == rear
+    assert judged(ego, bv)["hit"]
+
+
 def test_a_miss_scores_by_how_near_it_comes() -> None:
     """Beside the ego at its speed, the sides 0.1 m apart: no TTC (10 s are the most), 1.5 + 0.3 * 10 + 0.1 * 0.1."""
     found = judged(motion(0.0, 0.0, 30.0), motion(0.0, 2.1, 30.0), road=(-4.8, 4.8))

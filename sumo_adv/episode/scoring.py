@@ -15,7 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal, Role
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import avoidance, careful_after
-from sumo_adv.metrics.boxes import gap, half_diagonal, on_grid, overlaps, pick, touching
+from sumo_adv.metrics.boxes import axis_separations, gap, half_diagonal, on_grid, overlaps, pick, touching
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.feasibility import (
     CRAWL,
@@ -27,7 +27,7 @@ from sumo_adv.metrics.feasibility import (
     STEP_SHARE,
     STEP_SLACK,
 )
-from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.hazard import SAME, hazard_index
 from sumo_adv.planning.bystanders import braking
 from sumo_adv.planning.predict import Rollouts, Touch
 from sumo_adv.situation import Situation
@@ -132,16 +132,21 @@ def _score(careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warnin
 
 
 def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
-    """The adversary behind, going the same way, in line and faster at the contact."""
-    k = (np.arange(len(at)), at)
-    a, b = pick(ego, k), pick(adversary, k)
-    turned = np.abs(wrap_all(b.heading - a.heading))
-    c, s = np.cos(a.heading), np.sin(a.heading)
-    ahead = c * (b.x - a.x) + s * (b.y - a.y)
-    left = -s * (b.x - a.x) + c * (b.y - a.y)
-    overlap = (np.asarray(a.length) + np.asarray(b.length)) / 2
-    in_line = np.abs(left) < 0.8 * (np.asarray(a.width) + np.asarray(b.width)) / 2
-    return np.asarray((turned < np.pi / 4) & (ahead < -0.75 * overlap) & in_line & (b.speed > a.speed))
+    """Whether the adversary runs into the ego's back, as the judge has it (``metrics.contact.rear_end``); the faces
+    that meet are those of the axis along which the boxes are apart last, from the step before the contact on."""
+    rows = np.arange(len(at))
+    now, before = ((rows, k) for k in (at, np.maximum(at - 1, 0)))
+    a, b = pick(ego, now), pick(adversary, now)
+    was = np.array(axis_separations(pick(ego, before), pick(adversary, before)))
+    closed = was - np.array(axis_separations(a, b))
+    when = np.maximum(was, 0.0) / np.maximum(np.maximum(closed, was), 1e-9)  # share of the step, at which each closes
+    last = when.argmax(axis=0)
+    turn, dx, dy = b.heading - a.heading, b.x - a.x, b.y - a.y
+    behind = np.cos(a.heading) * dx + np.sin(a.heading) * dy < 0.0
+    front = np.cos(b.heading) * dx + np.sin(b.heading) * dy <= 0.0
+    same = np.abs(wrap_all(turn)) <= SAME
+    lengthwise = (last == 0) | (last == 2)
+    return np.asarray(same & lengthwise & behind & front & (b.speed * np.cos(turn) > a.speed))
 
 
 def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
@@ -289,9 +294,7 @@ def _surely(
     return found, hazard
 
 
-def _manoeuvre(
-    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None
-) -> Bools:
+def _manoeuvre(ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None) -> Bools:
     """Whether some manoeuvre avoids it, by ``DELAYS``."""
     return avoidance(
         ego, adversary, hazard, dt, delays=DELAYS, careful=False, on_road=drivable, others=others
