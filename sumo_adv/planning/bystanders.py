@@ -22,9 +22,10 @@ SLOWER = 0.05  # m/s less than unattacked: from then on it follows
 def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Boxes:
     """Each other vehicle's motion where it brakes for the adversary.
 
-    others, adversary: ``(n, T)`` and ``(n, t)`` states a step ``dt`` [s] apart from the same moment on, row by row, sizes
-    ``(n, 1)``; the others' motion is the unattacked one, NaN where one is not there, t is not above T.  ``lane_width`` [m]: the adversary is before one whose lane its
-    front's centre is in.  Returned: ``(n, t)``, along the same ways and never further on.
+    others, adversary: ``(n, T)`` and ``(n, t)`` states a step ``dt`` [s] apart from one moment on, t at most T, row by
+    row, sizes ``(n, 1)``; the others' motion is the unattacked one, NaN where one is not there.  ``lane_width`` [m]:
+    the adversary is before one whose lane its front's centre is in.  Returned: ``(n, t)``, along the same ways and
+    never further on.
     """
     x, y, heading, there = _filled(others)
     step = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))
