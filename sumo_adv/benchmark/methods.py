@@ -37,6 +37,7 @@ ABLATIONS: Mapping[str, str] = {
     "expert+modifications=0+learn=off": "no modifier",
     "expert+replan=60+learn=off": "no replanning: one endpoint an attempt",
     "expert+forecast=constant+learn=off": "the ego predicted by constant velocity",
+    "expert+experience=off+learn=off": "no experience: nothing is drawn near what came off elsewhere",
     "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
     "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
 }

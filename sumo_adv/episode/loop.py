@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.agents.composing import composed
+from sumo_adv.agents.experience import Experience
 from sumo_adv.agents.expert import REACHES, Expert
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
@@ -211,7 +212,7 @@ def foresee(
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
         bias=evidence_bias(episode.bandit), unsure=bool(driver.get("unknown", False)), known=exact(driver),
-        experience=experience(bank, library, episode.task.ego_driver),
+        experience=experience(bank, library, episode.task.ego_driver) if settings.experience == "on" else Experience(),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:
