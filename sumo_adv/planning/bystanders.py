@@ -77,8 +77,12 @@ def _followed(way: Floats, s: Floats, front_s: Floats, before: Bools, speed: Flo
     driver = CarFollowing(DEFAULT_DRIVER, dt)
     unattacked = np.diff(way, axis=1) / dt
     at = way[:, : s.shape[1]].copy()
-    v, brakes = unattacked[:, 0].copy(), np.zeros(len(way), bool)
-    for k in range(at.shape[1] - 1):
+    comes = (before & (front_s > at)).any(axis=0)
+    if not comes.any():
+        return at
+    first = int(comes.argmax())  # until then all go as unattacked
+    v, brakes = np.maximum(unattacked[:, max(first - 1, 0)], 0.0), np.zeros(len(way), bool)
+    for k in range(first, at.shape[1] - 1):
         leads = before[:, k] & (front_s[:, k] > at[:, k])
         bound = np.where(leads, driver.behind(v, s[:, k] - at[:, k] - room, speed[:, k]), np.inf)
         brakes |= bound < unattacked[:, k] - SLOWER

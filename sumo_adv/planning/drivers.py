@@ -67,6 +67,7 @@ class PredictedEgos:
         lattice = self.model["kind"] == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._sidestep = Sidestep(scenes, length, width)
+        self._edges_at, self._seen_edges = self.d, seen_edges(self._lane, scenes.ego.width, self.d)  # of these offsets
         self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
         self._opposed = np.zeros(n, bool) if self._passes_right else scenes.opposed()
         self._gone_over = np.zeros(n, bool)
@@ -153,7 +154,9 @@ class PredictedEgos:
         driver's: as near to the side as it ``sees``); or, once it has been there (SUMO then keeps it in both lanes),
         its side is within the strips that the ego takes up; not where it went over to a lane of the other direction."""
         inside, half = self._within(front_d, h), self._width / 2
-        left, right = seen_edges(self._lane, self.scenes.ego.width, self.d)
+        if self.d is not self._edges_at:
+            self._edges_at, self._seen_edges = self.d, seen_edges(self._lane, self.scenes.ego.width, self.d)
+        left, right = self._seen_edges
         partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
         both = self._was_inside if self._edges is None else self._was_inside | self._edges.comes

@@ -83,7 +83,7 @@ def predict(
     motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, seen)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
-    adversary, ego = np.empty((4, n, steps)), np.empty((4, n, steps))
+    adversary, ego = np.empty((2, steps, 4, n))
     followers: dict[int, Follower] = {}
     over, parting, driven, asked, strays = np.zeros(n, bool), Parting(ground), -1, egos.v, np.zeros(n)
     for k in range(steps):
@@ -97,21 +97,20 @@ def predict(
                 ground, motion, (egos.s, egos.d, egos.v, mean), goal, last, followers, now, rows, ask
             )
             asked = egos.v
-        adversary[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
+        adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
-            ego[:, :, k] = egos.pose()
+            ego[k] = egos.pose()
             driven = k
             strays += ground.strays(motion) & ~over
             if touch is not None:
-                over |= touch(ego[:, :, k], adversary[:, :, k], ~over)
+                over |= touch(ego[k], adversary[k], ~over)
             relative, blocked = ground.relative(motion), ground.blocked(motion)
             egos.step(now, relative, motion.v, blocked, ground.edges(relative))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
-    ego[:, :, driven + 1 :] = egos.onwards(steps - driven - 1)
-    x, y, h, v = ego
-    times = np.arange(steps) * dt
-    return Rollouts(times, (x, y, h, v), tuple(adversary), egos.disturbed, strays * dt)  # type: ignore[arg-type]
+    ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
+    mine, others = (tuple(np.ascontiguousarray(q.transpose(1, 2, 0))) for q in (ego, adversary))
+    return Rollouts(np.arange(steps) * dt, mine, others, egos.disturbed, strays * dt)  # type: ignore[arg-type]
 
 
 def _replan(
