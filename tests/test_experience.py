@@ -13,6 +13,7 @@ from random import Random
 import numpy as np
 import pytest
 from bank_samples import evidence
+from cli_samples import LEADER, Program, Runs
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.agents.experience import Experience, Worked, apart, driver_class, read_experience
@@ -122,6 +123,16 @@ def test_without_experience_the_expert_draws_of_any_way() -> None:
     scorer = Kept()
     Expert(scorer, proposals=40, seed=1).predict({0.0: situation([crossing(), neighbour()])}, LIBRARY)
     assert len(scorer.asked) == 40 and {p.bv for p in scorer.asked} == {"bv"}
+
+
+def test_experience_can_be_switched_off(runs: Runs, program: Program) -> None:
+    """Of even draws other shares are predicted to collide."""
+    program.variables["SUMO_ADV_EXPERIENCE"] = "off"
+    without = program(*LEADER, "--json", "--out", "out")
+    assert without.status == 0, without.err
+    reasons = [[i["reason"] for i in done.outcome["intents"]] for done in (runs["first"], without)]
+    assert reasons[0] != reasons[1]
+    assert without.manifest["settings"]["experience"] == "off"
 
 
 # ---- what is shipped, and what the bank learns
