@@ -3,11 +3,10 @@
 ``python benchmarks/experience.py --out FILE EGO:FOLDER ...``; some two seconds an encounter and core, ``lattice`` nine.
 ``EGO:FOLDER`` are suites that ``sumo-adv bench make --seed N --out FOLDER`` made, each with the driver to try it on.
 In every encounter ``--draws`` proposals are drawn evenly; of each intent's mode and relation the best ``--best`` that
-somebody could have avoided are kept.  With ``--near FILE`` half of them are drawn near what is in FILE, which is kept.
-Nobody drives: it is the expert's predictions alone.
+somebody could have avoided are kept.  Nobody drives: it is the expert's predictions alone.
 
-What is shipped is from suites of seeds 41 to 43, on which no table of ``docs/results.md`` is measured, without
-``--near``: ``lattice:s41 careful:s41 krauss:s42 careful:s43 replay:s42``.
+What is shipped is from suites of seeds 41 to 43, on which no table of ``docs/results.md`` is measured:
+``lattice:s41 careful:s41 krauss:s42 careful:s43 replay:s42``.
 """
 
 from __future__ import annotations
@@ -25,18 +24,16 @@ from typing import Any
 
 from attempt_cost import library
 
-from sumo_adv.agents.composing import ExpertGenerator, applies_of, compose
-from sumo_adv.agents.experience import Experience, driver_class, read_experience, scene_of
+from sumo_adv.agents.experience import driver_class, scene_of
 from sumo_adv.agents.expert import AVOIDABLE, Expert
 from sumo_adv.agents.ways import families
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import LibraryEntry, Proposal
+from sumo_adv.datatypes import Proposal
 from sumo_adv.episode.foresight import Foresight
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import Found
 from sumo_adv.episode.worker import body
 from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
 from sumo_adv.world.engine import Engine
 from sumo_adv.world.inputs import load_input
 
@@ -44,8 +41,8 @@ AT_ONCE = 200  # proposals predicted together
 Row = dict[str, Any]
 
 
-def worked(ego: str, file: str, draws: int, best: int, near: Path | None) -> list[Row]:
-    """What comes off in one encounter; ``near``: what came off before."""
+def worked(ego: str, file: str, draws: int, best: int) -> list[Row]:
+    """What comes off in one encounter."""
     source = load_input(Path(file))
     settings = load_settings(None, ego=ego, horizon=source.horizon)
     with (
@@ -57,29 +54,15 @@ def worked(ego: str, file: str, draws: int, best: int, near: Path | None) -> lis
         found = engine.request("seek", "")
         if not isinstance(found, Found):
             return []
-        experience = Experience(() if near is None else read_experience(near), driver_class(ego))
-        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-        return _drawn(found, foresight, experience, ego, draws, best)
+        return _drawn(found, Foresight(sandbox, settings, found.drivable, found.situations), ego, draws, best)
 
 
-def composed(found: Found) -> list[LibraryEntry]:
-    """The library, and what the expert composes for this encounter."""
-    entries = library()
-    for intent in {i.label: i for i in compose(found.situations, entries)}.values():
-        planners = ExpertGenerator(make_planner).generate(intent, None, entries)
-        entries.append(LibraryEntry(intent.label, intent.description, applies_of(intent.label), planners))
-    return entries
-
-
-def _drawn(
-    found: Found, foresight: Foresight, experience: Experience, ego: str, draws: int, best: int
-) -> list[Row]:  # fmt: skip
-    ways, draw = families(found.situations, composed(found)), random.Random(0)
+def _drawn(found: Found, foresight: Foresight, ego: str, draws: int, best: int) -> list[Row]:
+    ways, draw = families(found.situations, library()), random.Random(0)
     expert, good = Expert(foresight, proposals=4, seed=0), list[Proposal]()
-    asked = experience.draw(found.situations, ways, draws // 2, draw)
-    asked += [ways[k % len(ways)].proposal(draw) for k in range(draws - len(asked) if ways else 0)]
-    for first in range(0, len(asked), AT_ONCE):
-        good += [p for p in foresight.score(asked[first : first + AT_ONCE]) if p.score < AVOIDABLE]
+    for first in range(0, draws if ways else 0, AT_ONCE):
+        some = [ways[k % len(ways)].proposal(draw) for k in range(first, min(first + AT_ONCE, draws))]
+        good += [p for p in foresight.score(some) if p.score < AVOIDABLE]
     groups: dict[tuple[str, str, str], list[Proposal]] = {}
     for p in sorted(good, key=expert.price):
         relation = found.situations[p.delay].targets[p.bv].relation
@@ -95,15 +78,6 @@ def _row(found: Found, p: Proposal, relation: str, ego: str) -> Row:
         "driver": driver_class(ego), "relation": relation, "mode": p.planner.mode, "parameters": list(p.parameters),
         "row": [round(float(v), 3) for v in numbers],  # type: ignore[arg-type]
     }  # fmt: skip
-
-
-def kept(file: Path) -> list[Row]:
-    """The rows of a file that was made before."""
-    return [
-        {**{k: table[k] for k in ("driver", "relation", "mode", "parameters")}, "row": row}
-        for table in json.loads(file.read_text())["modes"]
-        for row in table["rows"]
-    ]
 
 
 def written(rows: Iterable[Row]) -> str:
@@ -127,7 +101,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--draws", type=int, default=600, help="proposals drawn in each encounter")
     parser.add_argument("--best", type=int, default=2, help="kept of a mode and relation in each encounter")
-    parser.add_argument("--near", type=Path, help="a file of this kind, to draw near and to keep")
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args(arguments)
     jobs = [
@@ -137,9 +110,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not jobs:
         print("No scenario is in these folders: make one with `sumo-adv bench make`.", file=sys.stderr)
         return 2
-    rows: list[Row] = [] if asked.near is None else kept(asked.near)
+    rows: list[Row] = []
     with ProcessPoolExecutor(asked.workers, mp_context=get_context("spawn")) as pool:
-        tasks = [pool.submit(worked, ego, file, asked.draws, asked.best, asked.near) for ego, file in jobs]
+        tasks = [pool.submit(worked, ego, file, asked.draws, asked.best) for ego, file in jobs]
         for k, task in enumerate(tasks, 1):
             rows += task.result()
             print(f"{k} of {len(jobs)}: {len(rows)} came off", end="\r", file=sys.stderr)
