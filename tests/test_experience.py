@@ -119,6 +119,19 @@ def test_the_expert_draws_three_quarters_of_its_first_proposals_near_what_came_o
     assert np.std([p.parameters["gap"] for p in near]) < 1.0 < np.std([p.parameters["gap"] for p in scorer.asked[31:]])
 
 
+def test_where_what_was_remembered_fails_more_is_drawn_near_what_came_off() -> None:
+    scorer, situations = Kept(), {0.0: situation([neighbour()])}
+    expert, ways = (
+        Expert(scorer, proposals=40, seed=1, experience=Experience([worked(1.0)], "brakes")),
+        families(situations, LIBRARY),
+    )
+    expert.recall(situations, ways[0].proposal(None))
+    assert scorer.asked == [] and len(expert.pool) == 1
+    expert.more(ways, expert.pool)
+    assert len(scorer.asked) == 150
+    assert np.std([p.parameters["gap"] for p in scorer.asked[:50]]) < 1.0  # a third of them
+
+
 def test_without_experience_the_expert_draws_of_any_way() -> None:
     scorer = Kept()
     Expert(scorer, proposals=40, seed=1).predict({0.0: situation([crossing(), neighbour()])}, LIBRARY)

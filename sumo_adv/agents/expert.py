@@ -83,6 +83,10 @@ class Expert:
         self.pool = []
         self.widen(situations, [e for e in library if not composed(e) or e.label in self._allowed])
 
+    def recall(self, situations: Mapping[float, Situation], known: Proposal) -> None:
+        """Begin with what worked in a like scene alone; nothing is predicted until that has failed."""
+        self._situations, self.pool = dict(situations), [known]
+
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
         self._situations = dict(situations)

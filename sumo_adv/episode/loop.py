@@ -216,7 +216,7 @@ def foresee(
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:
-        expert.pool = [known[1]]
+        expert.recall(found.situations, known[1])
         return expert, known[0]
     expert.predict(found.situations, library)
     return expert, None
