@@ -121,10 +121,8 @@ def test_the_expert_draws_three_quarters_of_its_first_proposals_near_what_came_o
 
 def test_where_what_was_remembered_fails_more_is_drawn_near_what_came_off() -> None:
     scorer, situations = Kept(), {0.0: situation([neighbour()])}
-    expert, ways = (
-        Expert(scorer, proposals=40, seed=1, experience=Experience([worked(1.0)], "brakes")),
-        families(situations, LIBRARY),
-    )
+    expert = Expert(scorer, proposals=40, seed=1, experience=Experience([worked(1.0)], "brakes"))
+    ways = families(situations, LIBRARY)
     expert.recall(situations, ways[0].proposal(None))
     assert scorer.asked == [] and len(expert.pool) == 1
     expert.more(ways, expert.pool)
