@@ -134,9 +134,9 @@ def run(
     from sumo_adv.report.folder import staged, write_run
 
     given = load(Path(source), record)
-    defaults = {"ego": given.ego_controller, "horizon": given.horizon}
     wanted = {name: value for name, value in settings.items() if value is not None}
-    chosen = load_settings(None if settings_file is None else Path(settings_file), **{**defaults, **wanted})
+    wanted = {"horizon": given.horizon, **wanted, "ego": given.driver(wanted.get("ego"))}
+    chosen = load_settings(None if settings_file is None else Path(settings_file), **wanted)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:

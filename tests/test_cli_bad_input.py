@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import gzip
+import json
 import os
 import resource
 import shutil
@@ -13,7 +14,19 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from cli_samples import BAD_PLANNERS, ROOT, RUN_FILES, TRAIL, Done, Program, Runs, bank_with, lacking, let_interrupt
+from cli_samples import (
+    BAD_PLANNERS,
+    ROOT,
+    RUN_FILES,
+    TRAIL,
+    Done,
+    Program,
+    Runs,
+    bank_with,
+    files_of,
+    lacking,
+    let_interrupt,
+)  # fmt: skip
 
 from sumo_adv.datatypes import Ending
 
@@ -141,6 +154,46 @@ def test_input_and_replay_exclude_one_another(program: Program) -> None:
     refused(program("run"), 2, "INPUT")
     refused(program("run", "--replay", "somewhere"), 2, "manifest.json")
     assert program.leftovers() == []
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--ego", "idm", "--attempts", "3"), "--attempts has no effect on a replay"),
+        (("--seed", "1"), "--seed has no effect on a replay"),
+        (("--no-fork",), "--no-fork has no effect on a replay"),
+    ],
+)
+def test_a_replay_refuses_what_it_would_ignore(program: Program, options: tuple[str, ...], says: str) -> None:
+    refused(program("run", "--replay", "somewhere", *options), 2, says)
+
+
+def test_a_replay_with_another_ego_is_refused(program: Program, runs: Runs) -> None:
+    refused(program("run", "--replay", runs["first"].folder, "--ego", "krauss"), 2, "was driven by 'idm'")
+
+
+def test_a_run_folder_runs_no_class_that_the_command_line_does_not_name(program: Program, runs: Runs) -> None:
+    """The manifest of a stranger: its driver is a shell command, then a class that is there but was not named."""
+    for name in files_of(runs["calm"].folder):
+        (program.folder / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
+        (program.folder / "copy" / name).write_bytes(files_of(runs["calm"].folder)[name])
+    replay = ("run", "--replay", program.folder / "copy", "--out", "again")
+    refused(program(*replay), 2, "name it yourself with --ego ego_samples:CalmEgo")
+    manifest = json.loads((program.folder / "copy" / "manifest.json").read_text(encoding="utf-8"))
+    manifest |= {"ego_driver": "subprocess:Popen", "ego_parameters": {"args": "touch proof", "shell": True}}
+    (program.folder / "copy" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    refused(program(*replay), 2, "name it yourself with --ego subprocess:Popen")
+    named = program(*replay, "--ego", "subprocess:Popen")
+    assert named.status != 0 and "is a class of Python's standard library" in named.err
+    assert program.leftovers() == ["copy"]
+
+
+def test_a_scenario_runs_no_class_that_the_command_line_does_not_name(program: Program) -> None:
+    network = ROOT / "networks" / "motorway.net.xml"
+    table = "[ego]\ncontroller = 'subprocess:Popen'\nparameters = { args = 'touch proof', shell = true }\n"
+    (program.folder / "strange.toml").write_text(f"schema = 1\nnetwork = '{network}'\n{table}", encoding="utf-8")
+    refused(program("run", "strange.toml"), 2, "name it yourself with --ego subprocess:Popen")
+    assert program.leftovers() == ["strange.toml"]
 
 
 # -- the memory bank

@@ -252,6 +252,14 @@ class Wild(Good):
         return Steer(float("nan"), 0.0)
 class NoAct:
     def reset(self, seed): pass
+class Looks(Good):
+    needs_road = True
+
+class Touches:
+    def __init__(self, path):
+        open(path, "w").close()
+
+from threading import Thread
 Number = 3
 """
 
@@ -290,6 +298,25 @@ def test_a_users_class_that_cannot_be_used(
 ) -> None:
     with pytest.raises(UsageError, match=said):
         make_ego(f"{user_module}:{name}", parameters)
+
+
+@pytest.mark.parametrize("name", ["subprocess:Popen", "unittest.mock:MagicMock", "users_own_egos:Thread"])
+def test_a_class_of_pythons_own_is_refused_before_it_is_made(user_module: str, tmp_path: Path, name: str) -> None:
+    proof = tmp_path / "proof"
+    with pytest.raises(UsageError, match="is a class of Python's standard library: name a class of your own"):
+        make_ego(name, {"args": f"touch {proof}", "shell": True})
+    assert not proof.exists()
+
+
+def test_a_class_without_the_methods_is_never_made(user_module: str, tmp_path: Path) -> None:
+    proof = tmp_path / "proof"
+    with pytest.raises(UsageError, match="has no method 'reset'"):
+        make_ego(f"{user_module}:Touches", {"path": str(proof)})
+    assert not proof.exists()
+
+
+def test_a_users_class_may_ask_for_the_road(user_module: str) -> None:
+    assert [make_ego(f"{user_module}:{n}", {}).needs_road for n in ("Good", "Looks")] == [False, True]
 
 
 def test_a_module_that_is_not_there() -> None:

@@ -157,6 +157,44 @@ def test_what_is_no_message_is_cut(tmp_path: Path, lie: str, begin: str) -> None
         one.end()
 
 
+DRIP = """
+raw.sendall(struct.pack("!i", 1_000_000))
+print("sent", flush=True)
+while True:
+    raw.sendall(b"x")
+    time.sleep(0.02)
+"""
+
+
+def test_a_client_that_drips_is_late_like_one_that_hangs(tmp_path: Path) -> None:
+    with scene(tmp_path, deadline=0.3) as one:
+        script = Script(one.gate.port, RAW + r'raw.sendall(b"\0\0\0\6\2\0"); raw.recv(100)' + DRIP)
+        assert script.line() == "sent"
+        began = time.monotonic()
+        one.step(10)
+        assert time.monotonic() - began < 3.0
+        assert "took more than 0.3 s for a turn" in one.told(EventKind.LATE)
+        script.kill()
+        one.end()
+
+
+def test_strangers_that_drip_leave_room_for_an_honest_client(tmp_path: Path) -> None:
+    with scene(tmp_path, deadline=0.3) as one:
+        strangers = [Script(one.gate.port, RAW + DRIP) for _ in range(16)]
+        assert [s.line() for s in strangers] == ["sent"] * 16
+        until = time.monotonic() + 5.0
+        while one.kinds().count(EventKind.REFUSED) < 16:
+            assert time.monotonic() < until
+            time.sleep(0.02)
+        honest = Script(one.gate.port, connected("client.simulationStep(); client.close()"))
+        assert one.gate.wait_connected(10.0)
+        one.step(2)
+        honest.end()
+        for stranger in strangers:
+            stranger.kill()
+        one.end()
+
+
 def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -> None:
     """SUMO itself ends on most of these: a getter without its object, one with too much, one with the wrong type."""
     ask = r"""

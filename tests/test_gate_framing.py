@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import struct
+import threading
+import time
 
 import pytest
 from hypothesis import given
@@ -188,3 +190,27 @@ def test_contexts_only_of_variables_that_the_objects_have() -> None:
     assert refused(policy, 0x84, begin + b"\xa4" + reach + b"\1\x68")  # a leader needs a distance
     assert refused(policy, 0x84, begin + b"\xa6" + reach + b"\1\x00") and refused(policy, 0x84, begin + b"\xa4" + reach)
     assert not refused(policy, 0x84, begin + b"\xa4" + reach + b"\0")
+
+
+def test_whoever_takes_an_answer_in_sips_is_looked_at_too() -> None:
+    """Up to 100 kB each 10 ms of 40 MB: there is always room for a little more."""
+    ours, far = line()
+
+    def sip() -> None:
+        while far.recv(100_000):
+            time.sleep(0.01)
+
+    began = time.monotonic()
+    sipping = threading.Thread(target=sip, daemon=True)
+    sipping.start()
+
+    def idle() -> None:
+        if time.monotonic() - began > 0.3:
+            raise TimeoutError
+
+    with pytest.raises(TimeoutError):
+        ours.send(bytes(40_000_000), idle)
+    assert time.monotonic() - began < 2.0
+    ours.close()
+    sipping.join(5.0)
+    far.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gzip
 import re
 import signal
 import socket
@@ -25,6 +26,7 @@ from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 
 SHAPE = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
+BOMB = gzip.compress(gzip.compress(bytes(20_000_000)))  # 20 MB in some hundred bytes
 QUESTION = ChatRequest("analyzer", (("system", "Be brief."), ("user", "What?")))
 SHAPED = ChatRequest("analyzer", QUESTION.messages, SHAPE, "Thing")
 
@@ -53,6 +55,7 @@ def test_a_question_and_its_answer() -> None:
     assert (reply.text, reply.reasoning, reply.retries, reply.mode) == ("Braking.", "It is close.", 0, "text")
     (asked,) = server.asked
     assert asked.headers["Authorization"] == f"Bearer {KEY}"
+    assert asked.headers["Accept-Encoding"] == "identity"
     assert asked.body == {
         "model": "test-model", "stream": False, "temperature": 0.5,
         "messages": [{"role": "system", "content": "Be brief."}, {"role": "user", "content": "What?"}],
@@ -154,6 +157,7 @@ def test_a_silence_longer_than_the_read_timeout_is_tried_again() -> None:
     ("fault", "says"),
     [
         (Large(), "more than 2 MB"),
+        (Raw(200, BOMB, {"Content-Encoding": "gzip, gzip"}), "Content-Encoding gzip, gzip, which is refused"),
         (Raw(200, b'{"hello": 1}'), "no choices"),
         (Raw(200, b'{"choices": []}'), "no choices"),
         (Raw(200, b'{"choices": [{"message": {"content": 5}}]}'), "no choices"),

@@ -360,6 +360,7 @@ END = HEAD.removeprefix(TABLE) + "    return {}\n"
         ("PARAMETERS = {'a': (True, 0, 2, 'm', '')}\n" + END, "as numbers"),
         ("PARAMETERS = {'a': ('1', 0, 2, 'm', '')}\n" + END, "as numbers"),
         ("PARAMETERS = {'a': (1, 0, 1e999, 'm', '')}\n" + END, "not finite"),
+        ("PARAMETERS = {'a': (1, -1e308, 1e308, 'm', '')}\n" + END, "the parameter a a number beyond 1e"),
         ("PARAMETERS = {'a': (1, 0, 1" + "0" * 400 + ", 'm', '')}\n" + END, "too large"),
         ("PARAMETERS = {'a': (1, 0, 2, 3, '')}\n" + END, "as short text"),
         ("PARAMETERS = {'a b': (1, 0, 2, 'm', '')}\n" + END, "identifier"),

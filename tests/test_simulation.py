@@ -14,6 +14,7 @@ from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError
+from sumo_adv.world.moved import MovedSpeeds
 from sumo_adv.world.recording import Recording, tracks_of
 from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
 
@@ -119,6 +120,16 @@ def test_the_speed_is_exact_also_in_the_step_back_on_the_road(tmp_path: Path) ->
                 assert state.speed == pytest.approx(10.0 - 0.3 * k, abs=1e-9)
             lanes.append(state.lane)
         assert lanes == ["eastbound_0"] * 2 + [""] * 3 + ["eastbound_0"] * 2
+
+
+def test_a_moved_vehicle_has_the_speed_it_was_moved_with_whatever_sumo_says() -> None:
+    """Seen once on the way into a junction: 7.13 m/s, 0.45 m/s2 of braking asked for, and SUMO says 0 for a step."""
+    speeds = MovedSpeeds()
+    speeds.ask("ego", 7.085)
+    speeds.next()
+    raw = {"ego": (3.0, 4.0, 90.0, 0.0, ":crossing_0_0"), "bv": (9.0, 4.0, 90.0, 5.0, "in_0")}
+    speeds.correct(raw)
+    assert raw == {"ego": (3.0, 4.0, 90.0, 7.085, ":crossing_0_0"), "bv": (9.0, 4.0, 90.0, 5.0, "in_0")}
 
 
 def test_an_unplanned_left_turn_through_a_junction_is_exact(tmp_path: Path) -> None:

@@ -145,6 +145,10 @@ class _TooLarge(Exception):
     pass
 
 
+class _Encoded(Exception):
+    """The server compressed its answer, although it was asked not to."""
+
+
 class _Door:
     """One server: its address, its key, and how many may ask at once."""
 
@@ -165,14 +169,16 @@ class _Door:
         return _Question(self, left)
 
     def send(self, path: str, body: bytes, seconds: float) -> _Answer:
-        """POST and read all within ``seconds``. Raises TimeoutError, httpx.HTTPError, _TooLarge."""
+        """POST and read all within ``seconds``. Raises TimeoutError, httpx.HTTPError, _TooLarge, _Encoded."""
         answer = start(lambda: asyncio.run(asyncio.wait_for(self._exchange(path, body), seconds))).result()
         if self._key is None:
             return answer
         return _Answer(answer.status, answer.headers, answer.body.replace(self._key.encode(), b"***"))
 
     async def _exchange(self, path: str, body: bytes) -> _Answer:
-        headers = {"Content-Type": "application/json", "User-Agent": f"sumo-adv/{__version__}"}
+        headers = {
+            "Content-Type": "application/json", "User-Agent": f"sumo-adv/{__version__}", "Accept-Encoding": "identity",
+        }  # fmt: skip
         if self._key is not None:
             headers["Authorization"] = f"Bearer {self._key}"
         timeout = httpx.Timeout(self.settings.llm_read_timeout, connect=self.settings.llm_connect_timeout)
@@ -180,8 +186,11 @@ class _Door:
             httpx.AsyncClient(timeout=timeout, trust_env=self.trust) as client,
             client.stream("POST", self.base_url + path, content=body, headers=headers) as response,
         ):
+            encoding = response.headers.get("content-encoding", "identity").strip().lower()
+            if encoding not in ("", "identity"):  # 2 kB may hold 3 GB: nothing is unpacked
+                raise _Encoded(encoding)
             parts, size = [], 0
-            async for part in response.aiter_bytes(65536):
+            async for part in response.aiter_raw(65536):
                 parts.append(part)
                 size += len(part)
                 if size > LARGEST:
@@ -248,6 +257,11 @@ class _Question:
             self._late()
         except _TooLarge:
             self._fail(f"sent an answer of more than {LARGEST // 1_000_000} MB, which is refused")
+        except _Encoded as error:
+            self._fail(
+                f"sent an answer with Content-Encoding {wire.plain(str(error))}, which is refused; "
+                "turn compression off there"
+            )
         except httpx.ConnectError as error:
             if not self._door.answered:
                 self._fail(f"cannot be reached ({_reason(error)}); is it running, and is SUMO_ADV_LLM_BASE_URL right?")

@@ -100,7 +100,7 @@ class Runner:
         variant: Mapping[str, Any] = {"horizon": given.horizon, **self._setup.variants[job.variant]}
         return load_settings(
             None, **{
-                **variant, "ego": job.ego or given.ego_controller, "seed": job.seed, "memory": self._setup.bank,
+                **variant, "ego": given.driver(job.ego), "seed": job.seed, "memory": self._setup.bank,
                 "learn": "off" if self._setup.learn is Learn.OFF else "on",
             },
         )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import tempfile
@@ -26,7 +25,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.warm import WarmEngine, die_with_parent
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
-from sumo_adv.files import is_storage_error, write_text
+from sumo_adv.files import is_storage_error, json_text, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planning.sandbox import Sandbox
 from sumo_adv.world.inputs import RunInput
@@ -169,7 +168,7 @@ def keep_cell(folder: Path, cell: Cell) -> None:
     """A cell into its place, whole or not at all. Raises OSError."""
     target = cell_path(folder, cell["ego"], cell["case"], cell["row"])
     target.parent.mkdir(parents=True, exist_ok=True)
-    write_text(target, json.dumps(cell, ensure_ascii=False, allow_nan=False, default=str) + "\n")
+    write_text(target, json_text(cell))
 
 
 def _recall(outcome: Mapping[str, Any]) -> str | None:

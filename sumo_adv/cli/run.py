@@ -23,9 +23,11 @@ FAILED = {
     Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
     Ending.INTERRUPTED,
 }  # fmt: skip
+OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class
 
 
 def run(
+    context: typer.Context,
     source: Annotated[
         Path | None,
         typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
@@ -88,7 +90,8 @@ def run(
     if replay is not None:
         if source is not None:
             raise UsageError("Give either an INPUT or --replay DIR, not both.")
-        _replay(replay, out, force=force, as_json=as_json)
+        _refuse_what_a_replay_ignores(context)
+        _replay(replay, out, ego, force=force, as_json=as_json)
         return
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
@@ -96,7 +99,7 @@ def run(
 
     given = load(source, record)
     settings = load_settings(
-        settings_file, ego=ego or given.ego_controller, ego_id=ego_id, adversary=adversary, trigger=trigger,
+        settings_file, ego=given.driver(ego), ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
         memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
         fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
@@ -144,14 +147,32 @@ def _finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) 
         raise typer.Exit(1)
 
 
-def _replay(source: Path, out: Path | None, *, force: bool, as_json: bool) -> None:
+def _refuse_what_a_replay_ignores(context: typer.Context) -> None:
+    """Raises UsageError for the first option on the command line that a replay takes from the manifest."""
+    for parameter in context.command.params:
+        given = context.get_parameter_source(str(parameter.name))
+        if parameter.name not in OF_A_REPLAY and given is not None and given.name == "COMMANDLINE":
+            raise UsageError(
+                f"{parameter.opts[0]} has no effect on a replay, which takes everything from the run's manifest: "
+                "leave it out, or give the INPUT for a new run."
+            )
+
+
+def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.once import new_engine
     from sumo_adv.episode.loop import replay_episode
     from sumo_adv.planning.sandbox import Sandbox
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
+    from sumo_adv.world.inputs import trusted_driver
 
     recorded = read_manifest(source)
+    driver = recorded.task.ego_driver
+    if trusted_driver(ego, driver, str(source)) != driver:
+        raise UsageError(
+            f"The run in {source} was driven by {driver!r}, and a replay repeats it: leave out --ego {ego}, "
+            "or give the INPUT for a new run with that driver."
+        )
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
         with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, new_engine() as engine:

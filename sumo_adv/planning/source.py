@@ -28,6 +28,7 @@ from sumo_adv.errors import PlannerSyntaxError
 
 MAX_SOURCE_BYTES = 32 * 1024
 MAX_PARAMETERS = 12
+LARGEST = 1e6  # of a parameter in SI units: beyond any distance, speed or time of an encounter
 ENDPOINT_ARGUMENTS = ("bv", "ego", "road", "parameters", "acc", "horizon")
 TRAJECTORY_ARGUMENTS = ("bv", "endpoint", "road", "dt")
 REFUSED_NAMES = frozenset({"exec", "eval", "compile", "globals", "locals", "vars", "dir", "__import__"})
@@ -228,6 +229,8 @@ def _parameter(name: str, entry: object, line: int) -> Parameter:
         raise _syntax_error(line, f"gives the parameter {name} a number that is too large") from None
     if not all(math.isfinite(n) for n in (default, low, high)):
         raise _syntax_error(line, f"gives the parameter {name} a number that is not finite")
+    if max(abs(low), abs(high), abs(default)) > LARGEST:
+        raise _syntax_error(line, f"gives the parameter {name} a number beyond {LARGEST:g}: use metres, seconds, m/s")
     if not low <= default <= high:
         raise _syntax_error(line, f"breaks low <= default <= high for the parameter {name}")
     words = entry[3:]

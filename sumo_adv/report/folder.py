@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import json
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -18,6 +17,7 @@ import numpy as np
 from sumo_adv.datatypes import Track
 from sumo_adv.episode.episode import Episode
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
@@ -90,19 +90,15 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     episode.timing["verdict"] = perf_counter() - began
     realism = judged.realism if judged is not None else None
     result = outcome(episode, raw_figures(episode), figures(judged), realism)
-    _json(stage / "manifest.json", manifest(episode, inputs))
+    (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
     if episode.found is not None and episode.prefix is not None:
         _tables(stage, episode)
         if judged is not None:
             write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
         if episode.best is not None and figure:
-            _figure(stage / "encounter.png", episode)
-    _json(stage / "outcome.json", result)
+            _figure_or_note(stage / "encounter.png", episode, result)
+    (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
     return result
-
-
-def _json(target: Path, value: Any) -> None:
-    target.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False, default=str) + "\n")
 
 
 def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
@@ -192,6 +188,17 @@ def _pair(episode: Episode, snapshots: list[Snapshot], start: float, end: float)
     if high - low < episode.settings.step_length:
         return None
     return first.between(low, high), second.between(low, high)
+
+
+def _figure_or_note(target: Path, episode: Episode, result: dict[str, Any]) -> None:
+    """Draw the picture; if drawing fails the run is kept without it, and a note of the outcome says why."""
+    try:
+        _figure(target, episode)
+    except OSError:
+        raise
+    except Exception as error:  # odd values that no plotting library takes
+        target.unlink(missing_ok=True)
+        result["notes"] = [*result["notes"], f"{target.name} could not be drawn ({type(error).__name__}: {error})."]
 
 
 def _figure(target: Path, episode: Episode) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import UsageError
+from sumo_adv.files import json_text
 
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
@@ -49,7 +49,7 @@ class EventFile:
         """Write one event; after a failure (a full disk) nothing more is written."""
         try:
             if not self._file.closed:
-                self._file.write(json.dumps(event, ensure_ascii=False, allow_nan=False, default=str) + "\n")
+                self._file.write(json_text(event))
                 self._file.flush()
         except OSError:
             self.close()

@@ -7,10 +7,12 @@ A message is its length (4 bytes, signed, itself included) and commands; a comma
 from __future__ import annotations
 
 import contextlib
+import math
 import selectors
 import socket
 import struct
 import sys
+import time
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
@@ -147,21 +149,27 @@ class Line:
         self._rest = b""
 
     def send(self, message: bytes, idle: Callable[[], None]) -> None:
-        """Send a whole message, calling ``idle`` (which may raise) while the other end does not take it.
+        """Send a whole message, calling ``idle`` (which may raise) every ``SLICE`` seconds until it is taken, also
+        while the other end takes it in drops.
 
         Raises:
             Gone: the connection is closed or broken.
         """
+        looked = time.monotonic()
         while message:
             try:
                 message = message[self._connection.send(message) :]
             except (TimeoutError, BlockingIOError):
-                idle()
+                looked = -math.inf
             except OSError as error:
                 raise Gone("the connection broke") from error
+            if message and time.monotonic() - looked > SLICE:
+                idle()
+                looked = time.monotonic()
 
     def receive(self, idle: Callable[[], None]) -> bytes:
-        """The next whole message, calling ``idle`` (which may raise, or receive itself) while there is none.
+        """The next whole message, calling ``idle`` (which may raise, or receive itself) every ``SLICE`` seconds until
+        it is there, also while it comes in drops.
 
         Raises:
             FramingError: a length that no message has; nothing of it is read further.
@@ -169,6 +177,7 @@ class Line:
         """
         data: bytes | bytearray = self._rest
         self._rest = b""
+        looked = time.monotonic()
         while True:
             size = len(data)
             if size >= 4:
@@ -178,12 +187,16 @@ class Line:
                 if size >= length:
                     self._rest = bytes(data[length:])
                     return bytes(data[:length]) if size > length else bytes(data)
-            try:
-                chunk = self._connection.recv(_CHUNK)
-            except (TimeoutError, BlockingIOError):
+            if time.monotonic() - looked > SLICE:
                 self._rest = bytes(data)
                 idle()
                 data, self._rest = self._rest, b""
+                looked = time.monotonic()
+                continue
+            try:
+                chunk = self._connection.recv(_CHUNK)
+            except (TimeoutError, BlockingIOError):
+                looked = -math.inf
                 continue
             except OSError as error:
                 raise Gone("the connection broke") from error

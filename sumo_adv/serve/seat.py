@@ -64,11 +64,11 @@ class Client:
 
         self.line.send(message, idle)
 
-    def send_away(self, reason: str, message: bytes | None = None) -> None:
-        """Answer its next message (or this one) with an error and end the connection."""
+    def send_away(self, reason: str, message: bytes | None = None, patience: float = FAREWELL) -> None:
+        """Answer its next message (or this one) with an error and end the connection, within ``patience`` [s]."""
         try:
-            given = message or self.receive(FAREWELL, lambda: False)
-            self.send(errors(given, reason), FAREWELL)
+            given = message or self.receive(patience, lambda: False)
+            self.send(errors(given, reason), patience)
         except (Late, Gone, FramingError):
             pass
         self.line.close()

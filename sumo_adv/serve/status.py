@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 from sumo_adv.errors import UsageError
+from sumo_adv.files import json_text
 
 LOOPBACK = "127.0.0.1"
 
@@ -55,7 +55,7 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
                 self._answer(404, {"error": "There is /health and /status."})
 
         def _answer(self, code: int, value: dict[str, Any]) -> None:
-            body = json.dumps(value, allow_nan=False, default=str).encode()
+            body = json_text(value).encode()
             self.send_response(code)
             self.send_header("Content-Type", "application/json")
             self.send_header("Content-Length", str(len(body)))

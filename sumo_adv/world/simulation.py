@@ -213,14 +213,14 @@ class Simulation:
             x, y = position(v)
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
-        self._moved.right(raw)
+        self._moved.correct(raw)
         return Snapshot(self.time, raw)
 
     def _read_remote(self, remote: Remote) -> Snapshot:
         raw = {name: state for name, state in remote.read().items() if state[0] > INVALID}
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
-        self._moved.right(raw)
+        self._moved.correct(raw)
         return Snapshot(remote.time, raw)
 
     def _measure(self, vehicle: str) -> None:

@@ -1,7 +1,8 @@
 """Egos from a user's own Python class, named ``module:Class``.
 
 The class has ``reset(seed)`` and ``act(observation)``. It may say ``name``, ``forkable`` (default False), ``sumo_type``
-(default IDM's) and ``needs_observation`` (default True). Its constructor gets the scenario's parameters by name.
+(default IDM's), ``needs_observation`` (default True) and ``needs_road`` (default False: ``observation.road`` is None).
+Its constructor gets the scenario's parameters by name.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ class UserEgo:
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
         self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
+        self.needs_road = bool(getattr(self._driver, "needs_road", False))
         attributes = getattr(self._driver, "sumo_type", None)
         self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
 
