@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 from functools import lru_cache
 from typing import Any
 
@@ -234,9 +234,48 @@ class Endpoint:
     time: float
 
 
+class Level(IntEnum):
+    """How far an attempt came; see ``metrics/levels.py``."""
+
+    NONE = 0
+    CRITICAL = 1
+    COLLISION = 2
+    VALID = 3
+    STRICT = 4
+    SERIOUS = 5
+
+    def __str__(self) -> str:
+        """The level in lower case."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Preventability:
+    """Which reference drivers avoid a collision.
+
+    answers: driver -> avoids | collides | not_applicable. alarms: driver -> when a danger first showed to it [s], only
+    of those before the contact. inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses |
+    no_plan. simulated: whether the drivers drove in the simulation; else the check was kinematic.
+    """
+
+    answers: Mapping[str, str]
+    alarms: Mapping[str, float]
+    inconclusive: str | None = None
+    simulated: bool = False
+
+    @property
+    def by(self) -> tuple[str, ...]:
+        """The drivers that avoid it."""
+        return tuple(name for name, answer in self.answers.items() if answer == "avoids")
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise."""
+    """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise.
+
+    ``avoidable`` is of version 1 (what the search goes by); ``valid``, ``strict`` and what follows ``level`` are of
+    version 2 where :func:`sumo_adv.metrics.levels.with_level` has judged it.
+    """
 
     min_ttc: float
     min_distance: float
@@ -255,6 +294,22 @@ class Verdict:
     contact_time: float | None = None
     hazard_time: float | None = None
     min_ttc_time: float | None = None
+    level: Level = Level.NONE
+    preventability: Preventability | None = None
+    ego_stationary: bool | None = None
+    ego_blocking: bool | None = None
+    humanlike: bool | None = None
+    beyond_human: tuple[str, ...] = ()  # signals outside the human envelope
+    delta_v: float | None = None  # m/s, of the ego
+    adversary_delta_v: float | None = None
+    severity: str | None = None  # negligible | minor | moderate | severe
+    injury_risk: float | None = None
+
+    @property
+    def avoidable_collision(self) -> bool:
+        """Whether it is a valid collision by version 1's rules, which the search goes by."""
+        honest = self.collided and self.feasible and not self.rear_end
+        return honest and self.avoidable not in (None, "unavoidable")
 
 
 @dataclass(frozen=True, slots=True)

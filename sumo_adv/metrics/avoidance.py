@@ -99,13 +99,13 @@ def _clear(
 ) -> Bools:  # fmt: skip
     """Which of the table's manoeuvres avoid it, ``(len(table), N)``."""
     own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
-    poses = _poses(own, table, dt)
-    foe_poses = _straight(foe) if reacting is None else _poses(foe, (reacting,), dt)
+    poses = poses_of(own, table, dt)
+    foe_poses = _straight(foe) if reacting is None else poses_of(foe, (reacting,), dt)
     clear: Bools = np.asarray(~_hits(poses, foe_poses, _half(own), _half(foe)).any(axis=-1))
     if others is not None and np.size(others.x):
         clear &= _clear_of_others(poses, own, others, hazard_index, dt, clear)
     if on_road is not None:
-        clear &= _on_road(poses, own, table, clear, on_road, dt)
+        clear &= stays_on_road(poses, own, table, clear, on_road, dt)
     return clear
 
 
@@ -122,7 +122,7 @@ def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes
 
 
 @dataclass(frozen=True, slots=True)
-class _Poses:
+class Poses:
     """x, y [m], cosine and sine of the heading, each broadcastable to ``(manoeuvres, N, steps + 1)``."""
 
     x: Floats
@@ -135,16 +135,16 @@ def _half(b: Boxes) -> Half:
     return b.length / 2 + MARGIN / 2, b.width / 2 + MARGIN / 2
 
 
-def _straight(b: Boxes) -> _Poses:
-    return _Poses(b.x[None], b.y[None], np.cos(b.heading)[None], np.sin(b.heading)[None])
+def _straight(b: Boxes) -> Poses:
+    return Poses(b.x[None], b.y[None], np.cos(b.heading)[None], np.sin(b.heading)[None])
 
 
-def _hits(a: _Poses, b: _Poses, half_a: Half, half_b: Half) -> Bools:
+def _hits(a: Poses, b: Poses, half_a: Half, half_b: Half) -> Bools:
     one, two, three, four = sat(b.x - a.x, b.y - a.y, a.cos, a.sin, b.cos, b.sin, half_a, half_b)
     return np.asarray((one <= 0) & (two <= 0) & (three <= 0) & (four <= 0))
 
 
-def _poses(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> _Poses:
+def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
     """Where each manoeuvre takes the vehicle: braking along its own path, then the shift across it."""
     step = np.hypot(np.diff(own.x), np.diff(own.y))
     travelled = np.concatenate([np.zeros((len(own.x), 1)), np.cumsum(step, axis=1)], axis=1)
@@ -155,7 +155,7 @@ def _poses(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> _Poses:
     shift, slope = _shift(table, progress[which], dt)
     x, y, cos, sin = (v[which] for v in (along.x, along.y, along.cos, along.sin))
     turn = 1.0 / np.sqrt(1.0 + slope * slope)
-    return _Poses(x - shift * sin, y + shift * cos, (cos - sin * slope) * turn, (sin + cos * slope) * turn)
+    return Poses(x - shift * sin, y + shift * cos, (cos - sin * slope) * turn, (sin + cos * slope) * turn)
 
 
 def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ramp: float, dt: float) -> Floats:
@@ -177,7 +177,7 @@ def _progress(travelled: Floats, speed: Floats, delay: float, braking: float, ra
     return np.minimum(travelled, s0 + v0 * t - lost)
 
 
-def _along(own: Boxes, travelled: Floats, progress: Floats) -> _Poses:
+def _along(own: Boxes, travelled: Floats, progress: Floats) -> Poses:
     """Poses at given distances along each row's own path; progress ``(plans, N, steps + 1)``."""
     n, count = travelled.shape
     spread = float(travelled[:, -1].max()) + 1.0
@@ -190,7 +190,7 @@ def _along(own: Boxes, travelled: Floats, progress: Floats) -> _Poses:
     cos, sin = np.cos(own.heading).ravel(), np.sin(own.heading).ravel()
     c, s, x, y = (v[index] + part * (v[index + 1] - v[index]) for v in (cos, sin, x, y))
     norm = np.sqrt(c * c + s * s)
-    return _Poses(x, y, c / norm, s / norm)
+    return Poses(x, y, c / norm, s / norm)
 
 
 def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Floats, Floats]:
@@ -208,7 +208,7 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
 
 
 def _clear_of_others(
-    poses: _Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float, asked: Bools
+    poses: Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float, asked: Bools
 ) -> Bools:
     """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake; of
     what is ``asked``, all else counts as clear."""
@@ -224,7 +224,7 @@ def _clear_of_others(
             continue
         third = _rows(near, keep)
         which = np.flatnonzero(asked[:, row])
-        mine = _Poses(*(v[which, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
+        mine = Poses(*(v[which, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
         half_third = np.asarray(third.length) / 2, np.asarray(third.width) / 2
         touched = _hits(mine, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
         clear[which, row] = ~touched.any(axis=(1, 2))
@@ -237,7 +237,9 @@ def _rows(b: Boxes, keep: NDArray[np.integer]) -> Boxes:
     )
 
 
-def _on_road(poses: _Poses, own: Boxes, table: Sequence[Manoeuvre], clear: Bools, on_road: OnRoad, dt: float) -> Bools:
+def stays_on_road(
+    poses: Poses, own: Boxes, table: Sequence[Manoeuvre], clear: Bools, on_road: OnRoad, dt: float
+) -> Bools:
     """``(manoeuvres, N)``: the shift keeps the box's corners on the road until 0.5 s after it is complete.
 
     Asked only of shifts that matter: those that avoid where no braking at the same delay does.

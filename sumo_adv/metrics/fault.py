@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.metrics.boxes import wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION, CollisionClass, collision_class
+from sumo_adv.metrics.paths import EgoPaths
 
 EGO, ADVERSARY = "ego", "adversary"
+HEAD_ON = 3 * np.pi / 4  # rad between the headings
+OVER = 3.0  # s before the contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +42,27 @@ def nuplan_fault(ego: Track, adversary: Track, contact_time: float, *, between_l
     if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT):
         return EGO
     return EGO if kind is CollisionClass.ACTIVE_LATERAL and between_lanes else ADVERSARY
+
+
+def fault(ego: Track, adversary: Track, contact_time: float) -> str:
+    """``ego`` or ``adversary``: nuPlan's rules, and in a head-on collision the vehicle that left its side.
+
+    nuPlan blames an ego that is hit head-on in its own lane, because it meets the other with its front bumper.  Here
+    the vehicle is at fault that came further over towards the other's way in the last ``OVER`` seconds.
+    """
+    a, b = (t.between(contact_time - OVER, contact_time) for t in (ego, adversary))
+    if len(a.time) < 2 or len(b.time) < 2 or abs(float(wrap(b.heading[-1:] - a.heading[-1:])[0])) < HEAD_ON:
+        return nuplan_fault(ego, adversary, contact_time)
+    return ADVERSARY if _came_over(b, ego) > _came_over(a, adversary) else EGO
+
+
+def _came_over(track: Track, other: Track) -> float:
+    """How much nearer a vehicle came to the other's way [m], from its first to its last state."""
+    way = EgoPaths(
+        Boxes(other.x[None], other.y[None], other.heading[None], other.speed[None], other.length, other.width)
+    )  # fmt: skip
+    left = np.abs(way.locate(track.x[None], track.y[None])[1][0])
+    return float(left[0] - left[-1])
 
 
 def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_RSS) -> Floats:

@@ -16,7 +16,7 @@ from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, PERCEPTION, REACTION, On
 from sumo_adv.metrics.boxes import first_contact, gap, on_grid
 from sumo_adv.metrics.contact import CollisionClass, collision_class, rear_end
 from sumo_adv.metrics.criticality import drac, pet, ttc
-from sumo_adv.metrics.fault import nuplan_fault
+from sumo_adv.metrics.fault import fault as fault_of
 from sumo_adv.metrics.feasibility import failed_gates
 from sumo_adv.metrics.hazard import KINDS, Kind, hazard_index
 
@@ -194,7 +194,7 @@ def judge(
         min_ttc_any=min(min_ttc, any_ttc),
         min_pet=0.0 if collided else pet(ego.between(trigger_time, stop), adversary.between(trigger_time, stop)).pet,
         max_drac=float(np.minimum(threat, MOST).max()),
-        fault=None if e.contact_time is None else nuplan_fault(ego, adversary, e.contact_time),
+        fault=None if e.contact_time is None else fault_of(ego, adversary, e.contact_time),
         contact_time=e.contact_time,
         hazard_time=hazard if collided or min_ttc < np.inf else None,
         min_ttc_time=stop if collided else (float(e.time[e.trigger + lowest]) if min_ttc < np.inf else None),

@@ -1,0 +1,32 @@
+"""Reference drivers: the drivers that a collision is judged against, each with its rule and its source.
+
+A reference driver drives the ego in the counterfactual.  It is causal: in each step it sees what has happened so far.
+Until its own rule says that a danger shows, the ego moves as it was recorded; from then on the driver brakes (or, for
+``manoeuvre``, also steers) on the ego's path.
+
+=========== ============================================================================ ===================
+name        rule                                                                         judges
+=========== ============================================================================ ===================
+cc_human    UN R157's careful and competent human driver (``cc_human.py``)               every encounter
+manoeuvre   braking and steering within a friction circle (``manoeuvre.py``)             every encounter
+reg157      UN R157's requirement for cut-ins, 5.2.5.2 (``reg157.py``)                   same direction
+rss         Responsibility-Sensitive Safety (``rss.py``)                                 same direction
+fsm         JRC's Fuzzy Safety Model (``fsm.py``)                                        same direction
+=========== ============================================================================ ===================
+"""
+
+from __future__ import annotations
+
+from sumo_adv.metrics.reference.brakers import Braker
+from sumo_adv.metrics.reference.cc_human import CcHuman
+from sumo_adv.metrics.reference.fsm import Fsm
+from sumo_adv.metrics.reference.reg157 import Reg157
+from sumo_adv.metrics.reference.rss import RssDriver
+
+BRAKERS: dict[str, type[Braker]] = {"cc_human": CcHuman, "reg157": Reg157, "rss": RssDriver, "fsm": Fsm}
+"""Reference drivers that brake and do not steer."""
+MANOEUVRE = "manoeuvre"
+REFERENCE_DRIVERS = ("cc_human", MANOEUVRE, "reg157", "rss", "fsm")
+SAME_DIRECTION_ONLY = ("reg157", "rss", "fsm")
+
+__all__ = ["BRAKERS", "MANOEUVRE", "REFERENCE_DRIVERS", "SAME_DIRECTION_ONLY", "Braker"]

@@ -1,0 +1,222 @@
+"""UN R157's careful and competent human driver: when it is alarmed, and how it brakes.
+
+Source: UN Regulation No. 157, Annex 4 appendix 3 (01 series: Annex 3 appendix), performance model 1: a vehicle that
+cuts in is perceived once it has left its zone of wandering (0.375 m) for 0.4 s, it is a danger at a time to collision
+of at most 2.0 s, the driver begins to brake 0.75 s later, and braking rises evenly within 0.6 s to 0.774 g.  A leader
+is perceived when it brakes at more than 5 m/s2.
+
+The regulation covers cut-in, cut-out and braking leaders on motorways.  The rest is our extrapolation, with the same
+delays and the same braking:
+
+- a vehicle that will be passed before it is in the way (at its present lateral speed, with 0.5 s to spare) is no
+  danger;
+- a leader in the ego's corridor is a danger also where braking for it after the reaction time takes more than
+  4.5 m/s2, and a vehicle beside the ego that drifts towards it where the boxes would touch within 2.0 s;
+- an oncoming vehicle is a danger once its box is over the line of the ego's lane, it has drifted by 0.375 m, and the
+  two meet within 3 s;
+- a crossing vehicle is a danger once it can no longer stop short of the ego's corridor at 3 m/s2 and the two meet
+  within 4 s, or it is in the corridor and they meet within 3 s; in both cases only if the ego would have to brake at
+  3 m/s2 or more, because an ego that is about to yield is not alarmed.
+
+The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
+driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
+one: back behind the line), or a leader that needs no braking.  Where the regulation leaves room: the zone of wandering
+counts from where the vehicle last kept its lateral place (slower than 0.1 m/s sideways), and 0.774 g is not raised to
+the 0.85 g of the emergency brake that the regulation assumes once both vehicles overlap fully.
+
+In unattacked traffic of SUMO's (``benchmarks/false_alarms.py``) it brakes without need 0.1 times in 10 km; ``reg157``
+0.1, ``fsm`` 3.6 and ``rss`` 12.3 times, because drivers there follow at 1 s, nearer than these two models want.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.metrics.reference.brakers import needed_braking
+from sumo_adv.metrics.reference.view import FACING, View
+
+WANDERING = 0.375  # m, UN R157
+KEEPS_ITS_PLACE = 0.1  # m/s sideways, below it a vehicle keeps its lateral place
+PERCEPTION = 0.4  # s, UN R157
+REACTION = 0.75  # s, UN R157
+RAMP = 0.6  # s until full braking, UN R157
+FULL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
+DANGER = 2.0  # s, time to collision, UN R157
+SLACK = 0.5  # s that a vehicle may come into the way later than it is passed
+HARD_BRAKING = 5.0  # m/s2 of a leader, UN R157
+FOLLOWING = 2.0  # s of headway within which a leader's braking matters, UN R157
+OWN_BRAKING = 4.5  # m/s2, what drivers brake by themselves behind a leader (SUMO's default)
+STOPPING_SHORT = 3.0  # m/s2, what a crossing driver may brake to yield
+ALARM_BRAKING = 3.0  # m/s2, the least that the ego must need
+CROSSING_SIGHT, FACING_SIGHT = 4.0, 3.0  # s, how far ahead a meeting is looked for
+CLOSE_HEADWAY = 0.5  # s, a leader nearer than that is still a danger
+GENTLE = 0.5  # m/s2, needing less than that behind a leader the danger is past
+EASE = 0.5  # s without a danger until the foot leaves the brake
+LAPSE = 0.3  # s for which a danger may be out of sight before the driver brakes, and not be forgotten
+LOOK_STEP = 0.2  # s between the moments at which a meeting is looked for
+
+
+def speed_lost(pressed: Floats) -> Floats:
+    """What braking has taken [m/s] ``pressed`` [s] after it began; 0 before."""
+    pressed = np.maximum(pressed, 0.0)
+    rising = np.minimum(pressed, RAMP)
+    return np.asarray(FULL_BRAKING * (rising**2 / (2.0 * RAMP) + pressed - rising))
+
+
+class CcHuman:
+    """N drivers that watch M vehicles each.  Pass one view a step, in order."""
+
+    name: ClassVar[str] = "cc_human"
+    source: ClassVar[str] = "UN R157, careful and competent human driver"
+
+    def __init__(self, shape: tuple[int, int], dt: float, reaction: float = REACTION) -> None:
+        """``shape``: (N, M); ``dt`` [s]; ``reaction``: s from the decision to the first braking."""
+        self._dt, self._reaction, self._now = dt, reaction, 0.0
+        self._drift = np.zeros(shape)
+        self._perceived_since = np.full(shape, np.inf)
+        self.danger: Bools = np.zeros(shape, bool)
+        self._decided_at, self._last = np.full(shape, np.inf), np.full(shape, -np.inf)
+        self._seen_at = np.full(shape, -np.inf)
+        self._first_alarm = np.full(shape[0], np.inf)
+
+    @property
+    def alarmed(self) -> Bools:
+        """Whether a danger has shown to the driver, ``(N,)``."""
+        return np.isfinite(self._first_alarm)
+
+    @property
+    def alarmed_at(self) -> Floats:
+        """When the first danger showed, s after the first view, ``(N,)``; ``inf`` if none did."""
+        return self._first_alarm
+
+    def watch(self, columns: Ints) -> None:
+        """Watch other vehicles from now on: ``columns`` ``(M',)`` says where each was before, -1 = it is new."""
+        new = columns < 0
+
+        def taken(values: Any, fresh: float | bool) -> Any:
+            kept = values[:, np.maximum(columns, 0)] if values.shape[1] else np.full((len(values), len(columns)), fresh)
+            return np.where(new[None, :], fresh, kept)
+
+        self._drift, self._perceived_since = taken(self._drift, 0.0), taken(self._perceived_since, np.inf)
+        self.danger = taken(self.danger, False)
+        self._decided_at, self._last = taken(self._decided_at, np.inf), taken(self._last, -np.inf)
+        self._seen_at = taken(self._seen_at, -np.inf)
+
+    def step(self, view: View) -> Floats:
+        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
+        now, dt = self._now, self._dt
+        self._follow_drift(view)
+        perceived, danger = self._perceived(view), self._is_danger(view)
+        self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, now), np.inf)
+        long_enough = now - self._perceived_since >= PERCEPTION - 1e-9
+        seen = danger & long_enough
+        self._seen_at = np.where(seen, now, self._seen_at)
+        braking = now - self._decided_at >= self._reaction - 1e-9
+        lasts = ~self._is_over(view) & (braking | (now - self._seen_at <= LAPSE + 1e-9))
+        self.danger = seen | (self.danger & lasts)
+        self._last = np.where(self.danger, now, self._last)
+        at_ease = ~self.danger & ((now - self._last > EASE) | ~braking)
+        started = np.where(self.danger, np.minimum(self._decided_at, now), self._decided_at)
+        self._decided_at = np.where(at_ease, np.inf, started)
+        shown = self.danger.any(axis=1) & ~np.isfinite(self._first_alarm)
+        self._first_alarm = np.where(shown, now, self._first_alarm)
+        self._now = round(now + dt, 9)
+        earliest = np.where(self.danger, self._decided_at, np.inf).min(axis=1, initial=np.inf)
+        pressed = np.where(np.isfinite(earliest), now - earliest - self._reaction, -np.inf)
+        lost = speed_lost(pressed + dt) - speed_lost(pressed)
+        return np.where(lost > 1e-9, -lost / dt, np.nan)
+
+    def _follow_drift(self, view: View) -> None:
+        """How far each vehicle has moved towards the ego's path since it last kept its lateral place [m]."""
+        self._drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * self._dt)
+
+    def _perceived(self, view: View) -> Bools:
+        """Whether there is something to perceive; it must last for ``PERCEPTION`` to be understood."""
+        wanders = self._drift >= WANDERING - 1e-9
+        leads = view.same_direction & view.ahead & view.in_corridor
+        return wanders | leads | ~view.same_direction
+
+    def _is_danger(self, view: View) -> Bools:
+        moving = view.ego_speed >= 0.1
+        found = moving & view.ahead & view.same_direction & (self._cuts_in(view) | self._leads_too_slowly(view))
+        found |= moving & view.same_direction & self._comes_from_beside(view)
+        turned = np.abs(view.heading)
+        comes = moving & view.ahead & (view.speed >= 0.1) & (view.gap > 0.0)
+        comes &= view.gap <= CROSSING_SIGHT * (view.ego_speed + np.maximum(-view.along, 0.0))
+        over_the_line = (view.near_edge < view.lane_half_width) & (self._drift >= WANDERING)
+        facing = comes & (turned > FACING) & over_the_line
+        across = comes & ~view.same_direction & (turned <= FACING)
+        still = np.zeros(view.gap.shape)
+        across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
+        outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
+        until_there = view.side_gap / np.maximum(view.crossing, KEEPS_ITS_PLACE)
+        too_late = across & outside & (until_there < view.speed / (2.0 * STOPPING_SHORT))
+        looks = (
+            (facing, FACING_SIGHT, 0.5), (too_late, CROSSING_SIGHT, 1.0), (across & view.in_corridor, FACING_SIGHT, 0.0)
+        )  # fmt: skip
+        for rows, horizon, margin in looks:
+            k = np.nonzero(rows)
+            if len(k[0]):
+                found[k] |= meet(view, k, horizon, margin)
+        return np.asarray(found)
+
+    def _cuts_in(self, view: View) -> Bools:
+        """Ahead, beyond its zone of wandering, reached within ``DANGER``, and in the way before it is passed."""
+        wanders = (view.gap > 0.0) & (self._drift >= WANDERING - 1e-9) & (view.time_to_reach <= DANGER)
+        passed = (view.gap + view.length + view.ego_length) / np.maximum(view.closing, 1e-9)
+        entered = np.maximum(view.side_gap, 0.0) / np.maximum(view.towards, KEEPS_ITS_PLACE)
+        return wanders & (entered <= passed + SLACK)
+
+    def _comes_from_beside(self, view: View) -> Bools:
+        """Overlapping the ego lengthwise and drifting into it within ``DANGER``."""
+        drifts = (view.gap <= 0.0) & (self._drift >= WANDERING - 1e-9) & (view.side_gap > -1.0)
+        return drifts & (np.maximum(view.side_gap, 0.0) <= DANGER * np.maximum(view.towards, KEEPS_ITS_PLACE))
+
+    def _leads_too_slowly(self, view: View) -> Bools:
+        """A leader in the corridor that is reached within ``DANGER``, brakes hard, or takes hard braking."""
+        hard = (view.acceleration <= -HARD_BRAKING) & (view.gap <= FOLLOWING * view.ego_speed)
+        room = view.gap - np.maximum(view.closing, 0.0) * REACTION
+        needed = needed_braking(view.ego_speed, room, view.along, view.acceleration)
+        slow = (view.closing > 0.0) & ((view.time_to_reach <= DANGER) | (needed > OWN_BRAKING))
+        return view.in_corridor & (hard | slow)
+
+    def _is_over(self, view: View) -> Bools:
+        """Whether a danger is past."""
+        beside = view.gap <= 0.0
+        leaves = (view.side_gap > 0.0) & (view.towards < KEEPS_ITS_PLACE)
+        leaves &= (np.abs(view.heading) <= FACING) | (view.near_edge >= view.lane_half_width)
+        waits = (view.ego_speed < 0.5) & (view.gap < 2.5) & (view.speed < 0.5)
+        near = (view.gap < CLOSE_HEADWAY * view.ego_speed) & (view.closing > -1.0)
+        needed = needed_braking(view.ego_speed, view.gap, view.along, view.acceleration) > GENTLE
+        harmless = view.same_direction & ~beside & ~waits & ~near & ~needed
+        return (~view.ahead & ~(beside & view.same_direction)) | leaves | harmless
+
+
+def meet(view: View, k: Any, horizon: float, margin: float) -> Bools:
+    """Whether the boxes overlap within ``horizon`` [s], the other's grown by ``margin`` [m]; for the pairs ``k``.
+
+    The ego goes on along its path, braking on if it brakes; the other keeps its speed and yaw rate.
+    """
+    t = np.arange(0.0, horizon + 1e-6, LOOK_STEP)
+    rows = k[0]
+    speed, braking = view.ego_speed[rows, 0][:, None], np.maximum(-view.ego_acceleration[rows, 0], 0.0)[:, None]
+    braking = np.where(braking > 0.5, braking, 0.0)
+    moving = np.minimum(t, np.where(braking > 0.0, speed / np.maximum(braking, 0.5), np.inf))
+    turned, h = view.yaw_rate[k][:, None] * t, view.heading[k][:, None]
+    chord = view.speed[k][:, None] * t * np.sinc(turned / (2 * np.pi))
+    x = view.away[k][:, None] + chord * np.cos(h + turned / 2) - speed * moving + braking * moving**2 / 2
+    y = view.left[k][:, None] + chord * np.sin(h + turned / 2)
+    size = (view.length[k][:, None] + 2 * margin, view.width[k][:, None] + 2 * margin)
+    return np.asarray(overlapping(x, y, h + turned, (view.ego_length, view.ego_width), size).any(axis=1))
+
+
+def overlapping(x: Floats, y: Floats, h: Floats, ego: tuple[float, float], size: tuple[Floats, Floats]) -> Bools:
+    """Whether a box of a size at x, y, heading overlaps the ego's (length, width) at the origin (separating axes)."""
+    cos, sin, (length, width) = np.cos(h), np.sin(h), size
+    c, s = np.abs(cos), np.abs(sin)
+    apart = (np.abs(x) > (ego[0] + c * length + s * width) / 2) | (np.abs(y) > (ego[1] + s * length + c * width) / 2)
+    apart |= np.abs(x * cos + y * sin) > (length + c * ego[0] + s * ego[1]) / 2
+    return ~(apart | (np.abs(y * cos - x * sin) > (width + s * ego[0] + c * ego[1]) / 2))

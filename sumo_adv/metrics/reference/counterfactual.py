@@ -1,0 +1,268 @@
+"""The counterfactual: the same encounter with a reference driver as the ego, rolled out for N encounters at once.
+
+The adversary and third vehicles move as recorded, then as planned, then straight on at constant speed.  The ego moves
+as recorded until the driver's rule says that a danger shows.  From then on the driver brakes on the ego's path (which
+goes on as the ego went without the attack, or straight), at least as hard as the recorded ego did.  While the driver
+does not brake, the ego's speed changes as it was recorded, up to the recorded speed.  Contact is swept between steps.
+A driver avoids the collision if it touches no vehicle but those that run into it from behind in its lane.
+
+The unchanged ego (recorded motion, then constant speed) is rolled out by the same code: a collision that it does not
+have in this check is inconclusive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
+from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
+from sumo_adv.metrics.reference.cc_human import CcHuman
+from sumo_adv.metrics.reference.manoeuvre import escapes
+from sumo_adv.metrics.reference.view import SAME, Views
+
+BEYOND = 4.0  # s after the contact to which the check goes at least
+
+
+@dataclass(frozen=True, slots=True)
+class Encounters:
+    """N encounters on one grid of step ``dt`` [s].
+
+    ego ``(N, T)``: recorded, its motion after the step ``last`` ``(N,)`` does not count; adversary ``(N, T')``: as
+    recorded and planned; others ``(K, T'')``: the same surrounding for all N, NaN = absent; None = empty.
+    start ``(N,)``: the step from which a driver may act.  Views begin at step 0, so that drivers have some history.
+    onward ``(N, P, 2)``: points of the egos' ways past the step ``last`` [m]; without them they go straight on.
+    """
+
+    ego: Boxes
+    adversary: Boxes
+    start: Ints
+    last: Ints
+    dt: float
+    others: Boxes | None = None
+    lane_half_width: float = 1.6
+    onward: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What one driver made of N encounters.  Times s from step 0, ``inf`` = never; arrays ``(N,)``."""
+
+    avoids: Bools
+    alarm: Floats  # when a danger first showed to it
+    contact: Floats  # its own first contact that counts
+
+
+class Counterfactual:
+    """N encounters extended to the end of the check, with everything that does not depend on the driver."""
+
+    def __init__(self, given: Encounters, beyond: float = BEYOND) -> None:
+        """``beyond``: s after the step ``last`` to which the check goes at least."""
+        self.given = given
+        dt = given.dt
+        planned = given.adversary.x.shape[1]
+        self.steps = int(max(int(given.last.max(initial=0)) + round(beyond / dt), planned - 1)) + 1
+        self.time: Floats = np.asarray(np.arange(self.steps) * dt, dtype=np.float64)
+        self.ego = _along(_extended(_cut(given.ego, given.last, dt), self.steps, dt), given)
+        self.adversary = _extended(given.adversary, self.steps, dt)
+        self.others = None if given.others is None else _extended(given.others, self.steps, dt)
+        self.paths = EgoPaths(self.ego)
+        self.views = Views(self.paths, self._everybody(), self._ego_size(), dt, given.lane_half_width)
+
+    def unchanged(self) -> Answer:
+        """The ego as it was."""
+        station = self.paths.station
+        contact = self._contact(self.ego, station)
+        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
+
+    def braking(self, driver: type[Braker]) -> Answer:
+        """What a driver that brakes makes of them."""
+        station, speed, alarm = self.roll_out(driver)
+        x, y, heading = self.paths.poses(station)
+        contact = self._contact(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
+        return Answer(~np.isfinite(contact), alarm, contact)
+
+    def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
+        """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
+        rows = np.flatnonzero(np.isfinite(alarm))
+        best = np.full(len(alarm), -1)
+        contact = np.where(np.isfinite(alarm), np.inf, self.unchanged().contact)
+        for row in rows.tolist():
+            index = np.array([round(float(alarm[row]) / self.given.dt)])
+            steps = self.steps - 1 - int(index[0])
+            if steps < 2:
+                contact[row] = 0.0
+                continue
+            poses, clear = escapes(
+                _row(self.ego, row), _row(self.adversary, row), index, steps, self.given.dt, on_road
+            )  # fmt: skip
+            good = np.flatnonzero(clear[:, 0])
+            good = good[self._clear_of_others(poses, good, row, int(index[0]))]
+            if len(good):
+                best[row] = int(good[0])
+            else:
+                contact[row] = 0.0
+        return Answer(best >= 0, alarm, contact), best
+
+    def roll_out(self, driver: type[Braker]) -> tuple[Floats, Floats, Floats]:
+        """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
+        n, dt = len(self.ego.x), self.given.dt
+        m = 1 if self.others is None else 1 + len(self.others.x)
+        drivers = driver((n, m), dt)
+        recorded, pace = self.paths.station, self.ego.speed
+        change = np.diff(pace, axis=1, append=pace[:, -1:]) / dt
+        station, speed = recorded.copy(), np.array(np.broadcast_to(pace, recorded.shape))
+        acceleration = np.zeros(n)
+        acting, alarm = np.zeros(n, bool), np.full(n, np.inf)
+        for k in range(self.steps - 1):
+            asked = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
+            fresh = drivers.alarmed & ~np.isfinite(alarm)
+            alarm = np.where(fresh, self.time[k], alarm)
+            acting |= np.isfinite(asked) & (k >= self.given.start)
+            braking = np.minimum(np.where(np.isfinite(asked), asked, np.inf), change[:, k])
+            after = np.clip(speed[:, k] + braking * dt, 0.0, np.maximum(pace[:, k + 1], speed[:, k]))
+            moved = np.where(
+                after > 0.0, (speed[:, k] + after) / 2 * dt, speed[:, k] ** 2 / np.maximum(-2 * braking, 1e-9)
+            )  # fmt: skip
+            moved = np.minimum(moved, (speed[:, k] + after) / 2 * dt)
+            station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
+            speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
+            acceleration = (speed[:, k + 1] - speed[:, k]) / dt
+        return station, speed, alarm
+
+    def _contact(self, ego: Boxes, station: Floats) -> Floats:
+        """When the egos first touch a vehicle that does not run into them from behind in their lane [s], ``(N,)``."""
+        n = len(ego.x)
+        wide = Boxes(
+            ego.x[:, None], ego.y[:, None], ego.heading[:, None], np.asarray(ego.speed)[:, None],
+            _size(ego.length, n), _size(ego.width, n),
+        )  # fmt: skip
+        when = first_contact(wide, self._everybody(), self.time)
+        when = np.where(when >= (self.given.start * self.given.dt)[:, None] - 1e-9, when, np.inf)
+        rows, cols = np.nonzero(np.isfinite(when))
+        for i, j in zip(rows, cols, strict=True):
+            k = min(int(np.floor(when[i, j] / self.given.dt + 1e-9)), self.steps - 1)
+            there, left = self.views.lateral(k)
+            behind = there[i, j] < station[i, k] and abs(left[i, j]) < self.given.lane_half_width
+            same = abs(self.views.at(k, station[:, k], ego.speed[:, k], 0.0 * station[:, k]).heading[i, j]) < SAME
+            if behind and same:
+                when[i, j] = np.inf
+        return np.asarray(when.min(axis=1))
+
+    def _clear_of_others(self, poses: Boxes, which: Ints, row: int, first: int) -> Bools:
+        """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane."""
+        if self.others is None or not len(which) or not len(self.others.x):
+            return np.ones(len(which), bool)
+        o = self.others
+        part = slice(first, first + poses.x.shape[-1])
+        near = Boxes(o.x[:, part], o.y[:, part], o.heading[:, part], o.speed[:, part], o.length, o.width)
+        x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
+        mine = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
+        time = self.time[: poses.x.shape[-1]]
+        when = first_contact(mine, near, time)
+        there, left = self.views.lateral(first)
+        behind = (there[row, 1:] < self.paths.station[row, first]) & (
+            np.abs(left[row, 1:]) < self.given.lane_half_width
+        )
+        return np.asarray(~(np.isfinite(when) & ~behind[None, :]).any(axis=1))
+
+    def _everybody(self) -> Boxes:
+        """The adversary and the others, ``(N, 1 + K, steps)``."""
+        a, n = self.adversary, len(self.ego.x)
+        sizes = [_size(a.length, n), _size(a.width, n)]
+        if self.others is None or not len(self.others.x):
+            x, y, heading, speed = (v[:, None, :] for v in (a.x, a.y, a.heading, a.speed))
+            return Boxes(x, y, heading, speed, *sizes)
+        o = self.others
+        x, y, heading, speed = (
+            np.concatenate([p[:, None, :], np.broadcast_to(q, (n, *q.shape))], axis=1)
+            for p, q in ((a.x, o.x), (a.y, o.y), (a.heading, o.heading), (a.speed, o.speed))
+        )
+        count = len(o.x)
+        for k, own in enumerate((o.length, o.width)):
+            theirs = np.broadcast_to(
+                np.reshape(np.broadcast_to(np.asarray(own, float), (count, 1)), (1, count, 1)), (n, count, 1)
+            )
+            sizes[k] = np.concatenate([sizes[k], theirs], axis=1)
+        return Boxes(x, y, heading, speed, *sizes)
+
+    def _ego_size(self) -> tuple[float, float]:
+        return float(np.ravel(self.ego.length)[0]), float(np.ravel(self.ego.width)[0])
+
+
+def answers(
+    given: Encounters, drivers: Sequence[str] = REFERENCE_DRIVERS, on_road: OnRoad | None = None
+) -> dict[str, Answer]:
+    """What each driver makes of the encounters, and the ``unchanged`` ego."""
+    check = Counterfactual(given)
+    found = {"unchanged": check.unchanged()}
+    for name in drivers:
+        if name in BRAKERS:
+            found[name] = check.braking(BRAKERS[name])
+    if MANOEUVRE in drivers:
+        alarm = found["cc_human"].alarm if "cc_human" in found else check.roll_out(CcHuman)[2]
+        found[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
+    return found
+
+
+def _size(value: Floats | float, n: int) -> Floats:
+    """A size as ``(N, 1, 1)``."""
+    return np.broadcast_to(np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1)), (n, 1, 1))
+
+
+def _row(b: Boxes, row: int) -> Boxes:
+    length, width = (float(np.ravel(v)[min(row, np.size(v) - 1)]) for v in (b.length, b.width))
+    k = slice(row, row + 1)
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width)
+
+
+def _cut(b: Boxes, last: Ints, dt: float) -> Boxes:
+    """Motions that go straight on at constant speed after the step ``last``."""
+    steps = np.arange(b.x.shape[1])[None, :]
+    k = (np.arange(len(b.x))[:, None], np.minimum(steps, last[:, None]))
+    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
+    x, y = b.x[k] + over * np.cos(b.heading[k]), b.y[k] + over * np.sin(b.heading[k])
+    return Boxes(x, y, b.heading[k], b.speed[k], b.length, b.width)
+
+
+def _along(ego: Boxes, given: Encounters) -> Boxes:
+    """The egos at constant speed along their ways past the step ``last``, straight on where these end."""
+    if given.onward is None:
+        return ego
+    x, y, heading = ego.x.copy(), ego.y.copy(), np.array(np.broadcast_to(ego.heading, ego.x.shape))
+    for row, last in enumerate(given.last.tolist()):
+        ahead = given.onward[row][np.isfinite(given.onward[row]).all(axis=1)]
+        count = x.shape[1] - last - 1
+        if not len(ahead) or count < 1:
+            continue
+        points = np.concatenate([[[x[row, last], y[row, last]]], ahead])
+        turns = np.arctan2(*np.diff(points, axis=0).T[::-1])
+        way = EgoPaths(
+            Boxes(
+                points[None, :, 0], points[None, :, 1], np.append(turns, turns[-1])[None], ego.speed[:1, :1], 1.0, 1.0
+            )
+        )
+        moved = ego.speed[row, last] * given.dt * np.arange(1, count + 1)
+        x[row, last + 1 :], y[row, last + 1 :], _ = (v[0] for v in way.poses(moved[None]))
+        steps = np.minimum(np.searchsorted(way.station[0], moved, side="right") - 1, len(turns) - 1)
+        heading[row, last + 1 :] = turns[np.maximum(steps, 0)] if ego.speed[row, last] > 0.1 else heading[row, last]
+    return replace(ego, x=x, y=y, heading=heading)
+
+
+def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
+    """Motions that go straight on at constant speed past their end, up to ``steps``."""
+    have = b.x.shape[1]
+    if have >= steps:
+        return Boxes(b.x[:, :steps], b.y[:, :steps], b.heading[:, :steps], b.speed[:, :steps], b.length, b.width)
+    on = np.arange(1, steps - have + 1) * dt * b.speed[:, -1:]
+    x = np.concatenate([b.x, b.x[:, -1:] + on * np.cos(b.heading[:, -1:])], axis=1)
+    y = np.concatenate([b.y, b.y[:, -1:] + on * np.sin(b.heading[:, -1:])], axis=1)
+    heading, speed = (
+        np.concatenate([v, np.repeat(v[:, -1:], steps - have, axis=1)], axis=1) for v in (b.heading, b.speed)
+    )
+    return Boxes(x, y, heading, speed, b.length, b.width)

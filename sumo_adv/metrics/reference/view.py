@@ -1,0 +1,128 @@
+"""What a reference driver sees: other vehicles in the frame of the ego's path, over all steps of a counterfactual."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats
+from sumo_adv.metrics.boxes import wrap
+from sumo_adv.metrics.paths import EgoPaths
+
+SAME, FACING = np.pi / 4, 3 * np.pi / 4  # rad against the ego's path: the same way below, oncoming above
+HISTORY = 0.5  # s over which yaw rates are measured
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """Other vehicles in one step, arrays ``(N, M)``; the egos' arrays ``(N, 1)``.  Units m, rad, m/s, m/s2.
+
+    An absent vehicle is not ``ahead`` and has infinite gaps.
+    """
+
+    ahead: Bools  # its centre is ahead of the ego's along the path
+    away: Floats  # between the centres, along the path
+    left: Floats  # of its centre, from the path
+    heading: Floats  # against the path's there
+    gap: Floats  # along the path, between the boxes; negative where they overlap lengthwise
+    side_gap: Floats  # across the path, between the boxes; negative inside the ego's corridor
+    near_edge: Floats  # from the path to its box
+    speed: Floats
+    along: Floats  # speed along the path
+    towards: Floats  # sideways towards the path, from its last two positions
+    crossing: Floats  # sideways towards the path, from its heading and speed
+    acceleration: Floats
+    yaw_rate: Floats
+    length: Floats
+    width: Floats
+    ego_speed: Floats
+    ego_acceleration: Floats
+    ego_length: float
+    ego_width: float
+    lane_half_width: float
+
+    @property
+    def closing(self) -> Floats:
+        """How fast the ego comes nearer along the path [m/s]."""
+        return self.ego_speed - self.along
+
+    @property
+    def time_to_reach(self) -> Floats:
+        """Gap over closing speed [s], 0 where the boxes overlap lengthwise, ``inf`` where the ego does not close in."""
+        closing = self.closing
+        time = np.where(closing > 1e-9, np.maximum(self.gap, 0.0) / np.where(closing > 1e-9, closing, 1.0), np.inf)
+        return np.where(self.gap <= 0.0, 0.0, time)
+
+    @property
+    def same_direction(self) -> Bools:
+        """Whether it goes the ego's way (within 45 degrees)."""
+        return np.abs(self.heading) < SAME
+
+    @property
+    def in_corridor(self) -> Bools:
+        """Whether its box lies in the strip that the ego's box sweeps."""
+        return self.side_gap <= 0.0
+
+
+class Views:
+    """The views of all steps: M vehicles ``(N, M, T)`` seen from N egos that are on their paths."""
+
+    def __init__(
+        self, paths: EgoPaths, others: Boxes, ego_size: tuple[float, float], dt: float, lane_half_width: float
+    ) -> None:
+        n, m, steps = others.x.shape
+        flat = (n, m * steps)
+        located = paths.locate(others.x.reshape(flat), others.y.reshape(flat))
+        station, left, path_heading = (v.reshape(others.x.shape) for v in located)
+        self._station, self._left = station, left
+        self._heading = wrap(others.heading - path_heading)
+        self._speed = others.speed
+        self._length = np.broadcast_to(np.asarray(others.length, float), (n, m, 1))[..., 0]
+        self._width = np.broadcast_to(np.asarray(others.width, float), (n, m, 1))[..., 0]
+        cos, sin = np.abs(np.cos(self._heading)), np.abs(np.sin(self._heading))
+        self._along = (cos * self._length[..., None] + sin * self._width[..., None]) / 2
+        self._across = (sin * self._length[..., None] + cos * self._width[..., None]) / 2
+        self._sideways = _change(left, dt)
+        self._acceleration = _change(self._speed, dt)
+        back = max(1, round(HISTORY / dt))
+        turned = np.unwrap(np.where(np.isfinite(self._heading), others.heading, 0.0), axis=-1)
+        index = np.arange(steps)
+        before = np.maximum(index - back, 0)
+        span = np.maximum(index - before, 1) * dt
+        self._yaw_rate = (turned - turned[..., before]) / span
+        self._size, self._half = ego_size, lane_half_width
+
+    def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
+        """What egos at ``station`` [m], ``speed`` and ``acceleration`` ``(N,)`` see in a step."""
+        here, left, h = self._station[..., step], self._left[..., step], self._heading[..., step]
+        v = self._speed[..., step]
+        ego_length, ego_width = self._size
+        there = np.isfinite(here)
+        away = np.where(there, here - station[:, None], np.inf)
+        near_edge = np.where(there, np.abs(left) - self._across[..., step], np.inf)
+        gap = np.where(there, np.abs(away) - self._along[..., step] - ego_length / 2, np.inf)
+        side = np.sign(np.where(there, left, 1.0))
+        side = np.where(side == 0, 1.0, side)
+        return View(
+            there & (away > 0), away, np.where(there, left, np.inf), np.where(there, h, 0.0), gap,
+            near_edge - ego_width / 2, near_edge, _known(v), _known(v * np.cos(h)),
+            _known(-side * self._sideways[..., step]), _known(-side * v * np.sin(h)),
+            _known(self._acceleration[..., step]), _known(self._yaw_rate[..., step]), self._length, self._width,
+            speed[:, None], acceleration[:, None], ego_length, ego_width, self._half,
+        )  # fmt: skip
+
+    def lateral(self, step: int) -> tuple[Floats, Floats]:
+        """Station and offset of all vehicles in a step, ``(N, M)``."""
+        return self._station[..., step], self._left[..., step]
+
+
+def _change(values: Floats, dt: float) -> Floats:
+    """The backward difference over a step, 0 in the first one and after an absence."""
+    found = np.zeros(values.shape)
+    found[..., 1:] = np.diff(values, axis=-1) / dt
+    return np.where(np.isfinite(found), found, 0.0)
+
+
+def _known(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, 0.0)
