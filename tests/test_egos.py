@@ -9,9 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from shapely import LineString, Point
 
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
@@ -25,9 +22,6 @@ from sumo_adv.world.egos import (
     apply_steer,
     make_ego,
 )
-from sumo_adv.world.egos.careful import FULL_BRAKING, braking_at
-from sumo_adv.world.egos.hazard import HazardWatch, box_ttc, needed_braking
-from sumo_adv.world.egos.path import EgoPath
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -141,14 +135,8 @@ def drive(ego: CarefulEgo, scene: list[list[VehicleState]]) -> list[LaneSpeed | 
     return answers
 
 
-def test_braking_profile_of_the_regulation() -> None:
-    assert braking_at(1.15) == 0.0
-    assert braking_at(1.45) == pytest.approx(0.774 * 9.81 / 2)
-    assert braking_at(1.75) == braking_at(9.0) == FULL_BRAKING == pytest.approx(7.593, abs=1e-3)
-
-
-def test_hazard_at_once_is_braked_for_after_perception_and_reaction() -> None:
-    # a car stands 40 m ahead in the lane: 20^2 / (2 * 35) = 5.7 m/s2 > 4.5 at t = 0
+def test_a_standing_car_is_braked_for_after_the_reaction_time() -> None:
+    # 40 m ahead in the lane: 20^2 / (2 * 35) = 5.7 m/s2 > 4.5, understood after 0.4 s, braked for 0.75 s later
     scene = [[car("ego", 0, 0, speed=20.0), car("bv", 40, 0)] for _ in range(20)]
     answers = drive(CarefulEgo(), scene)
     assert answers[:11] == [None] * 11  # steps that end at 1.1 s or before
@@ -157,7 +145,7 @@ def test_hazard_at_once_is_braked_for_after_perception_and_reaction() -> None:
     assert answers[18] is not None and answers[18].speed == pytest.approx(20 - 0.7593, abs=1e-4)  # full from 1.75 s
 
 
-def test_standing_with_the_hazard_still_there_it_holds() -> None:
+def test_standing_with_the_danger_still_there_it_holds() -> None:
     scene = [[car("ego", 0, 0, speed=20.0), car("bv", 40, 0)]] * 20 + [[car("ego", 33, 0), car("bv", 40, 0)]] * 5
     assert drive(CarefulEgo(), scene)[-1] == LaneSpeed(None, 0.0)
 
@@ -169,69 +157,36 @@ def test_following_and_overtaking_do_not_alarm() -> None:
     assert drive(CarefulEgo(), passing) == [None] * 40
 
 
-def test_cut_in_shows_after_0375_metres() -> None:
-    watch, seen = HazardWatch(), []
-    for step in range(12):  # 1 m/s sideways, 10 m/s slower, 20 m ahead: 0.1 m a step
+def test_a_cut_in_is_a_danger_0_4_s_after_0_375_m() -> None:
+    """1 m/s sideways, 10 m/s slower, 20 m ahead: 0.1 m a step, past 0.375 m at 0.4 s, reached in 1.5 s."""
+    ego, dangers = CarefulEgo(), []
+    for step in range(12):
         others = [car("bv", 20 + 1.0 * step, 3.2 - 0.1 * step, heading=-0.1, speed=10.0)]
-        seen.append(watch.update(Observation(step / 10, 0.1, car("ego", 2.0 * step, 0, speed=20.0), others)))
-    assert seen.index(frozenset({"bv"})) == 4  # 0.4 m
-    assert seen[4:] == [frozenset({"bv"})] * 8
+        ego.act(Observation(step / 10, 0.1, car("ego", 2.0 * step, 0, speed=20.0), others))
+        dangers.append(ego.dangers)
+    assert dangers.index(frozenset({"bv"})) == 8
+    assert dangers[8:] == [frozenset({"bv"})] * 4
 
 
-def test_oncoming_only_over_the_line() -> None:
-    for sideways, expected in ((0.0, False), (1.5, True)):
-        watch = HazardWatch()
-        alarmed = False
-        for step in range(20):
-            bv = car("bv", 110 - 1.5 * step, 3.2 - sideways * step / 10, heading=0.1 - math.pi, speed=15.0)
-            if not sideways:
-                bv = car("bv", 110 - 1.5 * step, 3.2, heading=math.pi, speed=15.0)
-            me = car("ego", 1.5 * step, 0, speed=15.0)
-            alarmed |= bool(watch.update(Observation(step / 10, 0.1, me, [bv])))
-        assert alarmed is expected
+@pytest.mark.parametrize(("sideways", "alarmed"), [(0.0, False), (1.5, True)])
+def test_an_oncoming_car_is_a_danger_only_over_the_line(sideways: float, alarmed: bool) -> None:
+    ego, seen = CarefulEgo(), False
+    for step in range(30):
+        h = 0.1 - math.pi if sideways else math.pi
+        bv = car("bv", 100 - 1.5 * step, 3.2 - sideways * step / 10, heading=h, speed=15.0)
+        ego.act(Observation(step / 10, 0.1, car("ego", 1.5 * step, 0, speed=15.0), [bv]))
+        seen |= bool(ego.dangers)
+    assert seen is alarmed
 
 
-def test_crossing_only_when_it_cannot_stop_short() -> None:
-    ego = car("ego", 0, 0, speed=14.0)
-    # 12 m/s needs 144 / 6 = 24 m; from y = -28 its front has 28 - 2.5 - 1 = 24.5 m to the ego's side; both reach x = 28
-    able = Observation(0.0, 0.1, ego, [car("bv", 28, -28, math.pi / 2, 12.0)])
-    assert HazardWatch().update(able) == frozenset()
-    later = Observation(0.1, 0.1, car("ego", 1.4, 0, speed=14.0), [car("bv", 28, -26.8, math.pi / 2, 12.0)])
-    assert HazardWatch().update(later) == {"bv"}
-    slow = Observation(0.1, 0.1, car("ego", 1.4, 0, speed=14.0), [car("bv", 28, -25.8, math.pi / 2, 5.0)])
-    assert HazardWatch().update(slow) == frozenset()  # 25 / 6 = 4.2 m: it can
-
-
-def test_traffic_in_a_bend_is_measured_along_the_told_path() -> None:
-    angle = np.linspace(0, 1.5, 60)
-    centre = [(100 * math.sin(a), 100 - 100 * math.cos(a)) for a in angle]  # left bend, radius 100 m
-    at, left, heading = EgoPath(centre).locate(103.2 * math.sin(0.5), 100 - 103.2 * math.cos(0.5))
-    assert (at, left, heading) == pytest.approx((50.0, -3.2, 0.5), abs=0.03)
-    assert EgoPath(centre).pose(50.0) == pytest.approx((100 * math.sin(0.5), 100 - 100 * math.cos(0.5), 0.5), abs=0.03)
-
-
-@given(turns=st.lists(st.floats(-0.4, 0.4), min_size=2, max_size=60), x=st.floats(-50, 150), y=st.floats(-80, 80))
-def test_the_nearest_place_of_a_told_path_is_the_nearest_there_is(turns: list[float], x: float, y: float) -> None:
-    points = [(0.0, 0.0)]
-    for heading in np.cumsum(turns):
-        points.append((points[-1][0] + 2 * math.cos(heading), points[-1][1] + 2 * math.sin(heading)))
-    line = LineString(points)
-    at, left, heading = EgoPath(points).locate(x, y)
-    if not 0.0 <= at <= line.length:  # before its first or after its last point it goes on straight
-        assert abs(left) <= line.distance(Point(x, y)) + 1e-6
-        return
-    assert abs(left) == pytest.approx(line.distance(Point(x, y)), abs=1e-6)
-    foot = line.interpolate(at)
-    assert math.hypot(foot.x - x, foot.y - y) == pytest.approx(abs(left), abs=1e-6)
-
-
-def test_closed_forms() -> None:
-    assert needed_braking(20.0, 40.0, 10.0, 0.0) == pytest.approx(1.25)  # 10^2 / 80
-    assert needed_braking(10.0, 5.0, 10.0, -5.0) == pytest.approx(100 / (2 * 15))  # stops 10 m on
-    assert needed_braking(10.0, 20.0, 12.0, 0.0) == 0.0
-    assert box_ttc(car("a", 0, 0, speed=20.0), car("b", 45, 0)) == pytest.approx(2.0)  # 40 m between bumpers
-    assert box_ttc(car("a", 0, 0, speed=20.0), car("b", 45, 2.1)) == math.inf
-    assert box_ttc(car("a", 0, 0, speed=10.0), car("b", 23.5, 23.5, -math.pi / 2, 10.0)) == pytest.approx(2.0)
+@pytest.mark.parametrize(("speed", "alarmed"), [(12.0, True), (5.0, False)])
+def test_a_crossing_car_is_a_danger_once_it_cannot_stop_short(speed: float, alarmed: bool) -> None:
+    """Both would be at x = 28 m after 2 s. 12 m/s needs 144 / 6 = 24 m, 5 m/s 4.2 m; 24.5 m are left at first."""
+    ego = CarefulEgo()
+    for step in range(6):
+        bv = car("bv", 28, -28 + speed * step / 10, math.pi / 2, speed)
+        ego.act(Observation(step / 10, 0.1, car("ego", 1.4 * step, 0, speed=14.0), [bv]))
+    assert bool(ego.dangers) is alarmed
 
 
 # ---- a user's class

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from cli_samples import Program
 
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import Boxes, VehicleState
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.episode.scout import LaneLine
 from sumo_adv.errors import UsageError
-from sumo_adv.metrics.boxes import first_contact, on_grid
+from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.world.egos import LatticeEgo, Observation, Steer, apply_steer, make_ego
-from sumo_adv.world.egos.hazard import box_ttc
 from sumo_adv.world.egos.lattice_frame import RoadFrame, Watch, predict
 from sumo_adv.world.egos.lattice_sample import aside
 from sumo_adv.world.egos.protocol import Road
@@ -87,8 +86,13 @@ def test_it_follows_at_idms_gap() -> None:
 # ---- in an emergency
 
 
+def touching(a: VehicleState, b: VehicleState) -> bool:
+    one, two = (Boxes(*(np.array(v) for v in (s.x, s.y, s.heading, s.speed)), s.length, s.width) for s in (a, b))
+    return bool(overlaps(one, two))
+
+
 def touched(states: Sequence[VehicleState], other: VehicleState) -> bool:
-    return any(box_ttc(s, other) == 0.0 for s in states)
+    return any(touching(s, other) for s in states)
 
 
 def test_it_swerves_where_braking_cannot_do() -> None:
@@ -120,7 +124,7 @@ def test_an_occupied_lane_beside_is_no_way_out() -> None:
     box, beside = car("box", 30.0, -1.0), car("beside", 4.0, 3.2, speed=20.0)
     states = drive(LatticeEgo(), car("ego", 5.0, speed=20.0), [box, beside], TWO_LANES, 9)
     paired = zip(states, range(10), strict=True)
-    assert all(box_ttc(s, replace(beside, x=4.0 + 2.0 * k)) > 0.0 for s, k in paired)
+    assert not any(touching(s, replace(beside, x=4.0 + 2.0 * k)) for s, k in paired)
 
 
 # ---- lights and right of way, as the engine tells them

@@ -71,7 +71,7 @@ class RunInput:
     playback: PlaybackSpec | None = None
 
     def driver(self, named: str | None) -> str | None:
-        """The ego's driver: the one that the user ``named``, else the input's; None if neither says.
+        """The ego's driver: ``named`` by the user, else by the input; None if neither says.
 
         Raises UsageError if only the input names a class, because a class runs as the user.
         """
@@ -79,7 +79,7 @@ class RunInput:
 
 
 def trusted_driver(named: str | None, recorded: str | None, source: str) -> str | None:
-    """The driver ``named`` by the user, else the one that the file ``source`` names.
+    """The driver ``named`` by the user, else the driver in the file ``source``.
 
     Raises:
         UsageError: the file names a ``module:Class``, and the user names no driver.

@@ -1,8 +1,8 @@
-"""The speeds of vehicles that were moved: what was asked for, since SUMO's own answer is wrong in some steps.
+"""The speeds of vehicles that the program moved: as asked for, because SUMO's answer is wrong in some steps.
 
-Measured with SUMO 1.28: a vehicle that comes back on a lane from beside it has its speed a step late, and one that
-enters a junction's internal lane can have speed 0 for one step.  Its position is exact in both cases, so the speed that
-the position was computed with is the true one.
+Measured with SUMO 1.28: a vehicle that comes back on a lane from beside it has its speed a step late, and a vehicle
+that enters a junction's internal lane can have speed 0 for one step.  Its position is exact in both cases, so the speed
+that the position was computed with is the true one.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap, wrap_all
-from sumo_adv.world.egos.hazard import STOPPING_SHORT
+from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
 
 COARSE = 2  # samples of the path between those that points are compared with
 BEND_LATERAL, BEND_BRAKING = 3.2, 3.0  # m/s2, m/s2: how bends are taken
