@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from sumo_adv.config_model import ModelSettings
-from sumo_adv.datatypes import Limits
+from sumo_adv.datatypes import Level, Limits
 from sumo_adv.errors import UsageError
 
 SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
@@ -20,11 +20,19 @@ BUILTIN = "builtin"
 
 
 class Until(StrEnum):
-    """When an episode has succeeded."""
+    """The level that an attempt must reach for an episode to have succeeded; ``ttc`` is an alias of ``critical``."""
 
     TTC = "ttc"
+    CRITICAL = "critical"
     COLLISION = "collision"
     VALID = "valid"
+    STRICT = "strict"
+    SERIOUS = "serious"
+
+    @property
+    def level(self) -> Level:
+        """The level."""
+        return Level.CRITICAL if self is Until.TTC else Level[self.name]
 
 
 class LimitSettings(BaseModel):
@@ -133,6 +141,11 @@ class Settings(ModelSettings, BaseSettings):
     def steps(self, seconds: float) -> int:
         """How many simulation steps a time is."""
         return round(seconds / self.step_length)
+
+
+def reachable(settings: Settings) -> bool:
+    """Whether the level can be reached: ``careful`` is the driver that ``strict`` is judged against."""
+    return settings.ego != "careful" or settings.until.level < Level.STRICT
 
 
 _chosen_file: list[Path] = []

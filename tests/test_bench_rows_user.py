@@ -19,7 +19,7 @@ from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.cli.memory_common import shipped_bank
 from sumo_adv.cli.records import load
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Course, Ending, Proposal
+from sumo_adv.datatypes import Course, Ending, Level, Proposal
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, SumoAdvError, UsageError
@@ -186,14 +186,14 @@ def arena() -> Iterator[tuple[Arena, MemoryBank]]:
         yield Arena(source, settings, make_task(source, settings, Path(scratch)), engine, sandbox, bank, settings), bank
 
 
-def test_the_example_is_valid_within_two_attempts(
+def test_the_example_collides_within_two_attempts(
     arena: tuple[Arena, MemoryBank], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(EXAMPLE)
     episode = arena[0].by_opponent(make_row("straight_at_it:StraightAtIt"), arena[1])
     best = episode.best
-    assert episode.ending is Ending.CRITICAL and best is not None
-    assert best.verdict.valid and best.proposal.by == "straight_at_it:StraightAtIt"
+    assert best is not None and best.verdict.level >= Level.COLLISION
+    assert best.proposal.by == "straight_at_it:StraightAtIt"
     assert best.proposal.course is not None
 
 

@@ -17,10 +17,11 @@ OUTCOME, TRACEBACK, LEARNT = "outcome.json", "traceback.txt", "learnt.json"
 SCHEMA = 1
 COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
-    "attempts", "seconds", "failure", "traceback",
+    "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
+    "ego_stationary", "humanlike", "delta_v", "severity",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s; an empty min_ttc is never, an empty
-valid is no collision."""
+valid is no collision. ``valid``, ``strict`` and what follows ``level`` are of verdict version 2."""
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
@@ -36,7 +37,14 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "ending": outcome["ending"], "attempts": len(outcome["attempts"]),
         "seconds": (outcome["timing"] or {}).get("total"), "failure": failure,
         "traceback": f"runs/{name}/{TRACEBACK}" if traceback else None,
+        "level": best.get("level"), "strict": best.get("strict"), "preventable_by": _joined(best.get("preventable_by")),
+        "inconclusive": best.get("inconclusive"), "ego_stationary": best.get("ego_stationary"),
+        "humanlike": best.get("humanlike"), "delta_v": best.get("delta_v"), "severity": best.get("severity"),
     }  # fmt: skip
+
+
+def _joined(names: Sequence[str] | None) -> str | None:
+    return None if names is None else " ".join(names)
 
 
 FAILED = {
@@ -114,7 +122,8 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     text, number, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     kinds = {
         "raw_min_ttc": number, "min_ttc": number, "seconds": number, "seed": whole, "attempts": whole,
-        "collided": truth, "valid": truth, "critical": truth,
+        "collided": truth, "valid": truth, "critical": truth, "strict": truth, "ego_stationary": truth,
+        "humanlike": truth, "delta_v": number,
     }  # fmt: skip
     columns = {name: [row[name] for row in table] for name in COLUMNS}
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}

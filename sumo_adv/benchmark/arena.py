@@ -18,7 +18,7 @@ from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.knowledge import read_library, signature
 from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
-from sumo_adv.episode.refine import attempt_of, succeeded
+from sumo_adv.episode.refine import attempt_of, checked, settle_best, succeeded
 from sumo_adv.episode.task import AttemptResult, Found, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
@@ -115,6 +115,7 @@ class Arena:
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
+            settle_best(done, self._brain(found))
         except SandboxError as error:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
@@ -128,6 +129,7 @@ class Arena:
             return False
         result = self._result(proposal, found)
         attempt = attempt_of(len(done.attempts), "opponent", proposal, result, found, episode.settings)
+        attempt = checked(attempt, result, self._brain(found), episode.settings.until)
         done.attempts.append(attempt)
         done.results.append(result)
         clock.tell("attempt", attempt)
@@ -136,14 +138,16 @@ class Arena:
     def _result(self, proposal: Proposal, found: Found) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
-        brain = Brain(self.engine, self.sandbox, found, self.episode.settings.seed)
         try:
-            return brain.attempt([proposal])[0]
+            return self._brain(found).attempt([proposal])[0]
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error), None)
             return AttemptResult(failed, None, found.situations[proposal.delay].time)
+
+    def _brain(self, found: Found) -> Brain:
+        return Brain(self.engine, self.sandbox, found, self.episode.settings.seed)
 
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""

@@ -19,7 +19,7 @@ from sumo_adv.benchmark.methods import RAW, method_of
 from sumo_adv.benchmark.motion import motion_of, unattacked
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.rows.registry import make_row
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import Settings, load_settings, reachable
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task
@@ -81,7 +81,12 @@ class Bencher:
         """The table's settings with a row's ``own``."""
         table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
-        return load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
+        settings = load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
+        if not reachable(settings):  # tables stop at valid there
+            settings = load_settings(
+                None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn, "until": "valid"}
+            )
+        return settings
 
     def _shifted(
         self, shift: float, source: RunInput, common: Settings, bank: MemoryBank, scratch: Path

@@ -39,6 +39,11 @@ class Brain:
             for sessions in opened.values():
                 sessions.__exit__(None, None, None)
 
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation."""
+        found: dict[str, bool] = self._engine.request("references", proposal, result)
+        return found
+
 
 class OneByOne:
     """Runs attempts one at a time, each only once it is asked for: for many episodes side by side, where what runs at
@@ -51,6 +56,10 @@ class OneByOne:
         """The results of the proposals, in order."""
         for proposal in proposals:
             yield from self._brain.attempt([proposal])
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation."""
+        return self._brain.references(proposal, result)
 
 
 def answer_of(proposal: Proposal, sessions: Sessions, told: Any) -> Answer | str:

@@ -15,7 +15,7 @@ from typing import Any
 from sumo_adv.agents.composing import composed
 from sumo_adv.agents.experience import Experience
 from sumo_adv.agents.expert import REACHES, Expert
-from sumo_adv.config import Settings
+from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.brain import Brain, OneByOne
 from sumo_adv.episode.cast import Cast
@@ -31,7 +31,7 @@ from sumo_adv.episode.knowledge import (
     retrieve,
     signature,
 )
-from sumo_adv.episode.refine import NOTHING, Attempts, Refiner, succeeded
+from sumo_adv.episode.refine import NOTHING, Attempts, Refiner, settle_best, succeeded
 from sumo_adv.episode.task import Found, NotFound, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
@@ -51,6 +51,11 @@ Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", F
 
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task; demand is generated into ``folder`` where the input has none."""
+    if not reachable(settings):
+        raise UsageError(
+            f"--until {settings.until} cannot be reached against the ego 'careful': strict means that this very driver "
+            "avoids the collision; use --until valid."
+        )
     routes = source.routes
     playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else source.begin
@@ -281,12 +286,14 @@ def replay_episode(
         )
     if proposal.bv not in found.situations[proposal.delay].targets:
         raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
-    result = Brain(engine, sandbox, found, settings.seed).attempt([proposal])[0]
+    brain = Brain(engine, sandbox, found, settings.seed)
+    result = brain.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
-    ok = succeeded(verdict, settings.until)
+    settle_best(episode.refinement, brain)
+    ok = succeeded(episode.refinement.attempts[0].verdict, settings.until)
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
     return episode
 

@@ -18,10 +18,12 @@ from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.tuner import Tuner
 from sumo_adv.agents.ways import Family, families
 from sumo_adv.config import Settings, Until
-from sumo_adv.datatypes import Attempt, EgoCourse, Ending, Intent, LibraryEntry, Planner, Proposal, Verdict
+from sumo_adv.datatypes import Attempt, EgoCourse, Ending, Intent, Level, LibraryEntry, Planner, Proposal, Verdict
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.diagnosis import REACH, diagnose
+from sumo_adv.episode.references import simulated
 from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.metrics.levels import judged
 from sumo_adv.world.recording import tracks_of
 
 AT_ONCE = 2  # attempts that run at the same time after the first; the same whether or not they can be forked
@@ -47,24 +49,18 @@ class Refinement:
         return min(range(len(self.attempts)), key=lambda k: (*rank(self.attempts[k].verdict), k))
 
 
-def rank(verdict: Verdict) -> tuple[int, float]:
-    """Order of attempts that count: valid collision, feasible collision that is not rear-end, then feasible and
-    critical by min TTC, then what is not feasible (collisions first)."""
+def rank(verdict: Verdict) -> tuple[float, float]:
+    """Order of attempts that count: by level, serious first; then feasible ones by min TTC, then what is not feasible
+    (collisions first)."""
     honest = verdict.feasible and not verdict.rear_end
-    if verdict.valid:
-        return 0, 0.0
-    if honest:
-        return (1, 0.0) if verdict.collided else (2, verdict.min_ttc)
-    return (3, 0.0) if verdict.collided else (4, verdict.min_ttc)
+    if verdict.collided:
+        return (float(Level.SERIOUS - verdict.level), 0.0) if honest else (5, 0.0)
+    return (4, verdict.min_ttc) if honest else (6, verdict.min_ttc)
 
 
 def succeeded(verdict: Verdict, until: Until) -> bool:
-    """Whether the criterion is met; never by an infeasible motion nor by running into the ego's back."""
-    if not verdict.feasible or verdict.rear_end:
-        return False
-    if until is Until.VALID:
-        return bool(verdict.valid)
-    return verdict.collided if until is Until.COLLISION else verdict.critical
+    """Whether the level is reached; never by an infeasible motion nor by running into the ego's back."""
+    return verdict.level >= until.level
 
 
 def attempt_of(
@@ -109,6 +105,36 @@ class Attempts(Protocol):
         """The results of the proposals, in order."""
         ...
 
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation; empty where that cannot be asked."""
+        ...
+
+
+def checked(attempt: Attempt, result: AttemptResult, brain: Attempts, until: Until) -> Attempt:
+    """The attempt; if it would be a success by what reference drivers do, they drive in the simulation first."""
+    needed = until.level >= Level.VALID and succeeded(attempt.verdict, until)
+    return confirmed(attempt, result, brain) if needed else attempt
+
+
+def confirmed(attempt: Attempt, result: AttemptResult, brain: Attempts) -> Attempt:
+    """The attempt with the answers of reference drivers in the simulation, if its collision counts."""
+    verdict, kinematic = attempt.verdict, attempt.verdict.preventability
+    if verdict.level < Level.COLLISION or kinematic is None or kinematic.simulated:
+        return attempt
+    answers = brain.references(attempt.proposal, result)
+    if not answers:
+        return attempt
+    return replace(attempt, verdict=judged(replace(verdict, preventability=simulated(kinematic, answers))))
+
+
+def settle_best(found: Refinement, brain: Attempts) -> None:
+    """Have the attempt that counts confirmed; if that takes it back, the next best one, until one stays."""
+    while (k := found.best) is not None:
+        attempt = confirmed(found.attempts[k], found.results[k], brain)
+        if attempt is found.attempts[k]:
+            return
+        found.attempts[k] = attempt
+
 
 class Refiner:
     """One encounter's attempts."""
@@ -150,6 +176,7 @@ class Refiner:
                 self._learn(source, found, len(plans))
         if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
+        settle_best(found, self._brain)
         found.seconds = time.perf_counter() - began
 
     def _tuner(self, intents: Sequence[Intent], ways: Sequence[Family]) -> Tuner:
@@ -182,6 +209,7 @@ class Refiner:
         """Run proposals; True once one of them succeeded (those behind it are dropped)."""
         for proposal, result in zip(plans, self._brain.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
+            attempt = checked(attempt, result, self._brain, self._settings.until)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell(attempt)
@@ -196,7 +224,7 @@ class Refiner:
         for attempt, result in zip(found.attempts[-count:], found.results[-count:], strict=True):
             course = ego_course(result, self._found, attempt.proposal.delay, self._settings)
             if course is not None:
-                tuner.heard(attempt.proposal, course, bool(attempt.verdict.valid))
+                tuner.heard(attempt.proposal, course, attempt.verdict.avoidable_collision)
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         phase, by = self._credit(index, proposal)

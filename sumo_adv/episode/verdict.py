@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Verdict
+from sumo_adv.datatypes import Track, Verdict
 from sumo_adv.episode.attack import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import Found
 from sumo_adv.metrics.case import make_case
+from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.validity import judge
+from sumo_adv.world.recording import tracks_of
 
 
 def gate_verdict(
@@ -23,7 +25,18 @@ def gate_verdict(
     case = make_case(drive.tracks(bv, max(0, first)), drive.ego, bv, start, driven.beyond)
     if case is None:
         return None
-    return judge(
+    half = found.first.lane_width / 2
+    verdict = judge(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc,
-        limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=found.first.lane_width / 2,
+        limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=half,
     )  # fmt: skip
+    return with_level(
+        verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
+        lane_half_width=half, unattacked=unattacked(found, settings),
+    )  # fmt: skip
+
+
+def unattacked(found: Found, settings: Settings) -> Track | None:
+    """The ego's motion without the attack, from the trigger on; None where that is not known."""
+    tracks = tracks_of(found.raw, found.sizes, {}, settings.step_length, (found.ego,)) if found.raw else []
+    return tracks[0] if tracks and len(tracks[0].time) > 1 else None

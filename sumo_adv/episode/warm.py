@@ -104,7 +104,7 @@ class _Nursery:
         return lambda *arguments: self._handlers[name](*arguments)
 
 
-COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts")
+COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references")
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:

@@ -23,11 +23,14 @@ from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
 from sumo_adv.episode.moments import MOST_SHIFT
 from sumo_adv.episode.own import answers
+from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.scout import Scout
 from sumo_adv.episode.survey import area_of, surveys
 from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
-from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.episode.verdict import gate_verdict, unattacked
 from sumo_adv.errors import SimulationError
+from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
 from sumo_adv.world.egos import make_ego
@@ -135,6 +138,53 @@ class Worker:
             works = [self._work(k, p, slot) for (k, p), slot in zip(some, self._slots, strict=False)]
             results += self._branch(works)
         return results
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid the collision of an attempt: each drives the ego in the same encounter.
+
+        Empty where one of the two vehicles was gone, or where there is nothing to repeat (``references.py``).
+        """
+        self._at_trigger()
+        case, contact = self._case(proposal, result), None if result.verdict is None else result.verdict.contact_time
+        if case is None or contact is None:
+            return {}
+        half = self._found.first.lane_width / 2
+        order = order_of(
+            proposal, result, case, contact, half, self._found.drivable, unattacked(self._found, self._settings)
+        )  # fmt: skip
+        works: dict[str, Callable[[], bool]] = {
+            name: partial(self._refer, order, driver) for name, driver in BRAKERS.items()
+        }
+        if order.plan is not None:
+            works[MANOEUVRE] = partial(self._refer, order, None)
+        answers = dict(zip(works, self._branch(list(works.values())), strict=True))
+        return answers if order.plan is not None else {**answers, MANOEUVRE: False}
+
+    def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
+        drive, settings = self._drive, self._settings
+        assert drive.ego is not None
+        first = self._trigger_step + settings.steps(result.start - self._found.time) - settings.steps(settings.history)
+        snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][max(0, first) :]
+        sizes = {**drive.simulation.fleet.sizes, **result.sizes}
+        tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
+        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond)
+
+    def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
+        """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
+        drive, settings, mine = self._drive, self._settings, self._drive.controller
+        drive.replay(self._raw_ego)
+        for _ in range(settings.steps(order.proposal.delay)):
+            drive.tick()
+        first = max(0, len(drive.recording.snapshots) - settings.steps(settings.history))
+        drive.controller = ReferenceEgo(order, driver, drive.tracks(order.proposal.bv, first))
+        try:
+            attack(
+                drive, leader(self._situation_for(order.proposal), order.proposal, settings.limits.limits()),
+                lambda _: "a recorded motion has no planner", steps=drive.within(order.steps), replan=order.steps + 1,
+            )  # fmt: skip
+        finally:
+            drive.controller = mine
+        return avoids(order, drive.tracks(order.proposal.bv, first))
 
     @property
     def _map(self) -> RoadMap:
@@ -257,5 +307,5 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     worker = Worker(slots)
     return {
         "open": worker.open, "forks": worker.forks, "seek": worker.seek, "prefix": worker.prefix,
-        "lanes": worker.lanes_near, "attempts": worker.attempts,
+        "lanes": worker.lanes_near, "attempts": worker.attempts, "references": worker.references,
     }  # fmt: skip

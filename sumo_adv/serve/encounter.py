@@ -103,6 +103,10 @@ class LiveAttempts:
             else:
                 yield self._one(self.session, proposal)
 
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Nothing: what a live client has driven cannot be driven again by others."""
+        return {}
+
     def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
         found, settings, bv = self._scene.found, self._settings, proposal.bv
         trigger = len(session.recording.snapshots) - settings.steps(session.now - found.time)

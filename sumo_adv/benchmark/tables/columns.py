@@ -89,6 +89,20 @@ def _infeasible(cell: Cell) -> Value:
     return c.counted(cell).get("feasible") is False
 
 
+def _level(name: str) -> Callable[[Cell], Value]:
+    return lambda cell: c.counted(cell).get("level") == name
+
+
+def _of_collisions(cell: Cell, key: str) -> Value:
+    verdict = c.counted(cell)
+    return bool(verdict.get(key)) if verdict.get("collided") else None
+
+
+def _delta_v(cell: Cell) -> Value:
+    value = c.counted(cell).get("delta_v")
+    return None if value is None else float(value)
+
+
 def _valid_within(budget: int) -> Callable[[Cell], Value]:
     return lambda cell: any(a.get("valid") for a in c.attempts(cell)[:budget])
 
@@ -151,14 +165,23 @@ COLUMNS: tuple[Column, ...] = (
     Column("collision", "collision", "Verdicts", "the adversary touched the ego", of=_verdict("collided"), raw=True),
     Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
            of=lambda cell: c.no_rear(c.counted(cell))),
-    Column("valid", "valid", "Verdicts", "noRear, and some brake-and-steer manoeuvre or the careful driver avoids it",
+    Column("valid", "valid", "Verdicts",
+           "verdict version 2: noRear, conclusive, the ego took part, and a reference driver avoids it",
            of=_verdict("valid")),
-    Column("strict", "strict", "Verdicts", "valid, and the careful driver (brake only) alone avoids it",
+    Column("strict", "strict", "Verdicts", "valid, and UN R157's careful human driver (cc_human) avoids it",
            of=_verdict("strict")),
+    Column("serious", "serious", "Verdicts", "strict, driven as a person could, delta-v of the ego at least 5 mph",
+           of=_level("serious")),
     Column("critical", "critical", "Verdicts", "min TTC at or below --ttc, a collision included",
            of=_verdict("critical"), raw=True),
     Column("unavoidable", "unavoidable", "Why not", "a collision that nothing avoids",
            of=lambda cell: c.counted(cell).get("avoidable") == "unavoidable"),
+    Column("inconclusive", "inconclusive", "Why not", "of collisions: the counterfactual says nothing",
+           of=lambda cell: _of_collisions(cell, "inconclusive"), asked_of_all=False),
+    Column("stationary", "ego stood", "Why not", "of collisions: the ego stood for the last second before the contact",
+           of=lambda cell: _of_collisions(cell, "ego_stationary"), asked_of_all=False),
+    Column("delta_v", "delta-v [m/s]", "Verdicts", "median of the ego's, of collisions", MEDIAN,
+           lambda cell: _delta_v(cell), asked_of_all=False, digits=1),
     Column("rear_end", "rear-end", "Why not", "the adversary ran into the ego's back", of=_verdict("rear_end")),
     Column("infeasible", "infeasible", "Why not", "some gate failed", of=_infeasible),
     Column("third_party", "third party", "Why not", "the adversary touched someone else first",
@@ -219,11 +242,11 @@ COLUMNS: tuple[Column, ...] = (
            of=lambda cell: _margin(cell, "strict", ("careful_+0.4",)), asked_of_all=False),
 )  # fmt: skip
 
-BY_PART = ("collision", "no_rear", "valid", "strict", "critical", "mean_min_ttc")
+BY_PART = ("collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc")
 """What is shown of groups and kinds too."""
 
 COMPARED = (
-    "collision", "no_rear", "valid", "strict", "critical", "unavoidable", "mean_min_ttc", "valid_1", "valid_25",
-    "seconds",
+    "collision", "no_rear", "valid", "strict", "serious", "critical", "unavoidable", "mean_min_ttc", "valid_1",
+    "valid_25", "seconds",
 )  # fmt: skip
 """Differences that the Markdown shows; CSV and JSON have all."""

@@ -1,0 +1,227 @@
+"""Reference drivers in the simulation: the same encounter again, with another driver as the ego.
+
+From the trigger on the adversary is driven as it was recorded and planned, the ego by a reference driver on the path
+that it took, and other traffic reacts.  The drivers, their view and the rules of contact are those of the kinematic
+counterfactual (``metrics/reference``), so the two forms differ only in what other traffic does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Course, Floats, Preventability, Proposal, Track, VehicleState
+from sumo_adv.episode.task import AttemptResult
+from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.boxes import on_grid
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of
+from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.reference import BRAKERS, Braker
+from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
+from sumo_adv.metrics.reference.manoeuvre import manoeuvre_poses
+from sumo_adv.metrics.reference.view import HISTORY, Views
+from sumo_adv.world.egos import Observation, Pose
+
+MEMORY = HISTORY + 0.1  # s of past states that a view needs
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What a reference driver is put into: the encounter of ``proposal``; its ``course`` is the recorded motion.
+
+    ego: unchanged, from some steps before ``start`` [s] to the end of the check; roster: sizes (length, width) of
+    the vehicles that drivers may see. plan: poses of the ego by step after ``start``, for ``manoeuvre``.
+    """
+
+    proposal: Proposal
+    ego: Track
+    start: float
+    steps: int
+    roster: Mapping[str, tuple[float, float]]
+    lane_half_width: float
+    plan: Boxes | None = None
+
+
+class ReferenceEgo:
+    """An ego controller: the recorded motion until the driver acts, then the driver, on the recorded path."""
+
+    needs_observation = True
+    forkable = True
+    sumo_type: Mapping[str, str] = {}
+
+    def __init__(self, order: Order, driver: type[Braker] | None, history: Sequence[Track]) -> None:
+        """``driver`` None: the poses of ``order.plan``.  ``history``: tracks up to the start."""
+        self.name = "reference" if driver is None else driver.name
+        self._order, self._ego = order, order.ego
+        self._names = [n for n in order.roster if n != order.ego.id]
+        row = Boxes(
+            self._ego.x[None], self._ego.y[None], self._ego.heading[None], self._ego.speed[None],
+            self._ego.length, self._ego.width,
+        )  # fmt: skip
+        self._paths = EgoPaths(row)
+        self._acting, self._acceleration = False, 0.0
+        self._step = 0
+        self._dt = float(np.diff(self._ego.time).min())
+        self._driver = None if driver is None else driver((1, len(self._names)), self._dt)
+        self._states: list[dict[str, VehicleState]] = []
+        self._warm_up(history)
+
+    def reset(self, seed: int) -> None:
+        """Nothing: it is made for one attempt."""
+
+    def act(self, observation: Observation) -> Pose:
+        """Where the ego is after the step."""
+        k, self._step = self._step, self._step + 1
+        now = observation.ego
+        if self._driver is None:
+            plan = self._order.plan
+            assert plan is not None
+            i = min(k + 1, plan.x.shape[-1] - 1)
+            return Pose(*(float(v[i]) for v in (plan.x, plan.y, plan.heading, plan.speed)))
+        self._states.append({s.id: s for s in observation.others})
+        station = float(self._paths.locate(np.array([[now.x]]), np.array([[now.y]]))[0][0, 0])
+        asked = float(self._driver.step(self._view(station, now.speed, self._acceleration))[0])
+        index = int(np.searchsorted(self._ego.time, observation.time - 1e-6))
+        recorded = index + 1 < len(self._ego.time)
+        change = (self._ego.speed[index + 1] - self._ego.speed[index]) / self._dt if recorded else 0.0
+        self._acting = self._acting or np.isfinite(asked)
+        if not self._acting:
+            return self._as_recorded(index, now)
+        braking = min(asked if np.isfinite(asked) else np.inf, change)
+        pace = self._ego.speed[index + 1] if recorded else now.speed
+        after = min(max(now.speed + braking * self._dt, 0.0), max(float(pace), now.speed))
+        moved = (now.speed + after) / 2 * self._dt
+        if after == 0.0 and braking < 0.0:
+            moved = min(moved, now.speed**2 / (-2 * braking))
+        self._acceleration = (after - now.speed) / self._dt
+        x, y, heading = self._paths.poses(np.array([[station + moved]]))
+        return Pose(float(x[0, 0]), float(y[0, 0]), float(heading[0, 0]), after)
+
+    def _as_recorded(self, index: int, now: VehicleState) -> Pose:
+        e, i = self._ego, index + 1
+        if i < len(e.time):
+            self._acceleration = float(e.speed[i] - e.speed[i - 1]) / self._dt
+            return Pose(float(e.x[i]), float(e.y[i]), float(e.heading[i]), float(e.speed[i]))
+        self._acceleration = 0.0
+        x, y = now.x + now.speed * self._dt * np.cos(now.heading), now.y + now.speed * self._dt * np.sin(now.heading)
+        return Pose(float(x), float(y), now.heading, now.speed)
+
+    def _warm_up(self, history: Sequence[Track]) -> None:
+        """Let the driver see what was before the start."""
+        tracks = {t.id: t for t in history}
+        if self._driver is None or self._ego.id not in tracks:
+            return
+        ego = tracks[self._ego.id]
+        others = on_grid([tracks[n] for n in self._names if n in tracks], ego.time) if self._names else None
+        rows = {n: k for k, n in enumerate(n for n in self._names if n in tracks)}
+        for k in range(len(ego.time) - 1):  # the last state is seen when the driver acts
+            seen = {}
+            for name, row in rows.items():
+                if others is not None and np.isfinite(others.x[row, k]):
+                    x, y, heading, speed = (
+                        float(v[row, k]) for v in (others.x, others.y, others.heading, others.speed)
+                    )
+                    length, width = self._order.roster[name]
+                    seen[name] = VehicleState(name, x, y, heading, speed, 0.0, length, width, "")
+            self._states.append(seen)
+            station = float(self._paths.locate(ego.x[None, k : k + 1], ego.y[None, k : k + 1])[0][0, 0])
+            self._driver.step(self._view(station, float(ego.speed[k]), float(ego.acceleration[k])))
+
+    def _view(self, station: float, speed: float, acceleration: float) -> Any:
+        keep = max(2, round(MEMORY / self._dt) + 1)
+        self._states = self._states[-keep:]
+        table: Floats = np.full((4, len(self._names), len(self._states)), np.nan)
+        for k, seen in enumerate(self._states):
+            for row, name in enumerate(self._names):
+                if (s := seen.get(name)) is not None:
+                    table[:, row, k] = s.x, s.y, s.heading, s.speed
+        size = np.array([self._order.roster[n] for n in self._names], dtype=np.float64).reshape(-1, 2)
+        x, y, heading, pace = (v[None] for v in table)
+        boxes = Boxes(x, y, heading, pace, size[None, :, :1], size[None, :, 1:])
+        ego = (self._ego.length, self._ego.width)
+        views = Views(self._paths, boxes, ego, self._dt, self._order.lane_half_width)
+        now = (np.array([v]) for v in (station, speed, acceleration))
+        return views.at(len(self._states) - 1, *now)
+
+
+def order_of(
+    proposal: Proposal, result: AttemptResult, case: Case, contact_time: float, lane_half_width: float,
+    on_road: OnRoad | None,
+    unattacked: Track | None,
+) -> Order:  # fmt: skip
+    """The order for an attempt that collided; ``case``: what was judged of it."""
+    foe = case.adversary.between(result.start + 1e-3, np.inf)
+    course = Course(foe.x, foe.y, foe.heading, foe.speed)
+    given = encounter_of(
+        case.ego, case.adversary, case.others, result.start, contact_time, lane_half_width, unattacked
+    )  # fmt: skip
+    check = Counterfactual(given)
+    dt = given.dt
+    roster = {t.id: (t.length, t.width) for t in (case.adversary, *case.others)}
+    begin = max(float(case.ego.time[0]), float(case.adversary.time[0]))
+    e = check.ego
+    pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / dt
+    ego = Track(
+        case.ego.id, case.ego.role, np.round(begin + check.time, 6), e.x[0], e.y[0], e.heading[0], e.speed[0], pace,
+        case.ego.length, case.ego.width,
+    )  # fmt: skip
+    steps = check.steps - 1 - int(given.start[0])
+    return Order(
+        replace(proposal, course=course), ego, result.start, steps, roster, lane_half_width,
+        _manoeuvre_plan(check, on_road),
+    )  # fmt: skip
+
+
+def _manoeuvre_plan(check: Counterfactual, on_road: OnRoad | None) -> Boxes | None:
+    """The poses of the best manoeuvre from the start on; None if none avoids it kinematically."""
+    alarm = check.roll_out(BRAKERS["cc_human"])[2]
+    _, best = check.manoeuvring(alarm, on_road)
+    if best[0] < 0:
+        return None
+    first, start = round(float(alarm[0]) / check.given.dt), int(check.given.start[0])
+    _, poses = manoeuvre_poses(check.ego, np.array([first]), check.steps - 1 - first, check.given.dt)
+    k = int(best[0])
+    parts = []
+    for name in ("x", "y", "heading", "speed"):
+        before, after = getattr(check.ego, name)[0, start:first], getattr(poses, name)[k, 0]
+        parts.append(np.concatenate([before, after]) if first >= start else after[start - first :])
+    x, y, heading, speed = parts
+    return Boxes(x, y, heading, speed, float(np.ravel(check.ego.length)[0]), float(np.ravel(check.ego.width)[0]))
+
+
+def avoids(order: Order, tracks: Sequence[Track]) -> bool:
+    """Whether an ego with a reference driver touched no vehicle but those that ran into it from behind."""
+    named = {t.id: t for t in tracks}
+    if order.ego.id not in named or order.proposal.bv not in named:
+        return True  # one of the two left the network before they met
+    ego, foe = named[order.ego.id], named[order.proposal.bv]
+    others = [t for n, t in named.items() if n in order.roster and n not in (ego.id, foe.id)]
+    begin = max(float(ego.time[0]), float(foe.time[0]))
+    mine = ego.between(begin, np.inf)
+    dt = float(np.diff(mine.time).min())
+    start = int(np.searchsorted(mine.time, order.start - 5e-4))
+    grid = on_grid(others, np.round(begin + np.arange(len(mine.time)) * dt, 6)) if others else None
+    given = Encounters(
+        _row(mine), _row(foe.between(begin, np.inf)), np.array([start]), np.array([len(mine.time) - 1]), dt, grid,
+        order.lane_half_width,
+    )  # fmt: skip
+    return bool(Counterfactual(given, beyond=0.0).unchanged().avoids[0])
+
+
+def _row(track: Track) -> Boxes:
+    return Boxes(
+        track.x[None], track.y[None], track.heading[None], track.speed[None], track.length, track.width
+    )  # fmt: skip
+
+
+def simulated(kinematic: Preventability, found: Mapping[str, bool]) -> Preventability:
+    """The kinematic answers, replaced by those of the simulation where there are any."""
+    answers = {
+        name: answer if name not in found or answer == NOT_APPLICABLE else (AVOIDS if found[name] else COLLIDES)
+        for name, answer in kinematic.answers.items()
+    }
+    return replace(kinematic, answers=answers, simulated=True)
