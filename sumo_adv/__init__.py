@@ -8,15 +8,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sumo_adv.api import Result, load, run
+    from sumo_adv.api import Result, judge, load, run
 
 __version__ = "0.1.0"
-__all__ = ["Result", "__version__", "load", "run"]
+__all__ = ["Result", "__version__", "judge", "load", "run"]
 
 
 def __getattr__(name: str) -> Any:
     """The names of ``api.py``, imported when they are first asked for."""
-    if name not in ("Result", "load", "run"):
+    if name not in ("Result", "judge", "load", "run"):
         raise AttributeError(f"module 'sumo_adv' has no attribute '{name}'")
     from sumo_adv import api
 

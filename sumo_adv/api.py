@@ -20,6 +20,7 @@ from sumo_adv.errors import UsageError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from sumo_adv.datatypes import Verdict
     from sumo_adv.report.export.choices import Format, Variant
 
 HEIGHT = 720  # pixels of a page inside a notebook
@@ -156,6 +157,56 @@ def load(folder: str | Path) -> Result:
     result = Result(Path(folder))
     _ = result.outcome
     return result
+
+
+def judge(
+    ego: str | Mapping[str, Any],
+    adversary: str | Mapping[str, Any],
+    others: Any = (),
+    *,
+    trigger_time: float | None = None,
+    ttc: float = 1.0,
+    lane_width: float = 3.2,
+    on_road: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]] | None = None,
+) -> Verdict:
+    """The verdict (version 2, kinematic) on tracks of your own.
+
+    ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
+    heading [rad], speed [m/s], optional length, width [m] and lane; or ids, and then ``others`` is one table with the
+    column ``id`` that holds all vehicles. others: further vehicles, a table each. All on one regular grid; let the
+    adversary's track go on past the contact by what it planned to do, or the verdict is inconclusive (``no_plan``).
+    trigger_time: from when on the adversary attacks [s]; the third state by default.
+    on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
+
+    Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
+    """
+    from sumo_adv.datatypes import Role
+    from sumo_adv.metrics.levels import with_level
+    from sumo_adv.metrics.user_tracks import split, track_of
+    from sumo_adv.metrics.validity import judge as gates
+
+    if isinstance(ego, str) or isinstance(adversary, str):
+        if not (isinstance(ego, str) and isinstance(adversary, str)) or not hasattr(others, "__getitem__"):
+            raise UsageError("Give ego and adversary both as ids, with one table of all vehicles, or both as tables.")
+        table = split(others)
+        missing = [name for name in (ego, adversary) if name not in table]
+        if missing:
+            raise UsageError(f"The table has no vehicle {missing[0]!r}; it has {', '.join(list(table)[:10])}.")
+        given = {name: columns for name, columns in table.items() if name not in (ego, adversary)}
+        mine, foe = table[ego], table[adversary]
+    else:
+        mine, foe = dict(ego.items()), dict(adversary.items())
+        given = {f"other {k}": dict(one.items()) for k, one in enumerate(others)}
+    first, second = track_of("ego", mine, Role.EGO), track_of("adversary", foe, Role.ADVERSARY)
+    third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
+    start = float(first.time[2]) if trigger_time is None else trigger_time
+    half = lane_width / 2
+    verdict = gates(
+        first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half
+    )  # fmt: skip
+    return with_level(
+        verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half
+    )  # fmt: skip
 
 
 def _table(file: Path) -> Table:

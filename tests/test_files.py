@@ -1,4 +1,4 @@
-"""What is written is whole, and odd values cost themselves alone."""
+"""Files are written whole, and odd values cost themselves alone."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ SuiteOption = Annotated[
 Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
-Until = Annotated[str, typer.Option(help="Success: ttc, collision or valid.")]
+Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
 Out = Annotated[Path | None, typer.Option(help="Folder (default: runs/bench-<suite>); the same one goes on.")]
 Memory = Annotated[Path | None, typer.Option(help="Library of all rows (default: the shipped bank); only read.")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
@@ -85,8 +85,9 @@ def line(what: str, value: Any) -> str:
 def _attempt(a: Attempt) -> str:
     v, p = a.verdict, a.proposal
     what = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
-    if v.collided and v.avoidable:
-        what += f" ({'avoidable by ' if v.avoidable != 'unavoidable' else ''}{v.avoidable.replace('_', ' ')})"
+    if v.collided and v.preventability is not None:
+        who = _preventable(v.preventability.by, v.preventability.inconclusive)
+        what += f" ({v.level}, delta-v {v.delta_v:.1f} m/s, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
     rear = ", rear-end" if v.rear_end else ""
     return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}, {what}{rear}{gates}"
@@ -97,11 +98,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     lines = [f"Ending: {result['ending']}. {result['reason']}"]
     raw, best = result["raw"], result["outcome"]
     if best is not None and raw is not None:
-        before = "collision" if raw["collided"] else _seconds(raw["min_ttc"])
-        after = "collision" if best["collided"] else _seconds(best["min_ttc"])
-        verdict = {True: "valid", False: f"not valid: {_why(best)}", None: "no collision"}[best["valid"]]
         intent = result["intent"]
-        lines.append(f"{intent['label']} by {intent['bv']}: min TTC {before} unattacked, {after} attacked ({verdict}).")
+        lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
@@ -109,12 +107,41 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     return "\n".join(lines)
 
 
-def _why(verdict: Mapping[str, Any]) -> str:
-    """What keeps a collision from being valid."""
+def _before(raw: Mapping[str, Any]) -> str:
+    """The unattacked run in words."""
+    if raw["collided"]:
+        return "collision"
+    return "no conflict" if raw["min_ttc"] is None else f"min TTC {raw['min_ttc']:.2f} s"
+
+
+def _after(best: Mapping[str, Any]) -> str:
+    """The attempt that counts in words."""
+    if not best["collided"]:
+        near = "no conflict" if best["min_ttc"] is None else f"min TTC {best['min_ttc']:.2f} s"
+        return f"{near}{_flaws(best)}"
+    words = f"collision at {best['contact_time']:.1f} s"
+    if best["failed_gates"] or best["rear_end"] or best["preventable_by"] is None:
+        return f"{words}, not counted{_flaws(best)}"
+    parts = [words, str(best["level"]), f"delta-v {best['delta_v']:.1f} m/s"]
+    parts += ["the ego stood"] if best["ego_stationary"] else []
+    parts += ["the ego stood in a junction"] if best["ego_blocking"] else []
+    return ", ".join([*parts, _preventable(best["preventable_by"], best["inconclusive"])])
+
+
+def _preventable(by: Sequence[str], inconclusive: str | None) -> str:
+    """The drivers that avoid it, in words."""
+    why = {
+        "no_hazard": "inconclusive: no danger showed before the contact",
+        "unchanged_ego_misses": "inconclusive: the unchanged ego misses in the check",
+        "no_plan": "inconclusive: what the adversary planned after the contact is not known",
+    }
+    if inconclusive:
+        return why[inconclusive]
+    return f"preventable by {', '.join(by)}" if by else "no reference driver avoids it"
+
+
+def _flaws(verdict: Mapping[str, Any]) -> str:
+    """What keeps an attempt from counting."""
     reasons = [g.replace("_", " ") for g in verdict["failed_gates"]]
     reasons += ["rear-end"] if verdict["rear_end"] else []
-    return ", ".join(reasons) or str(verdict["avoidable"]).replace("_", " ")
-
-
-def _seconds(value: float | None) -> str:
-    return "never" if value is None else f"{value:.2f} s"
+    return f" ({', '.join(reasons)})" if reasons else ""

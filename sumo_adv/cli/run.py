@@ -39,7 +39,9 @@ def run(
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
     begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
     end: Annotated[float | None, typer.Option(help="Look for an encounter until this time, s.")] = None,
-    until: Annotated[Until | None, typer.Option(help="What an attempt must come to (default: ttc).")] = None,
+    until: Annotated[
+        Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
+    ] = None,
     attempts: Annotated[int | None, typer.Option(help="At most so many attempts (default: 25).")] = None,
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,

@@ -63,7 +63,9 @@ def serve(
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
     begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
     end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
-    until: Annotated[Until | None, typer.Option(help="What an attempt must come to (default: ttc).")] = None,
+    until: Annotated[
+        Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
+    ] = None,
     attempts: Annotated[int | None, typer.Option(help="In episodes mode: at most so many each (default: 25).")] = None,
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
     llm: Annotated[str | None, typer.Option(help="A language model, as in run.")] = None,

@@ -21,13 +21,14 @@ from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
-from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_states
+from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_states
 from sumo_adv.report.verdicts import figures, judge_best
 from sumo_adv.world.recording import tracks_of
 from sumo_adv.world.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts
+PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact
 
 
 class RunFolder:
@@ -93,6 +94,8 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
     if episode.found is not None and episode.prefix is not None:
         _tables(stage, episode)
+        if episode.best is not None:
+            _plan(stage / PLAN, episode)
         if judged is not None:
             write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
         if episode.best is not None and figure:
@@ -144,6 +147,13 @@ def _first(target: Path, episode: Episode, sizes: Mapping[str, tuple[float, floa
     if after:
         snapshots = [*episode.prefix.snapshots[-2:], *after]
         write_states(target, snapshots, sizes, episode.task.roles(*names), episode.settings.step_length, names)
+
+
+def _plan(target: Path, episode: Episode) -> None:
+    """What the adversary was to do after the contact, as the verdict takes it."""
+    beyond = episode.refinement.results[episode.refinement.best or 0].driven.beyond
+    if beyond is not None:
+        write_plan(target, beyond)
 
 
 def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:

@@ -19,6 +19,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.world.playback_spec import PlaybackSpec
 
 SCHEMA = 1
+VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)
 MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
 
@@ -36,7 +37,8 @@ def outcome(
     best, settings, found = episode.best, episode.settings, episode.found
     sentence = ENDING_SENTENCES[episode.ending]
     return {
-        "schema": SCHEMA, "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
+        "schema": SCHEMA, "verdict_version": VERDICT_VERSION,
+        "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
         "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
         "adversaries": [{"id": best.proposal.bv}] if best else [],
@@ -98,6 +100,20 @@ def verdict(v: Verdict) -> dict[str, Any]:
         "critical": v.critical, "feasible": v.feasible, "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict,
         "avoidable": v.avoidable, "fault": v.fault, "failed_gates": list(v.failed_gates),
         "contact_time": number(v.contact_time), "hazard_time": number(v.hazard_time),
+        **level_figures(v),
+    }  # fmt: skip
+
+
+def level_figures(v: Verdict) -> dict[str, Any]:
+    """What version 2 of the verdict adds to a verdict's keys."""
+    p = v.preventability
+    return {
+        "level": str(v.level), "preventable_by": None if p is None else list(p.by),
+        "references": None if p is None else dict(p.answers), "alarms": None if p is None else dict(p.alarms),
+        "inconclusive": None if p is None else p.inconclusive, "simulated": None if p is None else p.simulated,
+        "ego_stationary": v.ego_stationary, "ego_blocking": v.ego_blocking, "humanlike": v.humanlike,
+        "beyond_human": list(v.beyond_human), "delta_v": number(v.delta_v),
+        "adversary_delta_v": number(v.adversary_delta_v), "severity": v.severity, "injury_risk": number(v.injury_risk),
     }  # fmt: skip
 
 
@@ -122,6 +138,9 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
         "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
+        "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
+        "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
+        "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v),
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
 

@@ -52,6 +52,16 @@ def write_states(
     write_gzip(target, HEADER + "".join(r[2] for r in rows))
 
 
+PLAN_HEADER = "time,x,y,heading,speed,acceleration\n"
+
+
+def write_plan(target: Path, beyond: Track) -> None:
+    """``plan.csv.gz``: the adversary's planned motion after the contact, a row a step; box centres, s, m, rad, m/s."""
+    columns = (beyond.time, beyond.x, beyond.y, beyond.heading, beyond.speed, beyond.acceleration)
+    rows = (",".join(f"{v:.6f}" for v in row) + "\n" for row in zip(*(c.tolist() for c in columns), strict=True))
+    write_gzip(target, PLAN_HEADER + "".join(rows))
+
+
 def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str]:
     """Rows of ``criticality.csv.gz``: the ego against others, by time, then by first appearance.
 

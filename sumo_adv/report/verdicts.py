@@ -9,14 +9,14 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Attempt, Floats, Role, Track
+from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import AttemptResult, Found, Prefix
 from sumo_adv.metrics.case import Case, make_case
@@ -43,6 +43,10 @@ SHARES = (
 FULL_KEYS = (
     "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
     "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",
+)  # fmt: skip
+LEVEL_FIELDS = (
+    "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
+    "delta_v", "adversary_delta_v", "severity", "injury_risk",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
@@ -71,6 +75,7 @@ def judge_best(episode: Episode) -> Judged | None:
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, best.proposal.bv)
     full = _full(episode, case, found, result)
+    full = replace(full, verdict=_leveled(full.verdict, best.verdict))
     contact = full.verdict.contact_time
     end = float(min(case.ego.time[-1], recorded[best.proposal.bv].time[-1])) if contact is None else contact
     moved = recorded[best.proposal.bv].between(result.start + episode.settings.step_length / 2, end)
@@ -78,6 +83,11 @@ def judge_best(episode: Episode) -> Judged | None:
     return Judged(
         full, markings_crossed(moved, strips, found.drivable), _realism(episode, moved, found, prefix), rows
     )  # fmt: skip
+
+
+def _leveled(gates: Verdict, engine: Verdict) -> Verdict:
+    """The verdict made here, with the levels that the engine found (its reference drivers drove in the simulation)."""
+    return replace(gates, **{name: getattr(engine, name) for name in LEVEL_FIELDS})
 
 
 def _tracks(episode: Episode, best: Attempt, found: Found, prefix: Prefix, result: AttemptResult) -> list[Track]:

@@ -37,7 +37,12 @@ function headline(outcome) {
     badges.push([v.critical ? "critical" : "not critical", ""]);
     if (v.valid !== null) badges.push([v.valid ? "✓ valid" : "✗ not valid", v.valid ? "good" : "bad"]);
     badges.push([v.feasible ? "✓ feasible" : "✗ not feasible", v.feasible ? "good" : "bad"]);
-    if (v.avoidable) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
+    if (v.level && v.level !== "none") badges.push([`level: ${v.level}`, ["valid", "strict", "serious"].includes(v.level) ? "good" : ""]);
+    if (v.severity) badges.push([`${v.severity}, delta-v ${number(v.delta_v, 1, "m/s")}`, ""]);
+    if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", ""]);
+    if (v.inconclusive) badges.push([`inconclusive: ${answer(v.inconclusive)}`, "bad"]);
+    if (v.ego_stationary) badges.push(["the ego stood", "bad"]);
+    if (v.avoidable && !v.level) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
     if (v.rear_end) badges.push(["rear-end", "bad"]);
   } else badges.push([answer(outcome.ending), "bad"]);
   byId("badges").replaceChildren(...badges.map(([words, kind]) => el("li", { class: kind || null }, words)));
@@ -57,7 +62,8 @@ function verdictPanel(outcome) {
     el("span", { class: failed.has(g) ? "bad" : "good" }, failed.has(g) ? "✗ fails" : "✓ holds"), GATE_WORDS[g] || answer(g)] }));
   const impact = v.impact, times = [["trigger", outcome.trigger_time], ["hazard", v.hazard_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
   return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
-    ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["avoidable", v.avoidable ? answer(v.avoidable) : null],
+    ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", v.level ? answer(v.level) : null],
+    ["human", v.level ? answer(v.humanlike) : null], ["avoidable", v.avoidable ? answer(v.avoidable) : null],
     ["rear-end", answer(v.rear_end)], ["fault", v.fault ? answer(v.fault) : null], ["kind", v.kind ? answer(v.kind) : null],
     ["class", v.collision_class ? answer(v.collision_class) : null],
     ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego, delta-v ${number(impact.delta_v, 2, "m/s")}` : null],

@@ -1,0 +1,169 @@
+"""``judge``: stored runs judged again with verdict version 2, and standard cut-ins."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.errors import SumoAdvError, UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.report.judging import Judgement
+
+EXAMPLE = "Example: sumo-adv judge runs/priority_crossing-3"
+
+
+def judge(
+    folders: Annotated[
+        list[Path] | None, typer.Argument(metavar="[DIR]...", help="Folders of runs, or that hold such.")
+    ] = None,
+    cut_ins: Annotated[
+        Path | None,
+        typer.Option(
+            "--cut-ins", metavar="FILE", help="CSV of ego_kmh, other_kmh, gap_m, lateral_ms to judge instead."
+        ),
+    ] = None,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="Simulate runs of version 2 again, too (those of version 1 always are).")
+    ] = False,
+    ego: Annotated[
+        str | None, typer.Option(help="Needed to replay runs that a class drives: the class again, module:Class.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV to write (cut-ins: default on stdout).")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Runs replayed at once (default: one a core).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Say what collisions mean: the level of each run, the drivers that avoid it, and how severe it is."""
+    if cut_ins is not None:
+        if folders:
+            raise UsageError("Give either folders of runs or --cut-ins FILE, not both.")
+        _cut_ins(cut_ins, out, as_json=as_json)
+        return
+    if not folders:
+        raise UsageError("Give folders of runs, or --cut-ins FILE.")
+    _runs(folders, replay, ego, out, workers or os.cpu_count() or 1, as_json=as_json)
+
+
+def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, workers: int, *, as_json: bool) -> None:
+    from sumo_adv.report.judging import counts, run_folders
+
+    found: list[Judgement] = []
+    failed: list[str] = []
+    with ThreadPoolExecutor(workers) as pool:
+        todo = [(folder, pool.submit(_judged, folder, replay, ego)) for folder in run_folders(folders)]
+        for folder, future in todo:
+            try:
+                found.append(future.result())
+            except SumoAdvError as error:
+                failed.append(f"{folder}: {error}")
+    rows = [j.row() for j in found]
+    if out is not None:
+        _write(out, rows)
+    if as_json:
+        typer.echo(json.dumps({"runs": rows, "counts": counts(found), "failed": failed}))
+    else:
+        for row in rows if len(rows) <= 30 or out is None else ():
+            typer.echo(_line(row))
+        for name, row in counts(found).items():
+            typer.echo(f"{name}: " + ", ".join(f"{key} {value}" for key, value in row.items()))
+    for sentence in failed:
+        typer.echo(f"sumo-adv: {sentence}", err=True)
+    if failed:
+        raise typer.Exit(1)
+
+
+def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
+    from sumo_adv.report.judging import is_version_2, judge_files
+
+    return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
+
+
+def _replayed(folder: Path, ego: str | None) -> Judgement:
+    """A run simulated again, and its reference drivers with it."""
+    from sumo_adv.cli.once import new_engine
+    from sumo_adv.episode.loop import replay_episode
+    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.report.judging import Judgement
+    from sumo_adv.report.manifest import read_manifest
+    from sumo_adv.report.outcome import verdict
+    from sumo_adv.report.page.read import read_run
+    from sumo_adv.world.inputs import trusted_driver
+
+    before = read_run(folder).outcome.get("outcome") or {}
+    recorded = read_manifest(folder)
+    driver = recorded.task.ego_driver
+    if trusted_driver(ego, driver, str(folder)) != driver and ":" in driver:
+        raise UsageError(f"The run in {folder} was driven by {driver!r}, not by {ego!r}.")
+    with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, new_engine() as engine:
+        episode = replay_episode(
+            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
+        )
+    if episode.best is None:
+        raise SumoAdvError(f"The encounter did not come back ({episode.reason})")
+    return Judgement(folder, driver, before, verdict(episode.best.verdict), "replay")
+
+
+def _line(row: dict[str, Any]) -> str:
+    words = [f"{row['run']}: {row['level']}"]
+    if row["collided"]:
+        by = ", ".join(row["preventable_by"] or ()) or "nobody"
+        words.append(f"delta-v {row['delta_v'] or 0.0:.1f} m/s ({row['severity']}), avoided by {by}")
+    words += [f"inconclusive ({row['inconclusive']})"] if row["inconclusive"] else []
+    words += ["the ego stood"] if row["ego_stationary"] else []
+    return ", ".join(words)
+
+
+def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
+    import numpy as np
+
+    from sumo_adv.metrics.cut_ins import ANSWERS, COLUMNS, judge_cut_ins
+
+    try:
+        with file.open(newline="", encoding="utf-8") as text:
+            table = list(csv.DictReader(text))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"The cut-ins in {file} cannot be read ({error}).") from error
+    if not table or any(name not in table[0] for name in COLUMNS):
+        raise UsageError(f"{file} needs rows with the columns {', '.join(COLUMNS)}.")
+    try:
+        cases = np.array([[float(row[name]) for name in COLUMNS] for row in table])
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{file} holds something that is no number ({error}).") from error
+    rows = [{**given, **answer} for given, answer in zip(table, judge_cut_ins(cases), strict=True)]
+    if out is not None:
+        _write(out, rows)
+    if as_json:
+        typer.echo(json.dumps({"cut_ins": len(rows), "prevented": _prevented(rows, ANSWERS)}))
+    elif out is None:
+        head = list(rows[0])
+        typer.echo(",".join(head))
+        for row in rows:
+            typer.echo(",".join(str(row[name]) for name in head))
+    else:
+        typer.echo(f"{len(rows)} cut-ins into {out}: {_prevented(rows, ANSWERS)}")
+
+
+def _prevented(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, int]:
+    """Of the unchanged ego's collisions how many each driver avoids."""
+    hit = [row for row in rows if row["unchanged"] != "none"]
+    return {"collisions": len(hit)} | {n: sum(row[n] == "none" for row in hit) for n in names if n != "unchanged"}
+
+
+def _write(out: Path, rows: list[dict[str, Any]]) -> None:
+    from sumo_adv.files import sentences, write_whole
+
+    def fill(part: Path) -> None:
+        with part.open("w", newline="", encoding="utf-8") as text:
+            writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
+            writer.writeheader()
+            for row in rows:
+                writer.writerow({k: " ".join(v) if isinstance(v, list) else v for k, v in row.items()})
+
+    with sentences(out):
+        write_whole(out, fill)

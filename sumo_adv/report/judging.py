@@ -1,0 +1,159 @@
+"""Stored runs judged again with verdict version 2, from their files.
+
+A run of version 2 stores what the adversary planned after the contact; its files are enough for the kinematic
+counterfactual.  A run of version 1 does not: ``sumo-adv judge`` replays it (``cli/judge.py``).
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Level, Role, Track, Verdict
+from sumo_adv.errors import UsageError
+from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.levels import with_level
+from sumo_adv.report.folder import PLAN
+from sumo_adv.report.outcome import level_figures
+from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
+from sumo_adv.report.tables import PLAN_HEADER
+from sumo_adv.world.network import read_network
+
+ROAD_MARGIN = 150.0  # m around the ego's way within which the road is read
+HISTORY = 1.1  # s before the trigger
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One run judged again.  ``before``: what its files said, ``now``: verdict version 2."""
+
+    folder: Path
+    ego: str
+    before: Mapping[str, Any]
+    now: Mapping[str, Any]
+    how: str  # files | replay
+
+    def row(self) -> dict[str, Any]:
+        """For tables."""
+        kept = (
+            "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v",
+            "severity", "simulated",
+        )  # fmt: skip
+        return {
+            "run": str(self.folder), "ego": self.ego, "how": self.how, "collided": self.now.get("collided"),
+            "valid_before": self.before.get("valid"), "strict_before": self.before.get("strict"),
+            **{name: self.now.get(name) for name in kept},
+        }  # fmt: skip
+
+
+def run_folders(given: Sequence[Path]) -> list[Path]:
+    """The folders of runs among and below the given ones, sorted. Raises UsageError: there are none."""
+    found: list[Path] = []
+    for folder in given:
+        if not folder.is_dir():
+            raise UsageError(f"{folder} is no folder: give the folder of a run, or a folder that holds runs.")
+        inside = [folder] if (folder / OUTCOME).is_file() else sorted(p.parent for p in folder.rglob(OUTCOME))
+        if not inside:
+            raise UsageError(f"{folder} holds no run: there is no {OUTCOME} in it or below.")
+        found += inside
+    return found
+
+
+def is_version_2(folder: Path) -> bool:
+    """Whether a run's files hold all that the kinematic verdict of version 2 needs."""
+    try:
+        outcome = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise damaged(folder / OUTCOME, error) from error
+    return isinstance(outcome, dict) and outcome.get("verdict_version") == 2
+
+
+def judge_files(folder: Path) -> Judgement:
+    """A run of version 2 judged from its files, kinematically. Raises UsageError: a file is damaged or missing."""
+    run = read_run(folder)
+    before = run.outcome.get("outcome") or {}
+    ego = str((run.outcome.get("ego") or {}).get("controller"))
+    case, start = _case(run)
+    contact = before.get("contact_time")
+    if case is None or contact is None:
+        return Judgement(folder, ego, before, before, "files")
+    lane_half, drivable = _road(run, case, start)
+    gate = Verdict(
+        0.0, 0.0, True, True, bool(before.get("feasible")), bool(before.get("rear_end")), None, None,
+        before.get("avoidable"), tuple(before.get("failed_gates") or ()), contact_time=float(contact),
+    )  # fmt: skip
+    verdict = with_level(
+        gate, case.ego, case.adversary, case.others, trigger_time=start, on_road=drivable, lane_half_width=lane_half,
+        unattacked=next((t.between(start, np.inf) for t in run.raw if t.id == case.ego.id), None),
+    )  # fmt: skip
+    now = {**before, **level_figures(verdict), "valid": verdict.valid, "strict": verdict.strict}
+    return Judgement(folder, ego, before, now, "files")
+
+
+def _case(run: RunRead) -> tuple[Case | None, float]:
+    adversaries, start = run.outcome.get("adversaries") or [], run.outcome.get("trigger_time")
+    ego = (run.outcome.get("ego") or {}).get("id")
+    if not adversaries or start is None or ego is None or not run.best:
+        return None, 0.0
+    tracks = [t.between(float(start) - HISTORY, np.inf) for t in run.best]
+    kept = [t for t in tracks if len(t.time)]
+    beyond = read_plan(run.folder / PLAN, str(adversaries[0]["id"]), kept)
+    return make_case(kept, str(ego), str(adversaries[0]["id"]), float(start), beyond), float(start)
+
+
+def read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:
+    """The adversary's planned motion after the contact; None where there is no such file. Raises UsageError."""
+    if not file.is_file():
+        return None
+    try:
+        header, *rows = csv.reader(io.StringIO(gzip.decompress(file.read_bytes()).decode(), newline=""))
+        if ",".join(header) != PLAN_HEADER.strip():
+            raise ValueError("its columns are others")
+        time, x, y, heading, speed, acceleration = np.array(rows, dtype=np.float64).reshape(-1, 6).T
+    except (OSError, EOFError, ValueError, csv.Error) as error:
+        raise damaged(file, error) from error
+    size = next(((t.length, t.width) for t in tracks if t.id == adversary), (4.8, 1.8))
+    return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size)
+
+
+def _road(run: RunRead, case: Case, start: float) -> tuple[float, Any]:
+    """Half the width of the ego's lane at the start [m], and the drivable area around its way."""
+    file = run.folder / "inputs" / Path(str(run.manifest.get("network", ""))).name
+    if not file.is_file():
+        raise UsageError(f"{file} is missing, so the run in {run.folder} cannot be judged again.")
+    road = read_network(file)
+    k = int(np.argmin(np.abs(case.ego.time - start)))
+    lane = road.lanes.get(case.ego.lane[k]) if case.ego.lane else None
+    x, y = float(case.ego.x.mean()), float(case.ego.y.mean())
+    radius = float(np.hypot(case.ego.x - x, case.ego.y - y).max()) + ROAD_MARGIN
+    return (lane.width if lane is not None else 3.2) / 2, road.drivable(x, y, radius)
+
+
+def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
+    """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
+    found: dict[str, dict[str, int]] = {}
+    for j in judgements:
+        row = found.setdefault(j.ego, dict.fromkeys(("runs", *COUNTED), 0))
+        row["runs"] += 1
+        level = Level[str(j.now.get("level", "none")).upper()]
+        for name in ("critical", "collision", "valid", "strict", "serious"):
+            row[name] += level >= Level[name.upper()]
+        row["valid before"] += j.before.get("valid") is True
+        row["strict before"] += j.before.get("strict") is True
+        row["inconclusive"] += bool(j.now.get("inconclusive"))
+        row["stationary"] += bool(j.now.get("ego_stationary"))
+    return found
+
+
+COUNTED = (
+    "valid before", "strict before", "critical", "collision", "valid", "strict", "serious", "inconclusive",
+    "stationary",
+)  # fmt: skip

@@ -1,0 +1,171 @@
+"""``judge``: stored runs, a user's tracks, standard cut-ins, and what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import Program, Runs
+from metrics_tracks import TIME, cruise, drift
+from run_samples import run_folder
+
+import sumo_adv
+from sumo_adv.datatypes import Level, Track
+from sumo_adv.errors import UsageError
+from sumo_adv.metrics.fault import fault, nuplan_fault
+from sumo_adv.report.judging import judge_files
+
+HEAD = "ego_kmh,other_kmh,gap_m,lateral_ms\n"
+
+
+def columns(track: Track) -> dict[str, object]:
+    names = ("time", "x", "y", "heading", "speed")
+    return {n: getattr(track, n).tolist() for n in names} | {
+        "length": [5.0] * len(track.time),
+        "width": [2.0] * len(TIME),
+    }
+
+
+# ---- stored runs
+
+
+def test_a_run_says_its_level_and_stores_the_plan(runs: Runs) -> None:
+    outcome = runs["first"].outcome
+    best = outcome["outcome"]
+    assert outcome["verdict_version"] == 2
+    assert best["level"] in ("collision", "valid", "strict", "serious") and best["simulated"] is True
+    assert best["valid"] is (Level[best["level"].upper()] >= Level.VALID)
+    assert set(best["references"]) == {"cc_human", "manoeuvre", "reg157", "rss", "fsm"}
+    assert (runs["first"].folder / "plan.csv.gz").is_file()
+
+
+def test_a_run_of_version_2_is_judged_from_its_files_alone() -> None:
+    folder = run_folder("crossing")
+    said = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))["outcome"]
+    now = judge_files(folder).now
+    assert now["delta_v"] == pytest.approx(said["delta_v"], abs=0.01)
+    assert (now["ego_stationary"], now["humanlike"], now["severity"]) == (
+        said["ego_stationary"], said["humanlike"], said["severity"],
+    )  # fmt: skip
+    same = [name for name in said["references"] if now["references"][name] == said["references"][name]]
+    assert len(same) >= 4  # in the simulation other traffic reacts
+
+
+def test_the_command_prints_a_line_a_run_and_counts(program: Program, runs: Runs) -> None:
+    done = program("judge", runs["first"].folder)
+    assert done.status == 0 and done.err == ""
+    first, count = done.out.splitlines()
+    assert str(runs["first"].folder) in first and "delta-v" in first
+    assert count.startswith("idm: runs 1, valid before ")
+
+
+def test_a_run_of_version_1_is_replayed(program: Program, runs: Runs, tmp_path: Path) -> None:
+    """The files of a run as the last version wrote them: no plan, no level."""
+    old = tmp_path / "old"
+    shutil.copytree(runs["first"].folder, old)
+    outcome = json.loads((old / "outcome.json").read_text(encoding="utf-8"))
+    del outcome["verdict_version"]
+    (old / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+    (old / "plan.csv.gz").unlink()
+    done = program("judge", old, "--json")
+    assert done.status == 0, done.err
+    (row,) = json.loads(done.out)["runs"]
+    assert (row["how"], row["level"], row["simulated"]) == ("replay", runs["first"].outcome["outcome"]["level"], True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "Give folders of runs, or --cut-ins FILE"),
+        (("nowhere",), "is no folder"),
+        (("--cut-ins", "nowhere.csv"), "cannot be read"),
+        (("home", "--cut-ins", "nowhere.csv"), "not both"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(program: Program, arguments: tuple[str, ...], says: str) -> None:
+    done = program("judge", *arguments)
+    assert done.status == 2 and says in done.err and len(done.err.splitlines()) == 1
+
+
+# ---- cut-ins
+
+
+def test_cut_ins_come_back_with_the_answers(program: Program) -> None:
+    (program.folder / "cases.csv").write_text(HEAD + "50,50,10,1.0\n60,5,20,1.8\n50,30,55,1\n", encoding="utf-8")
+    done = program("judge", "--cut-ins", "cases.csv", "--out", "answers.csv")
+    assert done.status == 0, done.err
+    with (program.folder / "answers.csv").open(newline="", encoding="utf-8") as text:
+        rows = list(csv.DictReader(text))
+    assert [row["unchanged"] for row in rows] == ["none", "front_to_rear", "front_to_rear"]
+    assert [row["cc_human"] for row in rows] == ["none", "front_to_rear", "none"]
+    assert "3 cut-ins into answers.csv" in done.out
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("a,b\n1,2\n", "needs rows with the columns"), (HEAD + "50,fast,1,1\n", "no number"),
+     (HEAD + "50,40,-3,1\n", "a gap and a lateral speed above 0")],
+)  # fmt: skip
+def test_bad_cut_ins_are_refused(program: Program, text: str, says: str) -> None:
+    (program.folder / "cases.csv").write_text(text, encoding="utf-8")
+    done = program("judge", "--cut-ins", "cases.csv")
+    assert done.status == 2 and says in done.err
+
+
+# ---- a user's tracks
+
+
+def test_tracks_of_ones_own_are_judged() -> None:
+    ego, foe = cruise("ego", 0, 0, 15), drift("adversary", 50, 3.2, 9, 2.0, 5.0, 0.0)
+    verdict = sumo_adv.judge(columns(ego), columns(foe), trigger_time=1.0)
+    assert verdict.contact_time == pytest.approx(7.5) and verdict.level is Level.SERIOUS
+    both = {name: [*columns(ego)[name], *columns(foe)[name]] for name in ("time", "x", "y", "heading", "speed")}  # type: ignore[misc]
+    both |= {
+        "id": ["a"] * len(TIME) + ["b"] * len(TIME),
+        "length": [5.0] * 2 * len(TIME),
+        "width": [2.0] * 2 * len(TIME),
+    }
+    assert sumo_adv.judge("a", "b", both, trigger_time=1.0) == verdict
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [({"x": None}, "no column 'x'"), ({"y": [np.nan] * len(TIME)}, "not finite"), ({"time": [0, 1, 3]}, "one length"),
+     ({"time": (TIME**1.1).tolist()}, "even steps")],
+)  # fmt: skip
+def test_bad_tracks_are_refused(change: dict[str, object], says: str) -> None:
+    given = columns(cruise("ego", 0, 0, 15)) | change
+    given = {name: value for name, value in given.items() if value is not None}
+    with pytest.raises(UsageError, match=says):
+        sumo_adv.judge(given, columns(cruise("adversary", 50, 0, 9)))
+
+
+def test_an_id_that_is_not_in_the_table_is_named() -> None:
+    table = columns(cruise("ego", 0, 0, 15)) | {"id": ["a"] * len(TIME)}
+    with pytest.raises(UsageError, match="no vehicle 'b'"):
+        sumo_adv.judge("a", "b", table)
+
+
+# ---- levels and fault
+
+
+def test_strict_is_refused_against_the_driver_that_it_is_judged_by(program: Program) -> None:
+    done = program("run", "motorway_cut_in_left", "--ego", "careful", "--until", "strict")
+    assert done.status == 2 and "--until strict cannot be reached against the ego 'careful'" in done.err
+
+
+def test_head_on_the_one_that_left_its_side_is_at_fault() -> None:
+    """Both meet head-on in one lane; once the adversary came over, once the ego. nuPlan blames the ego each time."""
+    over = drift("adversary", 100, 3.2, -10, 2.0, 3.0, 0.0)
+    foe = Track(
+        "adversary", over.role, TIME, over.x, over.y, np.full(len(TIME), np.pi), np.full(len(TIME), 10.0),
+        np.zeros(len(TIME)), 5.0, 2.0,
+    )  # fmt: skip
+    assert fault(cruise("ego", 0, 0, 10), foe, 4.75) == "adversary"
+    assert nuplan_fault(cruise("ego", 0, 0, 10), foe, 4.75) == "ego"
+    ego = drift("ego", 0, 0, 10, 2.0, 3.0, 3.2)
+    assert fault(ego, cruise("adversary", 100, 3.2, 10, np.pi), 4.75) == "ego"
