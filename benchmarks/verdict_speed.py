@@ -1,8 +1,9 @@
 """How long the verdicts take.  ``python benchmarks/verdict_speed.py``; best of several runs, one core.
 
 Bounds (issue 3): TTC of the ego against 100 vehicles x 91 steps < 10 ms, a gate verdict on 120 steps with 10 others
-< 5 ms, a full verdict < 150 ms; scoring of 60 predicted rollouts (avoidability, three delays) < 30 ms.  What a run adds
-to the full verdict: the rows of ``criticality.csv.gz``, markings and realism, each < 50 ms.
+< 5 ms, the levels of a collision with five reference drivers < 200 ms, a full verdict < 150 ms; 150 rollouts against
+``cc_human`` < 200 ms, with ``manoeuvre`` < 500 ms; scoring of 60 predicted rollouts (avoidability, three delays)
+< 30 ms.  What a run adds to the full verdict: the rows of ``criticality.csv.gz``, markings and realism, each < 50 ms.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from sumo_adv.metrics.avoidance import avoidance
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import full_judge
 from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.markings import Strip, markings_crossed
+from sumo_adv.metrics.reference.counterfactual import Encounters, answers
 from sumo_adv.metrics.validity import judge
 from sumo_adv.report.tables import series_rows
 from sumo_adv.report.verdicts import realism_figures
@@ -77,6 +80,9 @@ def main() -> int:
     road = Drivable(box(-500.0, -20.0, 2000.0, 20.0))
     strips = [Strip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
     hazards, _ = hazard_index(egos, foes, trigger, contact, DT)
+    gates = judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)
+    wide = rollouts([cut_in(9.0 + i / 25, 3.0 + i / 2, 1.5 + i / 40) for i in range(150)])
+    encounters = Encounters(rollouts([ego] * 150), wide, np.full(150, 10), np.full(150, 80), DT)
     figures = (
         ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(one, many)),
         (
@@ -84,6 +90,13 @@ def main() -> int:
             5.0,
             lambda: judge(ego, adversary, others, trigger_time=1.0, on_road=on_road),
         ),
+        (
+            "levels of a collision, 5 drivers",
+            200.0,
+            lambda: with_level(gates, ego, adversary, others, trigger_time=1.0, on_road=on_road),
+        ),
+        ("cc_human on 150 rollouts", 200.0, lambda: answers(encounters, ("cc_human",))),
+        ("cc_human, manoeuvre on 150 rollouts", 500.0, lambda: answers(encounters, ("cc_human", "manoeuvre"))),
         ("full verdict", 150.0, lambda: full_judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)),
         ("series rows, 120 steps, 10 others", 50.0, lambda: series_rows(ego, [ego, adversary, *others], "adversary")),
         ("markings, 120 steps, 30 lanes", 50.0, lambda: markings_crossed(adversary, strips, road)),

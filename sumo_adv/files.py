@@ -71,7 +71,7 @@ def write_text(target: Path, text: str) -> None:
 
 
 def json_text(value: Any, indent: int | None = None) -> str:
-    """JSON that any reader takes, with a line end: what is no finite number becomes null, what is unknown its text."""
+    """JSON that any reader takes, with a line end; numbers that are not finite become null, unknown values text."""
     return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str) + "\n"
 
 
