@@ -11,7 +11,7 @@ from typing import Any, Protocol, Self
 import typer
 
 from sumo_adv.cli.shown import Shown
-from sumo_adv.datatypes import Attempt
+from sumo_adv.datatypes import Attempt, Level
 
 
 class Reporter(Protocol):
@@ -87,7 +87,8 @@ def _attempt(a: Attempt) -> str:
     what = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
     if v.collided and v.preventability is not None:
         who = _preventable(v.preventability.by, v.preventability.inconclusive)
-        what += f" ({v.level}, delta-v {v.delta_v:.1f} m/s, {who})"
+        level = "" if v.level is Level.COLLISION else f"{v.level}, "
+        what += f" ({level}delta-v {v.delta_v:.1f} m/s, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
     rear = ", rear-end" if v.rear_end else ""
     return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}, {what}{rear}{gates}"
@@ -122,7 +123,8 @@ def _after(best: Mapping[str, Any]) -> str:
     words = f"collision at {best['contact_time']:.1f} s"
     if best["failed_gates"] or best["rear_end"] or best["preventable_by"] is None:
         return f"{words}, not counted{_flaws(best)}"
-    parts = [words, str(best["level"]), f"delta-v {best['delta_v']:.1f} m/s"]
+    level = [] if best["level"] == "collision" else [str(best["level"])]
+    parts = [words, *level, f"delta-v {best['delta_v']:.1f} m/s"]
     parts += ["the ego stood"] if best["ego_stationary"] else []
     parts += ["the ego stood in a junction"] if best["ego_blocking"] else []
     return ", ".join([*parts, _preventable(best["preventable_by"], best["inconclusive"])])

@@ -16,7 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, Course, Floats, Preventability, Proposal, Track, VehicleState
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import on_grid
+from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of
 from sumo_adv.metrics.paths import EgoPaths
@@ -58,11 +58,7 @@ class ReferenceEgo:
         self.name = "reference" if driver is None else driver.name
         self._order, self._ego = order, order.ego
         self._names = [n for n in order.roster if n != order.ego.id]
-        row = Boxes(
-            self._ego.x[None], self._ego.y[None], self._ego.heading[None], self._ego.speed[None],
-            self._ego.length, self._ego.width,
-        )  # fmt: skip
-        self._paths = EgoPaths(row)
+        self._paths = EgoPaths(row_of(self._ego))
         self._acting, self._acceleration = False, 0.0
         self._step = 0
         self._dt = float(np.diff(self._ego.time).min())
@@ -206,16 +202,10 @@ def avoids(order: Order, tracks: Sequence[Track]) -> bool:
     start = int(np.searchsorted(mine.time, order.start - 5e-4))
     grid = on_grid(others, np.round(begin + np.arange(len(mine.time)) * dt, 6)) if others else None
     given = Encounters(
-        _row(mine), _row(foe.between(begin, np.inf)), np.array([start]), np.array([len(mine.time) - 1]), dt, grid,
+        row_of(mine), row_of(foe.between(begin, np.inf)), np.array([start]), np.array([len(mine.time) - 1]), dt, grid,
         order.lane_half_width,
     )  # fmt: skip
     return bool(Counterfactual(given, beyond=0.0).unchanged().avoids[0])
-
-
-def _row(track: Track) -> Boxes:
-    return Boxes(
-        track.x[None], track.y[None], track.heading[None], track.speed[None], track.length, track.width
-    )  # fmt: skip
 
 
 def simulated(kinematic: Preventability, found: Mapping[str, bool]) -> Preventability:

@@ -190,6 +190,12 @@ def first_contact(a: Boxes, b: Boxes, time: Floats) -> Floats:
     return np.asarray(when.min(axis=-1))
 
 
+def row_of(track: Track) -> Boxes:
+    """The track as one row of boxes, ``(1, n)``."""
+    x, y, heading, speed = (v[None] for v in (track.x, track.y, track.heading, track.speed))
+    return Boxes(x, y, heading, speed, track.length, track.width)
+
+
 def at_time(track: Track, when: float) -> Boxes:
     """The track's box at one time (linear between steps, heading the shorter way), as 0-d arrays."""
     turns = np.unwrap(track.heading)

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Track
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.metrics.boxes import row_of, wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION, CollisionClass, collision_class
 from sumo_adv.metrics.paths import EgoPaths
 
@@ -58,9 +58,7 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
 
 def _came_over(track: Track, other: Track) -> float:
     """How much nearer a vehicle came to the other's way [m], from its first to its last state."""
-    way = EgoPaths(
-        Boxes(other.x[None], other.y[None], other.heading[None], other.speed[None], other.length, other.width)
-    )  # fmt: skip
+    way = EgoPaths(row_of(other))
     left = np.abs(way.locate(track.x[None], track.y[None])[1][0])
     return float(left[0] - left[-1])
 

@@ -21,9 +21,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Level, Preventability, Track, Verdict
+from sumo_adv.datatypes import Bools, Floats, Level, Preventability, Track, Verdict
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import on_grid, wrap
+from sumo_adv.metrics.boxes import on_grid, row_of, wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.human import outside
 from sumo_adv.metrics.paths import EgoPaths
@@ -82,7 +82,7 @@ def encounter_of(
     third = on_grid([t for t in others if len(t.time)], np.round(known, 6)) if others else None
     onward = None if unattacked is None else onward_of(mine, unattacked)[None]
     return Encounters(
-        _row(mine), _row(foe), np.array([start]), np.array([len(mine.time) - 1]), dt, third, lane_half_width, onward
+        row_of(mine), row_of(foe), np.array([start]), np.array([len(mine.time) - 1]), dt, third, lane_half_width, onward
     )  # fmt: skip
 
 
@@ -189,12 +189,6 @@ def _begin(ego: Track, adversary: Track) -> float:
     return max(float(ego.time[0]), float(adversary.time[0]))
 
 
-def _row(track: Track) -> Boxes:
-    return Boxes(
-        track.x[None], track.y[None], track.heading[None], track.speed[None], track.length, track.width
-    )  # fmt: skip
-
-
 def _same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:
     """Whether the adversary has gone the ego's way over the last second before the contact: cut-in, cut-out, leader."""
     e, a = (t.between(contact_time - 1.0, contact_time) for t in (ego, adversary))
@@ -236,7 +230,7 @@ def _ahead_in_lane(ego: Track, adversary: Track, lane_half_width: float) -> Bool
     common = np.clip(np.searchsorted(ego.time, adversary.time - 5e-4), 0, len(ego.time) - 1)
     if len(ego.time) < 2:
         return np.zeros(len(adversary.time), bool)
-    paths = EgoPaths(_row(ego))
+    paths = EgoPaths(row_of(ego))
     station, left, heading = (v[0] for v in paths.locate(adversary.x[None], adversary.y[None]))
     ahead = station > paths.station[0, common]
     return np.asarray(
