@@ -30,6 +30,7 @@ from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
 from sumo_adv.episode.verdict import gate_verdict, unattacked
 from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planning.predict import Told
 from sumo_adv.situation import Situation
@@ -145,15 +146,19 @@ class Worker:
         Empty where one of the two vehicles was gone, or where there is nothing to repeat (``references.py``).
         """
         self._at_trigger()
-        case, contact = self._case(proposal, result), None if result.verdict is None else result.verdict.contact_time
-        if case is None or contact is None:
+        case, verdict = self._case(proposal, result), result.verdict
+        contact = None if verdict is None else verdict.contact_time
+        kinematic = None if verdict is None else verdict.preventability
+        if case is None or contact is None or kinematic is None:
             return {}
         half = self._found.first.lane_width / 2
         order = order_of(
             proposal, result, case, contact, half, self._found.drivable, unattacked(self._found, self._settings)
         )  # fmt: skip
         works: dict[str, Callable[[], bool]] = {
-            name: partial(self._refer, order, driver) for name, driver in BRAKERS.items()
+            name: partial(self._refer, order, driver)
+            for name, driver in BRAKERS.items()
+            if kinematic.answers.get(name) != NOT_APPLICABLE
         }
         if order.plan is not None:
             works[MANOEUVRE] = partial(self._refer, order, None)

@@ -58,7 +58,8 @@ def preventability(
     without the attack, or straight.
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
-    found = answers(given, drivers, on_road)
+    same = same_direction(ego, adversary, contact_time)
+    found = answers(given, [name for name in drivers if same or name not in SAME_DIRECTION_ONLY], on_road)
     return preventability_of(
         found, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
     )  # fmt: skip
@@ -108,13 +109,14 @@ def preventability_of(
     found: Mapping[str, Answer], ego: Track, adversary: Track, contact_time: float, *, begin: float, planned: bool
 ) -> Preventability:
     """The answers of one encounter in words; times become simulation times."""
-    names = [name for name in REFERENCE_DRIVERS if name in found]
-    same = _same_direction(ego, adversary, contact_time)
+    same = same_direction(ego, adversary, contact_time)
     said, alarms = {}, {}
-    for name in names:
-        answer = found[name]
+    for name in REFERENCE_DRIVERS:
+        answer = found.get(name)
         if name in SAME_DIRECTION_ONLY and not same:
             said[name] = NOT_APPLICABLE
+            continue
+        if answer is None:
             continue
         said[name] = AVOIDS if bool(answer.avoids[0]) else COLLIDES
         alarm = begin + float(answer.alarm[0])
@@ -189,7 +191,7 @@ def _begin(ego: Track, adversary: Track) -> float:
     return max(float(ego.time[0]), float(adversary.time[0]))
 
 
-def _same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:
+def same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:
     """Whether the adversary has gone the ego's way over the last second before the contact: cut-in, cut-out, leader."""
     e, a = (t.between(contact_time - 1.0, contact_time) for t in (ego, adversary))
     if not len(e.time) or not len(a.time):
