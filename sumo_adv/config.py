@@ -98,7 +98,6 @@ class Settings(ModelSettings, BaseSettings):
     shortlist: int = Field(5, ge=1, le=20)
     search: float = Field(120.0, gt=0)
     proposals: int = Field(80, ge=4, le=2000)
-    experience: Literal["on", "off"] = "on"  # draw near what came off elsewhere
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
     limits: LimitSettings = Field(default_factory=LimitSettings)

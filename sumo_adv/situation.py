@@ -45,7 +45,7 @@ class WayLine:
     ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
     ``before_ego``: whether SUMO's rules let whoever goes this way go before the ego, where that has to give way.
     ``bay``: station [m] at which those who turn wait on the junction for others, who do not mind them there, inf where
-    nowhere; ``edges``: SUMO's edges that it goes over.
+    nowhere.
     """
 
     path: Path
@@ -58,7 +58,6 @@ class WayLine:
     conflict: Conflict | None
     before_ego: bool = True
     bay: float = math.inf
-    edges: frozenset[str] = frozenset()
 
 
 def fastest_of(speed: float) -> float:
@@ -130,7 +129,6 @@ class Situation:
     ``shifts``: by how much SUMO takes whoever is on a lane beside the ego's to be further ahead than he is: offset of
     the lane [m, left positive], metres by ``SHIFT_STEP`` of the ego's path; none where that is nothing.
     ``ahead``: who is ahead of the unattacked ego, in its lane or beside, at some time.
-    ``edges``: SUMO's edges that the ego goes over, and the station of its path [m] at which each begins.
     """
 
     time: float
@@ -157,7 +155,6 @@ class Situation:
     bay: float = math.inf
     shifts: tuple[tuple[float, Floats], ...] = ()
     later: tuple[float, ...] = ()
-    edges: tuple[tuple[float, str], ...] = ()
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -67,7 +67,7 @@ def test_labels_are_what_the_oracle_finds(folder: Program) -> None:
 def test_every_ablation_stands_beside_the_expert_that_does_not_learn(folder: Program) -> None:
     run(folder, "ablations")
     valid = {r["row"]: r for r in lines(folder, "ablations.csv") if (r["part"], r["column"]) == ("all", "valid")}
-    without = ("tuner=off", "modifications=0", "replan=60", "forecast=constant", "experience=off", "shift=-1.5",
+    without = ("tuner=off", "replan=60", "forecast=constant", "shift=-1.5",
                "shift=1.5")  # fmt: skip
     assert set(valid) == {"expert", "expert+learn=off", *(f"expert+{what}+learn=off" for what in without)}
     assert [row for row, r in valid.items() if r["difference"] == ""] == ["expert+learn=off"]  # the others' reference

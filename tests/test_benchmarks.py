@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 
 from cli_samples import ROOT, Program
 from womd_samples import four_way, merge, write
-
-from sumo_adv.agents.experience import read_experience
 
 FOLDER = ROOT / "benchmarks"
 NUMBER = r"\s+([\d.]+)"
@@ -105,25 +102,3 @@ def test_prediction_says_of_how_many_attacks_it_foresaw_what_came(program: Progr
     count, touch, valid, least, mean, most = map(float, whole.split()[1:])
     assert count == 3 and {touch, valid} <= {0.0, 0.33, 0.67, 1.0}
     assert 0.0 <= least <= mean <= most <= 12.1
-
-
-def test_experience_writes_what_came_off_in_tables_of_numbers(program: Program) -> None:
-    folder = program.folder / "suite"
-    (folder / "networks").mkdir(parents=True)
-    (folder / "demand").mkdir()
-    for name in ("straight-18.toml", "demand/straight-18.rou.xml"):
-        shutil.copyfile(ROOT / "suites" / "suite81" / name, folder / name)
-    network = re.search(r'network = "(.*)"', (folder / "straight-18.toml").read_text())
-    assert network is not None
-    shutil.copyfile(ROOT / network[1], folder / network[1])
-    out = program.folder / "experience.json"
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / "experience.py"), "--out", str(out), "--draws", "60", f"idm:{folder}"],
-        cwd=program.folder, env=program.environment(), capture_output=True, text=True, timeout=120.0, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = read_experience(out)
-    assert f"{len(found)} rows from 1 encounters" in done.stdout and found
-    assert {(w.driver, w.relation) for w in found} <= {
-        ("brakes", r) for r in ("leader", "neighbour", "follower", "oncoming")
-    }

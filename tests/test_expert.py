@@ -107,17 +107,6 @@ def test_a_seed_gives_the_same_variations_and_another_one_others() -> None:
 # ---- evidence
 
 
-def test_evidence_of_a_planner_is_added_to_its_price_alone() -> None:
-    other = make_planner("Other", "side", TABLE + "# another text\n" + ENDPOINT, "seed")
-    knowing = Expert(Same(), proposals=2, seed=1, bias={SHIFT.hash: 0.25})
-    assert knowing.price(proposal()) == pytest.approx(0.55)
-    assert knowing.price(proposal(other)) == 0.3
-    assert expert().price(proposal()) == 0.3
-    tried_often, untried = (LibraryEntry(p.label, "", ("neighbour",), (p,)) for p in (SHIFT, other))
-    ranked = knowing.analyze({0.0: situation([neighbour()])}, [tried_often, untried])
-    assert [i.label for i in ranked] == ["Other", "Shift"]
-
-
 def test_a_later_contact_costs_a_little() -> None:
     """0.06 a second; where there is none until the prediction ends, so that a late one is no dearer than none."""
     assert expert().price(replace(proposal(), predicted={"time": 5.0})) == pytest.approx(0.3 + 0.3)
@@ -128,11 +117,6 @@ def test_a_later_contact_costs_a_little() -> None:
 def test_who_brakes_all_the_time_costs_a_little() -> None:
     """0.4 times the share of the steps up to the contact."""
     assert expert().price(replace(proposal(), predicted={"braking": 0.25})) == pytest.approx(0.3 + 0.1)
-
-
-@pytest.mark.parametrize(("seconds", "dearer"), [(0.0, 0.0), (0.5, 0.0), (0.6, 0.4)])
-def test_who_is_off_its_way_on_a_junction_for_long_is_dearer(seconds: float, dearer: float) -> None:
-    assert expert().price(replace(proposal(), predicted={"strays": seconds})) == pytest.approx(0.3 + dearer)
 
 
 def test_against_an_unknown_driver_a_contact_at_the_very_end_costs_more() -> None:

@@ -158,19 +158,6 @@ def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_
     assert ground.blocked(at_station(ground, 38.0)).behind[0] == pytest.approx(-0.5)
 
 
-def test_one_on_a_crossing_strays_where_it_is_two_metres_off_its_way() -> None:
-    """Its front is on the junction from 12.5 m on; its rear is 10 m past the place where they meet at 37.5 m."""
-    ground = Ground([situation([crossing()])], ["bv"])
-
-    def strays(station: float, aside: float) -> bool:
-        return bool(ground.strays(at_station(ground, station)._replace(d=one(aside)))[0])
-
-    assert [strays(20.0, aside) for aside in (-2.1, -1.9, 1.9, 2.1)] == [True, False, False, True]
-    assert [strays(station, 2.1) for station in (12.4, 12.6, 37.4, 37.6)] == [False, True, True, False]
-    beside = Ground([situation([neighbour()])], ["bv"])
-    assert not beside.strays(beside.begin()._replace(d=one(3.0)))[0]
-
-
 @pytest.mark.parametrize(
     ("unattacked", "station", "offset", "straight"),
     [

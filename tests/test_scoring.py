@@ -59,12 +59,10 @@ def scene(bv: State, others: Sequence[Track] = ()) -> Situation:
 
 def judged(
     ego: State, bv: State, others: Sequence[Track] = (), road: tuple[float, float] = (-4.8, 2.3), left: float = np.inf,
-    strays: float = 0.0,
 ) -> Any:  # fmt: skip
-    """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps; the
-    adversary ``strays`` so long [s]."""
+    """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
-    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]), np.array([strays]))
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
     (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits())
     return found
 
@@ -241,13 +239,6 @@ def test_a_touch_by_a_hand_s_breadth_may_be_a_miss_and_is_worth_less() -> None:
     assert graze["score"] - firm["score"] == pytest.approx(GRAZES)
 
 
-def test_for_how_long_the_adversary_strays_is_said_and_changes_no_score() -> None:
-    ego, bv = motion(0.0, 0.0, 30.0), motion(60.0, 0.0, 10.0)
-    stays, strays = judged(ego, bv), judged(ego, bv, strays=0.6)
-    assert (stays["strays"], strays["strays"]) == (0.0, 0.6)
-    assert strays["score"] == stays["score"]
-
-
 def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:
     """The bumpers are 135 m apart and come nearer by 25 m/s: they touch after 5.4 s, 54 steps."""
     ego, bv = motion(0.0, 0.0, 30.0), motion(140.0, 0.0, 5.0)
@@ -299,7 +290,7 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     ego, bv = motion(0.0, 0.0, 20.0), motion(60.0, 0.0, 10.0)
     follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
     now = replace(scene(bv, [follower]), reacting=reacting)
-    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]), np.array([0.0]))
+    rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
     (found,) = judge_all(now, [PROPOSAL], rollouts, Drivable(box(-100.0, -4.8, 500.0, 2.3)), Limits())
     assert found["third_party"] is third
     assert (found["score"] == THIRD) is third

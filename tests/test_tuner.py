@@ -6,15 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.composing import ExpertGenerator, ExpertModifier, compose
+from sumo_adv.agents.composing import ExpertGenerator, compose
 from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.firmness import drawn
 from sumo_adv.agents.hindsight import WEIGHED
 from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
 from sumo_adv.agents.ways import Family, families
-from sumo_adv.datatypes import Attempt, Boxes, EgoCourse, Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.datatypes import Boxes, EgoCourse, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.foresight import _batches
-from sumo_adv.episode.knowledge import EVIDENCE, evidence_bias
 from sumo_adv.episode.refine import _untuned
 from sumo_adv.metrics.boxes import touching
 from sumo_adv.planning.source import make_planner
@@ -189,7 +188,7 @@ def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one
 
 def test_what_is_predicted_to_drive_like_one_that_was_tried_comes_last():
     """The numbers of the first two make no difference before the contact: the third, with a worse score, is next."""
-    motion = {"time": 3.0, "min_ttc": 0.0, "warning": 1.0, "braking": 0.0, "strays": 0.0}
+    motion = {"time": 3.0, "min_ttc": 0.0, "warning": 1.0, "braking": 0.0}
     expert = Expert(NeverHits(), proposals=1, seed=1)
     one = entry("Near", ("neighbour",)).planners[0]
     expert.pool = [
@@ -292,36 +291,12 @@ def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
     assert generator.generate(Intent("bv", "Something else", "", "low", 0.0), straight_situation(), examples) == ()
 
 
-@pytest.mark.parametrize(("collided", "avoidable", "drift"), [(True, "unavoidable", 4.0), (False, None, 3.0)])
-def test_the_modifier_moves_the_numbers_by_diagnosis(collided, avoidable, drift):
-    planner = make_planner("Shift", "side", SHIFT, "seed")
-    verdict = Verdict(0.0 if collided else 2.0, 0.4, collided, collided, True, False, False, False, avoidable)
-    proposal = Proposal("bv", "Shift", planner, {"gap": 3.0, "drift": 3.0}, 0.0, 0.0)
-    changed = ExpertModifier(make_planner).modify(planner, [Attempt(0, "tuner", proposal, 0.0, verdict, "contact")])
-    assert changed is not None and changed.parent == planner.hash
-    assert changed.defaults() == {"gap": 3.0 if collided else 2.5, "drift": drift}
-    assert ExpertModifier(make_planner).modify(planner, []) is None
-
-
 def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():
     situation = straight_situation()
     braking = entry("Emergency Braking", ("neighbour",))
     family = Family(0.0, next(iter(situation.targets.values())), braking, braking.planners[0])
     assert family.proposal(None).acceleration == -7.5
     assert -8.0 <= family.proposal(random.Random(3)).acceleration <= -5.0
-
-
-def test_evidence_of_failures_sends_a_planner_to_the_back():
-    bad, good = entry("Bad", ("neighbour",)), entry("Good", ("neighbour",), SHIFT + "\n# another text\n")
-    arms = [{"label": "Bad", "planners": [{"planner": bad.planners[0].hash, "rows": 200, "draw": 0.01}]}]
-    arms.append({"label": "Good", "planners": [{"planner": good.planners[0].hash, "rows": 0, "draw": 0.02}]})
-    bias = evidence_bias(arms)
-    assert bias == {bad.planners[0].hash: pytest.approx(EVIDENCE * 0.98)}  # nobody is judged without evidence
-    situation = straight_situation()
-    expert = Expert(InTurn((1, 0.05)), proposals=2, seed=1, bias=bias)  # both predicted the same
-    assert [i.label for i in expert.analyze({0.0: situation}, [bad, good])] == ["Good", "Bad"]
-    tuner = Tuner(expert, families({0.0: situation}, [bad, good]), share=8)
-    assert [(p.label, p.score) for p in tried(tuner, 1)] == [("Good", 0.05)]
 
 
 def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():

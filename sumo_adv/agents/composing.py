@@ -1,11 +1,11 @@
-"""What the built-in expert writes: intents that the library lacks, planners for them, and changed numbers."""
+"""What the built-in expert writes: intents that the library lacks, and planners for them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Parameter, Planner
+from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.situation import Situation
 
 NAME = "expert"
@@ -79,49 +79,3 @@ class ExpertGenerator:
 def applies_of(label: str) -> tuple[str, ...]:
     """The relations a composed intent applies to."""
     return tuple(word for word, (name, _, _) in NEW_INTENTS.items() if name == label)
-
-
-class ExpertModifier:
-    """Moves a planner's numbers by what its attempts showed (ALGORITHM, "Refinement by diagnosis")."""
-
-    name = NAME
-
-    def __init__(self, make: MakePlanner) -> None:
-        self._make = make
-
-    def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
-        """Defaults become the nearest attempt's, changed by its diagnosis; bounds follow. None if nothing changed."""
-        mine = [a for a in attempts if a.proposal.planner.hash == planner.hash]
-        if not mine:
-            return None
-        best = min(mine, key=lambda a: (a.verdict.min_ttc, a.verdict.min_distance))
-        numbers = dict(best.proposal.parameters)
-        for name, change in _remedy(best):
-            if name in numbers:
-                numbers[name] += change
-        text = planner.source
-        for p in planner.parameters:
-            text = _rewritten(text, p, numbers[p.name])
-        if text == planner.source:
-            return None
-        return self._make(planner.label, planner.mode, text, NAME, planner.hash)
-
-
-def _remedy(attempt: Attempt) -> list[tuple[str, float]]:
-    """Which numbers to move, by what the attempt showed (units as in the planner's table)."""
-    verdict = attempt.verdict
-    if verdict.collided and verdict.avoidable == "unavoidable":
-        return [("drift", 1.0), ("early", 0.8)]
-    if {"lateral", "off_road", "curvature"} & set(verdict.failed_gates):
-        return [("drift", 0.8)]
-    if not verdict.collided:
-        return [("gap", -0.5), ("early", 0.4), ("offset", -0.3), ("hold", 0.4), ("short", -1.5), ("across", 0.3)]
-    return []
-
-
-def _rewritten(source: str, p: Parameter, value: float) -> str:
-    """The table's entry of one parameter with a new default, bounds moved along where it lies outside them."""
-    value = round(value, 3)
-    low, high = round(min(p.low, value), 3), round(max(p.high, value), 3)
-    entry = re.compile(rf"""(["']{re.escape(p.name)}["']\s*:\s*\()[^,()]+,[^,()]+,[^,()]+,""")
-    return entry.sub(rf"\g<1>{value!r}, {low!r}, {high!r},", source, count=1)

@@ -1,9 +1,9 @@
 """The built-in expert: plays analyzer, generator and modifier by kinematic prediction. It is no language model.
 
-It draws proposals (BV, intent, mode, parameters, delay), most near what came off elsewhere and the others round robin
-over all that apply, has each predicted against the ego's own driver's model, and ranks intents by the share of what was
-drawn of them that is predicted to collide (more is drawn near what is good), then by their best score. What is tried
-first is up to the tuner, if there is one; what it writes is in ``composing``.
+It draws proposals (BV, intent, mode, parameters, delay) round robin over all that apply, has each predicted against
+the model of the ego's driver, and ranks intents by the share of their candidates that is predicted to collide (more is
+drawn near what is good), then by their best score. The tuner chooses what is tried first. It writes planners in
+``composing``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from sumo_adv.agents.composing import NAME, compose, composed
-from sumo_adv.agents.experience import Experience
 from sumo_adv.agents.firmness import OF, alone, drawn, firm, firmed, varied
 from sumo_adv.agents.hindsight import Hindsight
 from sumo_adv.agents.protocols import Scorer
@@ -24,7 +23,6 @@ from sumo_adv.situation import Situation
 REACHES = 1.5  # a score below is a predicted collision that counts
 AVOIDABLE = 0.75  # a score below is one that somebody could have avoided
 BRAKES = 0.09  # a score below is one that a careful driver who only brakes could have avoided
-WORKED = 0.75  # share of the first proposals that are drawn near what came off elsewhere
 REDRAW = 150  # proposals drawn at once where the first were not good
 FOR_BRAKES = 750  # drawn at most in the hope of one that a brake would avoid, where some manoeuvre would already
 MOST_DRAWN, EACH = 2000, 300  # drawn at most where nothing is avoidable, and so many more for each attempt
@@ -32,7 +30,6 @@ FEW = 5  # where so few proposals are avoidable, intents that the library lacks 
 AT_FIRST = 14  # times the proposals that are wanted: what is drawn at most before the first attempt is chosen
 CLEAR = 0.35  # taken off what a careful driver who only brakes avoids: of all predictions these come true most often
 HARSH = 0.4  # what it costs to brake all the time up to the contact: traffic hardly brakes
-BRIEFLY, STRAYS = 0.5, 0.4  # s; what it costs to be off one's way on a junction for longer: of 40 such 10 came true
 LATE = 0.06  # what each second until a predicted contact costs: the later, the less sure
 SPARE = 2.0  # s before the end: against a driver that nobody knows a contact comes later than foreseen, maybe too late
 AT_THE_END = 0.3  # what a contact at the very end costs there
@@ -54,21 +51,16 @@ class Expert:
         proposals: int,
         seed: int,
         allowed: Sequence[str] = (),
-        bias: Mapping[str, float] | None = None,
         unsure: bool = False,
         known: bool = False,
-        experience: Experience | None = None,
     ) -> None:
-        """``unsure``: nobody knows the ego's driver; ``known``: it is known exactly; ``bias``: planner hash -> what
-        evidence adds to its scores; ``experience``: what came off elsewhere."""
+        """``unsure``: nobody knows the ego's driver; ``known``: it is known exactly."""
         self._scorer = scorer
         self._count = proposals
         self._draw = random.Random(seed)
         self._allowed = tuple(allowed)
         self.hindsight = Hindsight(scorer, known)
-        self._bias = bias or {}
         self._at_the_end = AT_THE_END if unsure else 0.0
-        self._experience, self._situations = experience or Experience(), dict[float, Situation]()
         self.pool: list[Proposal] = []
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -85,11 +77,10 @@ class Expert:
 
     def recall(self, situations: Mapping[float, Situation], known: Proposal) -> None:
         """Begin with what worked in a like scene alone; nothing is predicted until that has failed."""
-        self._situations, self.pool = dict(situations), [known]
+        self.pool = [known]
 
     def widen(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> None:
         """Add to the pool what the library has and the pool has not; more where nothing is good then."""
-        self._situations = dict(situations)
         ways = families(situations, library, self._allowed)
         known = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [w for w in ways if (w.delay, w.target.state.id, w.entry.label, w.planner.hash) not in known]
@@ -127,13 +118,13 @@ class Expert:
         return reach + new + rest
 
     def _first(self, ways: Sequence[Family], count: int) -> list[Proposal]:
-        """``count`` scored proposals: of each mode one with its author's numbers, as early as can be; most near what
-        came off elsewhere, the others of any way in turn.
+        """``count`` scored proposals: of each mode one with its author's numbers, as early as can be; the others of any
+        way in turn.
 
         What was learnt comes on top, with the numbers it was learnt with: it takes no draws from others, and these are
         the same as without it."""
         own = _own(ways)
-        found = [w.proposal(None) for w in _earliest(own)] + self._worked(own, round(WORKED * count))
+        found = [w.proposal(None) for w in _earliest(own)]
         found += self._any(own, count - len(found))
         return self._scored(found + [w.proposal(None) for w in ways if w.learnt])
 
@@ -156,14 +147,13 @@ class Expert:
         return found
 
     def price(self, p: Proposal) -> float:
-        """The predicted score, what evidence of its planner adds to it, how late the contact comes, how much it brakes
-        until then, whether it strays, and whether a brake would do."""
+        """The predicted score, how late the contact comes, how much it brakes until then, and whether a brake would
+        do."""
         hurried = self._at_the_end * max(1.0 - float(p.predicted.get("spare", SPARE)) / SPARE, 0.0)
         late = LATE * float(p.predicted.get("time", 0.0)) + hurried  # of a miss: to the end
         harsh = HARSH * float(p.predicted.get("braking", 0.0))
-        strays = STRAYS if p.predicted.get("strays", 0.0) > BRIEFLY else 0.0
         brakes = CLEAR if alone(p) < BRAKES else 0.0
-        return p.score + self._bias.get(p.planner.hash, 0.0) + late + harsh + strays - brakes
+        return p.score + late + harsh - brakes
 
     def wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
         """How many are drawn at most: more where nobody could avoid it by braking, most where by nothing, and then ever
@@ -172,11 +162,8 @@ class Expert:
         return 0 if best < BRAKES else (self._count + FOR_BRAKES if best < AVOIDABLE else MOST_DRAWN + EACH * tried)
 
     def more(self, ways: Sequence[Family], best: Sequence[Proposal]) -> list[Proposal]:
-        """``REDRAW`` scored proposals: a third near what came off elsewhere; of the rest half of any way, half near the
-        ``NEAREST`` first of ``best``."""
-        own = _own(ways)
-        found = self._worked(own, REDRAW // 3)
-        found += self._any(own, (REDRAW - len(found)) // 2)
+        """``REDRAW`` scored proposals: half of any way, half near the ``NEAREST`` first of ``best``."""
+        found = self._any(_own(ways), REDRAW // 2)
         return self._scored(found + self._near(best[:NEAREST], REDRAW - len(found)))
 
     def vary(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
@@ -186,9 +173,6 @@ class Expert:
     def _any(self, ways: Sequence[Family], count: int) -> list[Proposal]:
         """Proposals of the ways in turn, with drawn numbers."""
         return [ways[k % len(ways)].proposal(self._draw) for k in range(count if ways else 0)]
-
-    def _worked(self, ways: Sequence[Family], count: int) -> list[Proposal]:
-        return self._experience.draw(self._situations, ways, count, self._draw)
 
     def _near(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         return [varied(proposals[k % len(proposals)], self._draw) for k in range(count if proposals else 0)]

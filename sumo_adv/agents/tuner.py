@@ -19,7 +19,7 @@ TRIED_PRICE = 0.12  # score a family pays for each attempt (ALGORITHM, "How it w
 SAME_PRICE = 1.0  # and what is predicted to drive just as one that was tried, for each of these
 RANK_PRICE = 0.3  # score a place in a model's ranking costs: a good candidate further down comes after a fair one above
 DIVERSE_EVERY = 3
-TRACES = ("time", "gap", "min_ttc", "warning", "braking", "strays")  # of a prediction
+TRACES = ("time", "gap", "min_ttc", "warning", "braking")  # of a prediction
 Motion = tuple[str | float, ...]
 
 

@@ -33,11 +33,9 @@ GIVEN_ELSEWHERE = (
 ABLATIONS: Mapping[str, str] = {
     "expert": "everything",
     "expert+learn=off": "no memory: nothing of one encounter is known in the next",
-    "expert+tuner=off+learn=off": "no tuner: the authors' numbers, changed by the modifier alone",
-    "expert+modifications=0+learn=off": "no modifier",
+    "expert+tuner=off+learn=off": "no tuner: the authors' numbers alone",
     "expert+replan=60+learn=off": "no replanning: one endpoint an attempt",
     "expert+forecast=constant+learn=off": "the ego predicted by constant velocity",
-    "expert+experience=off+learn=off": "no experience: nothing is drawn near what came off elsewhere",
     "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
     "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
 }

@@ -87,7 +87,7 @@ def ablations(
     llm: Annotated[str | None, typer.Option(help="With a model also: 1, 3 and 5 samples of the analyzer.")] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
-    """What each part is worth: the expert without memory, tuner, modifier, replanning, ego model, at other times."""
+    """What each part is worth: the expert without memory, tuner, replanning, ego model, at other times."""
     from sumo_adv.benchmark.methods import ABLATIONS, REFERENCE, sampled
 
     words = {**ABLATIONS, **(sampled(llm) if llm else {})}

@@ -7,10 +7,10 @@ A model that fails ends the run (ModelError), unless the expert may step in; the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from sumo_adv.agents.composing import NAME, ExpertGenerator, ExpertModifier
+from sumo_adv.agents.composing import NAME, ExpertGenerator
 from sumo_adv.agents.expert import Expert
 from sumo_adv.agents.ledger import Ledger
 from sumo_adv.config import Settings
@@ -145,7 +145,10 @@ class Cast:
         )
 
     def modify(self, planner: Planner, attempts: Sequence[Attempt], entry: LibraryEntry) -> Planner | None:
-        """A changed planner of an entry, or None if there is nothing to change. Raises ModelError."""
+        """A model's changed planner of an entry; None if it changes nothing or the expert plays this part, since the
+        search changes parameters itself. Raises ModelError."""
+        if not self.by_model("modifier"):
+            return None
         from sumo_adv.agents.modifier import ModelModifier
 
         def ask() -> Planner | None:
@@ -154,11 +157,7 @@ class Cast:
                 self._trial(entry.applies), ttc=self.settings.ttc,
             ).modify(planner, attempts, entry.description)  # fmt: skip
 
-        return self._played("modifier", ask, lambda: self._expert_modifier.modify(planner, attempts))
-
-    @cached_property
-    def _expert_modifier(self) -> ExpertModifier:
-        return ExpertModifier(make_planner)
+        return self._played("modifier", ask, lambda: None)
 
     def _trial(self, applies: Sequence[str]) -> Callable[[Planner], str | None]:
         return lambda planner: trial(self.sandbox, planner, applies, type_check=True)

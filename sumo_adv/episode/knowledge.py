@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import random
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.agents.composing import NAME as EXPERT
 from sumo_adv.agents.composing import applies_of
-from sumo_adv.agents.experience import Experience, Worked, driver_class, read_experience, scene_of
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
@@ -24,11 +21,8 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.recall import SCALES, recall_scene, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.situation import Situation
-from sumo_adv.world.inputs import data_folder
 
 CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
-EXPERIENCE = "memory_bank/experience.json"
-EVIDENCE = 0.1  # score: what evidence can add to or take from a prediction
 
 
 def read_library(
@@ -45,32 +39,6 @@ def read_library(
             planners = tuple(arm.planner for arm in arms)
             entries.append(LibraryEntry(record.label, record.description, record.applies, planners))
     return entries, explained
-
-
-def evidence_bias(explained: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """What Thompson's draws add to predicted scores: up to +-``EVIDENCE`` for planners with evidence, 0 for others."""
-    arms = [arm for intent in explained for arm in intent["planners"] if arm["rows"] > 0]
-    return {str(arm["planner"]): EVIDENCE * (1.0 - 2.0 * float(arm["draw"])) for arm in arms}
-
-
-def experience(bank: MemoryBank, library: Sequence[LibraryEntry], driver: str) -> Experience:
-    """What came off elsewhere: what is shipped, and valid collisions that the bank has learnt since."""
-    learnt = [
-        worked for entry in library for evidence in bank.evidence(entry.label)
-        if evidence.valid and (worked := _worked(entry, evidence)) is not None
-    ]  # fmt: skip
-    return Experience([*read_experience(data_folder(EXPERIENCE)), *learnt], driver_class(driver))
-
-
-def _worked(entry: LibraryEntry, evidence: Evidence) -> Worked | None:
-    """What a piece of evidence says of numbers; None where its planner is retired or its scene has not all numbers."""
-    mode = next((p.mode for p in entry.planners if p.hash == evidence.planner_hash), None)
-    relative = evidence.scene.relative
-    scene = tuple(float(relative.get(name, math.nan)) for name in SCALES)
-    if mode is None or not evidence.parameters or not all(map(math.isfinite, scene)):
-        return None
-    who = driver_class(evidence.scene.controller)
-    return Worked(who, evidence.scene.relation, mode, scene, evidence.parameters, evidence.acceleration)
 
 
 def recall(
@@ -200,7 +168,8 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
 def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
     """What makes scenes alike: geometry class, relation, relative state of the BV (m, rad, m/s), the ego's driver."""
     target = situation.targets[bv]
-    scene = scene_of(situation, target)
+    x, y, heading = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
+    scene = (x, y, heading, target.state.speed, situation.ego.speed)
     kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
     geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
     relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.agents.composing import composed
-from sumo_adv.agents.experience import Experience
 from sumo_adv.agents.expert import REACHES, Expert
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
@@ -22,8 +21,6 @@ from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.foresight import Foresight
 from sumo_adv.episode.knowledge import (
-    evidence_bias,
-    experience,
     learn,
     read_library,
     recall,
@@ -216,8 +213,7 @@ def foresee(
     settings, driver = episode.settings, found.first.ego_model
     expert = Expert(
         foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
-        bias=evidence_bias(episode.bandit), unsure=bool(driver.get("unknown", False)), known=exact(driver),
-        experience=experience(bank, library, episode.task.ego_driver) if settings.experience == "on" else Experience(),
+        unsure=bool(driver.get("unknown", False)), known=exact(driver),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     if known is not None:

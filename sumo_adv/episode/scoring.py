@@ -52,7 +52,7 @@ def judge_all(
     situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
 ) -> list[dict[str, Any]]:
     """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
-    comes, the share of the steps up to it in which the adversary brakes, for how many s it strays, and the score."""
+    comes, the share of the steps up to it in which the adversary brakes, and the score."""
     n, steps = rollouts.ego[0].shape
     brakes = _brakes(rollouts.adversary[3], situation.dt)
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
@@ -88,7 +88,7 @@ def judge_all(
             "beyond": bool(beyond[k]),
             "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
             "warning": float((last[k] - hazard[k]) * situation.dt),
-            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()), "strays": float(rollouts.strays[k]),
+            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()),
         }
         for k in range(n)
     ]  # fmt: skip

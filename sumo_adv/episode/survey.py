@@ -161,17 +161,7 @@ def survey(
         float(junction), rule, bay=float(bay), shifts=_shifts(road, ego.lane, path),
         ahead=_ahead(tracks, ego_track, path, stations, dt, width),
         later=tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER),
-        edges=() if onward is None else _edges(road, ego, onward),
     )  # fmt: skip
-
-
-def _edges(road: RoadMap, ego: VehicleState, way: Way) -> tuple[tuple[float, str], ...]:
-    """``Situation.edges``."""
-    lanes = [road.lanes[n] for n in way.lanes]
-    ends = np.cumsum([lane.length for lane in lanes]) - float(along(lanes[0].shape, ego.x, ego.y))
-    begins = [float(end - lane.length) for end, lane in zip(ends, lanes, strict=True)]
-    new = [k for k, lane in enumerate(lanes) if k == 0 or lane.edge != lanes[k - 1].edge]
-    return tuple((begins[k], lanes[k].edge) for k in new)
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
@@ -236,7 +226,6 @@ def _target(
             relate(w.path, w.movement, w.junction, w.gives_way, path),
             before_ego=_goes_first(w.first, ego),
             bay=w.bay,
-            edges=frozenset(road.lanes[n].edge for n in w.lanes),
         )
         for w in on
     ]

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, EgoCourse, Floats, Ints
+from sumo_adv.datatypes import Bools, EgoCourse, Floats
 from sumo_adv.planning.car_following import EMERGENCY, CarFollowing
 from sumo_adv.planning.careful import REACTION, CarefulDrivers
-from sumo_adv.planning.edges import Edges
 from sumo_adv.planning.junctions import Blocked, Junctions
 from sumo_adv.planning.lattice import LatticeDrivers
 from sumo_adv.planning.leaders import JAM, NOTICED, Leaders
@@ -71,14 +70,13 @@ class PredictedEgos:
         self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
         self._opposed = np.zeros(n, bool) if self._passes_right else scenes.opposed()
         self._gone_over = np.zeros(n, bool)
-        self._edges = None if self._passes_right else Edges(scenes, length, width)
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
-        blocked: Blocked | None = None, edge: Ints | None = None,
+        blocked: Blocked | None = None,
     ) -> None:  # fmt: skip
         """One step against adversaries at station, offset, heading (ego path's frame, box centres); ``blocked``: who is
-        in the way on a junction (``Ground.blocked``); ``edge``: on which edges they are (``Ground.edges``)."""
+        in the way on a junction (``Ground.blocked``)."""
         dt = self.scenes.dt
         if self._seen is not None:
             self._as_seen(now, self._seen)
@@ -92,8 +90,6 @@ class PredictedEgos:
         seen_s = s if self._passes_right else self.scenes.seen_at(s, front_d)
         front_s = seen_s + half * np.cos(h)
         ahead = front_s > self.s + self.scenes.ego.length / 2
-        if self._edges is not None and edge is not None:
-            self._was_inside &= ~self._edges.step(edge, front_d, speed)
         bound = self._bound(now, adversary, speed, (seen_s, ahead, front_d), blocked)
         if self._lattice is not None:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
@@ -110,7 +106,7 @@ class PredictedEgos:
         free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
-        self._sidestep.step(seen_s - self.s, front_d, self._makes_room(edge))
+        self._sidestep.step(seen_s - self.s, front_d, self._was_inside)
         self.d, self.a = self._sidestep.d, (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
@@ -159,14 +155,7 @@ class PredictedEgos:
         left, right = self._seen_edges
         partly = (front_d - half < left) & (front_d + half > -right)
         self._was_inside |= inside
-        both = self._was_inside if self._edges is None else self._was_inside | self._edges.comes
-        return inside | (both & partly & np.where(front_d > 0.0, *self._beside))
-
-    def _makes_room(self, edge: Ints | None) -> Bools:
-        """For whom the ego makes room once it comes beside it."""
-        if self._edges is None or edge is None:
-            return self._was_inside
-        return (self._was_inside | self._edges.came) & self._edges.same(edge, self.s)
+        return inside | (self._was_inside & partly & np.where(front_d > 0.0, *self._beside))
 
     def _within(self, front_d: Floats, h: Floats) -> Bools:
         """Whether the front's centre is in the lane; SUMO has who goes over to a lane of the other direction in its own

@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Endpoint, Floats, Ints
+from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap_all
-from sumo_adv.planning.edges import NOWHERE, begins_of, edge_at, shared
 from sumo_adv.planning.follow import Follower, Line, aligned
 from sumo_adv.planning.forecast import LOOK, arrivals, stations
 from sumo_adv.planning.junctions import Blocked
 from sumo_adv.planning.scenes import Scenes
 from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
-from sumo_adv.situation import MEET_AHEAD, Situation, Target, WayLine
+from sumo_adv.situation import Situation, Target, WayLine
 
 TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
 LOYALTY = 0.5  # m: how much better another way must be
@@ -32,7 +31,6 @@ AROUND = np.arange(1 - COARSE, COARSE)
 TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
 AFTER = 10.0  # m behind where ways meet
 BESIDE = np.arange(-12, 13)
-OFF = 2.0  # m from its way: on another one's lane
 ONE = 0.78  # of a lane's width: ways that merge so far apart are one (SUMO; measured)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
@@ -64,13 +62,8 @@ class Ground:
         self._own = np.where(own < 0, -1, self._base + own)
         self._taken: Any = None  # the ways that SUMO takes them to be on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
-        self._crosses = np.array([t.relation in MEET_AHEAD for t in self.targets])
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
-        self._begins = begins_of(situations)
-        where = {id(t): s for s, t in zip(situations, self.targets, strict=True)}
-        most = self._begins.shape[1]
-        self._shares = np.array([shared(where[id(t)], w, most) for t in unique for w in t.ways], bool)
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -116,21 +109,6 @@ class Ground:
             before=meets - zone - front, back=meets - zone - rear,
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
-
-    def edges(self, relative: tuple[Floats, Floats, Floats]) -> Ints:
-        """On which edges of the egos' ways the vehicles' fronts are (``Edges``), ``(n,)``; ``relative``: of the same
-        step, for which ``blocked`` was asked before."""
-        s, _, h = relative
-        found = edge_at(self._begins, s + self.length / 2 * np.cos(h))
-        row = self.rows.row if self._taken is None else self._taken
-        return np.where(self._shares[row, found], found, NOWHERE) if self._shares.shape[1] else found
-
-    def strays(self, motion: Motion) -> Bools:
-        """Who of those that cross the egos' ways or merge is so far off its own way on the junction that SUMO has it on
-        lanes that others come from, ``(n,)``: what the ego makes of that is not known."""
-        half = self.length / 2
-        on = (motion.s + half > self._enters) & (motion.s - half < self._leaves)
-        return np.asarray(on & self._crosses & (np.abs(motion.d) > OFF))
 
     def _taken_ways(self, motion: Motion) -> Any:
         """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose

@@ -40,21 +40,18 @@ Touch = Callable[[Floats, Floats, Bools], Bools]
 
 @dataclass(frozen=True, slots=True)
 class Rollouts:
-    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k.
-
-    ``strays``: for how many s the adversary was off its way on a junction (``Ground.strays``), ``(n,)``."""
+    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k."""
 
     time: Floats
     ego: tuple[Floats, Floats, Floats, Floats]
     adversary: tuple[Floats, Floats, Floats, Floats]
     disturbed: Bools
-    strays: Floats
 
 
 def part(rollouts: Rollouts, rows: Any) -> Rollouts:
     """Some of the rows."""
     ego, adversary = (tuple(q[rows] for q in motion) for motion in (rollouts.ego, rollouts.adversary))
-    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows], rollouts.strays[rows])
+    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows])
 
 
 def predict(
@@ -85,7 +82,7 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((2, steps, 4, n))
     followers: dict[int, Follower] = {}
-    over, parting, driven, asked, strays = np.zeros(n, bool), Parting(ground), -1, egos.v, np.zeros(n)
+    over, parting, driven, asked = np.zeros(n, bool), Parting(ground), -1, egos.v
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
@@ -101,16 +98,14 @@ def predict(
         if to_the_end or not over.all():
             ego[k] = egos.pose()
             driven = k
-            strays += ground.strays(motion) & ~over
             if touch is not None:
                 over |= touch(ego[k], adversary[k], ~over)
-            relative, blocked = ground.relative(motion), ground.blocked(motion)
-            egos.step(now, relative, motion.v, blocked, ground.edges(relative))
+            egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
     mine, others = (tuple(np.ascontiguousarray(q.transpose(1, 2, 0))) for q in (ego, adversary))
-    return Rollouts(np.arange(steps) * dt, mine, others, egos.disturbed, strays * dt)  # type: ignore[arg-type]
+    return Rollouts(np.arange(steps) * dt, mine, others, egos.disturbed)  # type: ignore[arg-type]
 
 
 def _replan(
