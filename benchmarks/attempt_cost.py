@@ -20,23 +20,23 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.expert import Expert
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import LibraryEntry, Proposal
-from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import read_library
+from sumo_adv.episode.attempt_runner import AttemptRunner
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.episode.memory_access import read_library
+from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.predict import Told
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import RunInput, data_folder, load_input
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.answers import Told
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.search.expert import Expert
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
 INPUTS = ("motorway_cut_in_left", "priority_straight_from_left", "roundabout")
 BATCH = 100  # planner calls sent at once
@@ -63,23 +63,23 @@ def library() -> list[LibraryEntry]:
         return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0)[0]
 
 
-def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> Found:
+def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
     """Bring an engine to the scenario's trigger."""
     engine.request("open", make_task(source, settings, folder))
     found = engine.request("seek")
-    if not isinstance(found, Found):
+    if not isinstance(found, FoundEncounter):
         raise SystemExit(f"{source.name}: {found.reason}")
     return found
 
 
 def search(
-    sandbox: Sandbox, settings: Settings, found: Found, entries: Sequence[LibraryEntry]
+    sandbox: Sandbox, settings: Settings, found: FoundEncounter, entries: Sequence[LibraryEntry]
 ) -> tuple[Proposal, int, float]:
     """The best proposal of a prediction search, how many were predicted, seconds."""
-    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-    expert = Expert(foresight, proposals=settings.proposals, seed=settings.seed)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+    expert = Expert(predictor, proposals=settings.proposals, seed=settings.seed)
     took = seconds(lambda: expert.analyze(found.situations, entries))
-    return min(expert.pool, key=lambda p: p.score), foresight.count, took
+    return min(expert.pool, key=lambda p: p.score), predictor.count, took
 
 
 def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
@@ -87,10 +87,10 @@ def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
     return [(s.time, dict(s.raw)) for s in result.snapshots]
 
 
-def calls(sandbox: Sandbox, found: Found, proposal: Proposal, runs: int) -> list[str]:
+def calls(sandbox: Sandbox, found: FoundEncounter, proposal: Proposal, runs: int) -> list[str]:
     """Lines on a session, a call, and a call in a batch."""
     situation = found.situations[proposal.delay]
-    ground = Ground([situation], [proposal.bv])
+    ground = AdversaryBatch([situation], [proposal.bv])
     start = ground.begin()
     nothing = start.s * 0.0
     ego = (nothing, nothing, nothing + situation.ego.speed, nothing + situation.ego.acceleration)
@@ -121,7 +121,7 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
         engines = [stack.enter_context(Engine(body)) for _ in ways]
         found = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
         best, count, searched = search(sandbox, ways[0], found[0], entries)
-        brains = [Brain(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
+        brains = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
         results = [brain.attempt([best])[0] for brain in brains]
         took: list[list[float]] = [[], []]
         twice = []

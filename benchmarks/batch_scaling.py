@@ -35,15 +35,15 @@ from sumo_adv.batch.nouns import Job, Learn, Row, Setup
 from sumo_adv.batch.plan import Plan, make_plan
 from sumo_adv.batch.worker import Runner
 from sumo_adv.cli.batch_parts import batch_parts
-from sumo_adv.cli.models import cast_of
+from sumo_adv.cli.models import open_agents
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.folder import staged, write_run
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import load_input
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import load_input
 
 BANK = Path(__file__).resolve().parent.parent / "memory_bank.sqlite"
 SCENARIOS = ("motorway_cut_in_left", "leader_two_lanes", "oncoming_country_road", "neighbour_ahead_left")
@@ -186,7 +186,7 @@ def plain(plan: Plan, folder: Path) -> Took:
             settings = load_settings(None, seed=job.seed, learn="off", **plan.variants[0])
             with (
                 tempfile.TemporaryDirectory() as scratch, staged(folder / job.id, force=False) as place,
-                cast_of(settings, sandbox) as cast, Engine(body) as engine,
+                open_agents(settings, sandbox) as cast, Engine(body) as engine,
             ):  # fmt: skip
                 task = make_task(given, settings, Path(scratch))
                 episode = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)

@@ -22,10 +22,10 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS
 from sumo_adv.metrics.reference.view import Views
-from sumo_adv.world.demand import generate
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.recording import Recording
-from sumo_adv.world.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.recording import Recording
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
 DT = 0.1  # s
 BRAKES, NEAR, WITHIN, APART = 2.0, 2.0, 2.0, 2.0  # m/s2, s of TTC, s after the braking, s between two events

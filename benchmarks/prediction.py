@@ -22,21 +22,21 @@ from typing import NamedTuple
 import numpy as np
 from attempt_cost import library
 
-from sumo_adv.agents.expert import AVOIDABLE
-from sumo_adv.agents.ways import families
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import EgoCourse, LibraryEntry, Proposal
-from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.foresight import Foresight
+from sumo_adv.datatypes import LibraryEntry, ObservedMotion, Proposal
+from sumo_adv.episode.attempt_runner import AttemptRunner
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.refine import ego_course
-from sumo_adv.episode.task import Found
+from sumo_adv.episode.refinement import observed_motion
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
-from sumo_adv.planning.predict import Rollouts
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import load_input
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.expert import AVOIDABLE
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.rollouts import Rollouts
+from sumo_adv.search.templates import templates_of
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import load_input
 
 INPUTS = ("motorway_cut_in_left", "priority_straight_from_left", "t_junction_left_from_stem")
 APART = 1.0  # m
@@ -51,15 +51,15 @@ class Compared(NamedTuple):
     near: float
 
 
-def attacks(found: Found, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
+def attacks(found: FoundEncounter, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
     """So many, over all that applies round robin, with drawn numbers."""
     draw = random.Random(seed)
-    ways = families(found.situations, entries)
+    ways = templates_of(found.situations, entries)
     draw.shuffle(ways)
     return [ways[k % len(ways)].proposal(draw) for k in range(count)] if ways else []
 
 
-def seconds_near(rollouts: Rollouts, row: int, course: EgoCourse, path: Path, dt: float) -> float:
+def seconds_near(rollouts: Rollouts, row: int, course: ObservedMotion, path: Path, dt: float) -> float:
     """Seconds until the ego is ``APART`` from where it was expected, or the attempt is over."""
     count = min(course.seen, rollouts.ego[0].shape[1])
     x, y, _ = path.at(course.s[:count], 0.0)
@@ -76,20 +76,20 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
         engine.request("open", make_task(source, settings, folder))
         found = engine.request("seek", "")
-        if not isinstance(found, Found):
+        if not isinstance(found, FoundEncounter):
             print(f"  {source.name}: {found.reason}")
             return []
         drawn = attacks(found, entries, count, seed)
         if not drawn:
             print(f"  {source.name}: nothing applies")
             return []
-        foresight = Foresight(sandbox, settings, found.drivable, found.situations)
-        expected, rollouts = foresight.score(drawn), foresight.rolled(found.situations, drawn)
-        brain = Brain(engine, sandbox, found, seed)
+        predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+        expected, rollouts = predictor.score(drawn), predictor.rolled(found.situations, drawn)
+        brain = AttemptRunner(engine, sandbox, found, seed)
         came = [result for proposal in drawn for result in brain.attempt([proposal])]
     rows = []
     for k, (proposal, result) in enumerate(zip(expected, came, strict=True)):
-        course = ego_course(result, found, proposal.delay, settings)
+        course = observed_motion(result, found, proposal.delay, settings)
         if course is None or result.verdict is None:
             continue
         said, path = proposal.predicted or {}, found.situations[proposal.delay].ego_path

@@ -15,34 +15,34 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.suites import load_suite
 from sumo_adv.cli.records import load
 from sumo_adv.config import load_settings
-from sumo_adv.episode.brain import Brain
-from sumo_adv.episode.cast import Cast
-from sumo_adv.episode.foresight import Foresight
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.episode.attempt_runner import AttemptRunner
 from sumo_adv.episode.loop import make_task, run_episode
-from sumo_adv.episode.scoring import judge_all
-from sumo_adv.episode.sessions import Sessions
 from sumo_adv.episode.warm import WarmEngine
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning import predict
-from sumo_adv.planning.drivers import PredictedEgos
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.inputs import data_folder
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Sessions
+from sumo_adv.search import rollouts
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.scoring import judge_all
+from sumo_adv.simulation.inputs import data_folder
 
 PARTS: dict[str, Callable[..., object]] = {
-    "predictions, all": Foresight.score,
+    "predictions, all": Predictor.score,
     "  sandbox sessions opened": Sessions.__enter__,
-    "  planners told": Ground.tell,
+    "  planners told": AdversaryBatch.tell,
     "  planners asked": Sessions.ask,
-    "  goals on the ways": Ground.aim,
+    "  goals on the ways": AdversaryBatch.aim,
     "  egos foreseen": PredictedEgos.step,
-    "  adversaries moved": predict._advance,
+    "  adversaries moved": rollouts._advance,
     "  rollouts judged": judge_all,
-    "attempts in SUMO": Brain.attempt,
+    "attempts in SUMO": AttemptRunner.attempt,
 }
 """What is counted; those set in are parts of the predictions."""
 
@@ -58,7 +58,7 @@ def run(cases: Sequence[Case], ego: str, engine: WarmEngine, sandbox: Sandbox) -
             engine.episode() as opened,
         ):
             task = make_task(source, settings, Path(folder))
-            run_episode(source, settings, task, opened, Cast(settings, sandbox), bank, lambda *_: None)
+            run_episode(source, settings, task, opened, Agents(settings, sandbox), bank, lambda *_: None)
 
 
 def seconds_of(stats: pstats.Stats, part: Callable[..., object]) -> float:

@@ -23,9 +23,9 @@ import traci
 from traci import constants
 
 from sumo_adv.serve.sumo_process import find_sumo
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.remote import STATE, Remote
-from sumo_adv.world.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.remote import STATE, Remote
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
 BOUND = 0.6
 WINDOW, WARM_UP = 10, 300  # steps

@@ -22,14 +22,14 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.cli.once import new_engine
-from sumo_adv.datatypes import Course
+from sumo_adv.datatypes import PrescribedMotion
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import replay_episode
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.judging import run_folders
 from sumo_adv.report.manifest import Recorded, read_manifest
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.simulation.recording import tracks_of
 
 EGOS = "krauss,idm,eidm,careful,lattice,replay"
 
@@ -42,7 +42,7 @@ def played(recorded: Recorded) -> Episode:
         )
 
 
-def course_of(episode: Episode) -> Course:
+def course_of(episode: Episode) -> PrescribedMotion:
     """The adversary's motion from the takeover on, as recorded and planned."""
     assert episode.found is not None and episode.best is not None
     result, bv = episode.refinement.results[0], episode.best.proposal.bv
@@ -51,7 +51,7 @@ def course_of(episode: Episode) -> Course:
     more = result.driven.beyond
     parts = [track] if more is None else [track, more]
     x, y, heading, speed = (np.concatenate([getattr(t, n) for t in parts]) for n in ("x", "y", "heading", "speed"))
-    return Course(x, y, heading, speed)
+    return PrescribedMotion(x, y, heading, speed)
 
 
 def row_of(folder: Path, egos: Iterable[str]) -> dict[str, Any] | None:

@@ -25,16 +25,16 @@ from typing import Any
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.episode.task import Found, Task
+from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.episode.worker import Worker
-from sumo_adv.planning.predict import Answer, Told, world_endpoint
-from sumo_adv.planning.road import road_of
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import HELPERS_CODE, make_planner
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.planners.answers import Answer, Told, world_endpoint
+from sumo_adv.planners.road import road_of
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.source import HELPERS_CODE, make_planner
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.simulation import SimulationSpec
 
 BOUNDS = {20: 2.5, 100: 2.0}  # vehicles -> whole loop over bare stepping, at most
 TRIGGER = 3.0  # s
@@ -99,7 +99,7 @@ class Bench(Worker):
         self._at_trigger()
 
 
-def _local(found: Found, proposal: Proposal) -> Callable[[Told], Any]:
+def _local(found: FoundEncounter, proposal: Proposal) -> Callable[[Told], Any]:
     """The planner as a plain function of this process."""
     space: dict[str, Any] = {}
     exec(HELPERS_CODE + proposal.planner.source, space)
@@ -191,7 +191,7 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
         traffic(routes, case.vehicles)
         engine.request("open", case.task(routes, steps))
         found = engine.request("seek")
-        if not isinstance(found, Found):
+        if not isinstance(found, FoundEncounter):
             raise SystemExit(f"The benchmark's own encounter was not found: {found.reason}")
         with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
 

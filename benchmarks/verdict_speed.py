@@ -26,7 +26,7 @@ from sumo_adv.metrics.reference.counterfactual import Encounters, answers
 from sumo_adv.metrics.validity import judge
 from sumo_adv.report.tables import series_rows
 from sumo_adv.report.verdicts import realism_figures
-from sumo_adv.world.network import Drivable
+from sumo_adv.simulation.network import Drivable
 
 DT = 0.1
 TIME = np.arange(0.0, 12.0, DT)

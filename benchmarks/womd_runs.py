@@ -25,18 +25,18 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, Track
+from sumo_adv.drivers import ReplayEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.folder import RUN_FILES
+from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.network import read_network
+from sumo_adv.simulation.playback import Playback
+from sumo_adv.simulation.playback_spec import with_background
+from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
-from sumo_adv.world.egos import ReplayEgo
-from sumo_adv.world.inputs import load_input
-from sumo_adv.world.network import read_network
-from sumo_adv.world.playback import Playback
-from sumo_adv.world.playback_spec import with_background
-from sumo_adv.world.simulation import SimulationSpec
 
 SUITES = ("straight", "intersection")
 EGOS = ("replay", "idm", "careful")

@@ -2,7 +2,7 @@
 
 import math
 
-from sumo_adv.world.egos import LaneSpeed, Observation, Steer
+from sumo_adv import LaneSpeed, Observation, Steer
 
 
 class CautiousEgo:

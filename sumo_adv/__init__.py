@@ -1,26 +1,32 @@
 """Online, retrieval-augmented generation of safety-critical scenarios inside SUMO.
 
 From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``).
+A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sumo_adv.api import Result, judge, load, run
+    from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
 __version__ = "0.1.0"
-__all__ = ["Result", "__version__", "judge", "load", "run"]
+__all__ = ["LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "judge", "load", "run"]
+
+_HOMES = {
+    **dict.fromkeys(("Result", "judge", "load", "run"), "sumo_adv.api"),
+    **dict.fromkeys(("LaneSpeed", "Observation", "Pose", "Steer"), "sumo_adv.drivers"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """The names of ``api.py``, imported when they are first asked for."""
-    if name not in ("Result", "judge", "load", "run"):
+    """Import a public name when it is first used: the package itself loads nothing."""
+    if name not in _HOMES:
         raise AttributeError(f"module 'sumo_adv' has no attribute '{name}'")
-    from sumo_adv import api
-
-    return getattr(api, name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -313,7 +313,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Course:
+class PrescribedMotion:
     """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on.
 
     x, y [m]; heading [rad]; speed [m/s]: arrays ``(n,)``.
@@ -326,7 +326,7 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
-class EgoCourse:
+class ObservedMotion:
     """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
     step from the takeover, ``(n,)``.
 
@@ -355,7 +355,7 @@ class Proposal:
     by: str = "tuner"
     score: float = float("nan")
     predicted: Mapping[str, Any] = field(default_factory=dict)
-    course: Course | None = None
+    course: PrescribedMotion | None = None
 
     @property
     def family(self) -> tuple[str, str, str]:

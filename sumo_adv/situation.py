@@ -39,7 +39,7 @@ class Conflict:
 
 
 @dataclass(frozen=True, slots=True)
-class WayLine:
+class ReferencePath:
     """One way on for a BV, with its place relative to the ego's path at every sample of the way.
 
     ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
@@ -74,7 +74,7 @@ class Target:
 
     state: VehicleState
     relation: str  # leader | follower | neighbour | oncoming | crossing | merging
-    ways: tuple[WayLine, ...]
+    ways: tuple[ReferencePath, ...]
     station: float  # m along its ways, about 0
     offset: float  # m from its way
     turn: float  # rad, its heading against its way's
@@ -140,7 +140,7 @@ class Situation:
     profile_s: Floats
     profile_v: Floats
     profile_a: Floats
-    ego_model: Mapping[str, Any]  # kind, passes_right, unknown, acceleration, deceleration, tau, min_gap, speed
+    ego_model: Mapping[str, Any]
     targets: Mapping[str, Target]
     others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
     lane_width: float
@@ -175,7 +175,7 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     return OnPath(track.id, s, d, heading, speed, track.length)
 
 
-def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> WayLine:
+def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> ReferencePath:
     """Describe a way relative to the ego's path and find where they meet."""
     nearest = _nearest(path.x, path.y, ego_path)
     ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
@@ -183,7 +183,9 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
     s = nearest * PATH_STEP + along
     h = wrap_all(path.heading - eh)
-    return WayLine(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length))
+    return ReferencePath(
+        path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length)
+    )
 
 
 COARSE = 8  # samples of the ego's path between those that are looked at first

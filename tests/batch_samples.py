@@ -16,7 +16,7 @@ from typing import Any
 from cli_samples import Done, Program
 from ego_samples import BRAKES_AT, CalmEgo
 
-from sumo_adv.world.egos import LaneSpeed, Observation
+from sumo_adv.drivers import LaneSpeed, Observation
 
 INPUTS = ("motorway_cut_in_left", "t_junction_left_into_stem")
 SETTINGS: Mapping[str, Any] = {"attempts": 1, "proposals": 8, "duration": 6.0, "delays": [0.0], "shortlist": 2}

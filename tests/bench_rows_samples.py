@@ -10,9 +10,9 @@ from situation_samples import situation
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, LibraryEntry, Proposal, Verdict
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.source import make_planner
+from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, Target
-from sumo_adv.world.network import Drivable
 
 SOURCE = """
 PARAMETERS = {"gap": (2.0, -3.0, 4.0, "m", "where")}

@@ -17,7 +17,7 @@ from typing import Any
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.source import make_planner
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sumo_adv.world.egos import LaneSpeed, Observation
+from sumo_adv.drivers import LaneSpeed, Observation
 
 BRAKES_AT = 6.0  # s: one second after the trigger of the scenario motorway_cut_in_left
 BRAKING = 5.0  # m/s2

@@ -13,8 +13,8 @@ from typing import Any
 from sumo_samples import over_the_line
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.world.engine import in_forks
-from sumo_adv.world.simulation import Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
 
 
 class Errands:

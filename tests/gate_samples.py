@@ -19,8 +19,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.serve.gate import EventKind, Gate, GateEvent
 from sumo_adv.serve.policy import Rules
 from sumo_adv.serve.sumo_process import SumoProcess, find_sumo
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.simulation import SimulationSpec
 
 try:
     find_sumo()

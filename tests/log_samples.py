@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.tracks import LoggedTrack, TrackLog, write_tracks
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
 STEPS = 91  # 0.0 to 9.0 s
 STEP = 0.1

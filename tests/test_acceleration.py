@@ -15,16 +15,16 @@ from situation_samples import neighbour, situation
 from test_bank_build import parse
 
 from sumo_adv.datatypes import Limits, Proposal, acceleration_at, acceleration_of, plain_acceleration
-from sumo_adv.episode.attack import Adversary
-from sumo_adv.episode.sessions import Roads, Sessions
+from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.evidence_csv import read_evidence, write_evidence
 from sumo_adv.memory.exchange import export_bank, import_bank
 from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, migrate
-from sumo_adv.planning.predict import predict
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.rollouts import predict
 
 KNOTS = ((1.0, 2.0), (3.0, -6.0))  # 2 m/s2 until 1 s, then falling by 4 m/s3, -6 m/s2 from 3 s on
 
@@ -80,7 +80,7 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
     proposal = Proposal("bv", "Tells", planner, {}, KNOTS, 0.0)
     heard: list[float] = []
     with Sandbox() as sandbox, Sessions(sandbox, Roads({0.0: sit}), [proposal], 0) as sessions:
-        adversary = Adversary(sit, "bv", Limits())
+        adversary = PlannedAdversary(sit, "bv", Limits())
         alone = []
         for time in (0.0, 2.0, 4.0):
             assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0), lambda told: sessions.one(proposal, told)) is None

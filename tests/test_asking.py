@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from model_server import Asked, ModelServer, Say, StepClock, status
 from pydantic import BaseModel, ConfigDict
 
-from sumo_adv.agents.asking import Line, ask, ask_many, read_answer, without_thought
-from sumo_adv.agents.ledger import Budget, Ledger
-from sumo_adv.agents.llm import connect
 from sumo_adv.errors import BudgetError, ModelError
+from sumo_adv.llm.asking import Line, ask, ask_many, read_answer, without_thought
+from sumo_adv.llm.client import connect
+from sumo_adv.llm.ledger import Budget, Ledger
 
 
 class Choice(BaseModel):

@@ -23,7 +23,7 @@ from sumo_adv.cli.records import choice_of, find_record
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import staged
 
 SCENARIOS = ROOT / "scenarios"

@@ -9,13 +9,13 @@ import pytest
 from situation_samples import KRAUSS, neighbour, situation
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import EgoCourse, Limits, Proposal
-from sumo_adv.episode.belief import WIDE, Belief, apart, models_of
-from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.planning.predict import predict
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
+from sumo_adv.datatypes import Limits, ObservedMotion, Proposal
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.driver_identification import WIDE, DriverIdentification, apart, models_of
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.rollouts import predict
 
 IDM = {**KRAUSS, "kind": "idm"}
 UNKNOWN = {**IDM, "unknown": True}
@@ -38,12 +38,12 @@ def everywhere(x: object, y: object) -> object:
     return np.ones(np.shape(x), bool)
 
 
-def course(x: list[float], seen: int) -> EgoCourse:
-    return EgoCourse(np.array(x), np.zeros(len(x)), np.zeros(len(x)), seen)
+def course(x: list[float], seen: int) -> ObservedMotion:
+    return ObservedMotion(np.array(x), np.zeros(len(x)), np.zeros(len(x)), seen)
 
 
 def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
-    assert models_of({**IDM, "unknown": False}) == [{**IDM, "unknown": False}] and not Belief(IDM).open
+    assert models_of({**IDM, "unknown": False}) == [{**IDM, "unknown": False}] and not DriverIdentification(IDM).open
     assert [(m["kind"], m.get("sees"), m.get("reaction")) for m in models_of(UNKNOWN)] == [
         ("idm", None, None), ("careful", None, 0.1), ("idm", WIDE, None), ("replay", None, None)
     ]  # fmt: skip
@@ -51,7 +51,7 @@ def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
 
 
 def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
-    belief = Belief(UNKNOWN)
+    belief = DriverIdentification(UNKNOWN)
     assert belief.hear([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
     assert belief.hear([3.0, 2.0, 1.0, 4.0]) is True and belief.model["kind"] == "careful"  # 5, 4, 4, 8
     assert belief.hear([0.0, 3.0, 1.5, 4.0]) is True and belief.model == UNKNOWN  # 5, 7, 5.5, 12
@@ -75,15 +75,15 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
             {0.0: wide}, [tried], lambda rows, told: sessions.ask([tried], rows, told), limits=Limits(), steps=60,
             replan=6,
         )  # fmt: skip
-    went = EgoCourse(real.ego[0][0], real.ego[1][0], real.ego[3][0], 60)  # its path is the x axis
+    went = ObservedMotion(real.ego[0][0], real.ego[1][0], real.ego[3][0], 60)  # its path is the x axis
     assert went.v[-1] < 7.0
 
-    foresight, told = (
-        Foresight(sandbox, Settings(), everywhere, {0.0: s})  # type: ignore[arg-type]
+    predictor, told = (
+        Predictor(sandbox, Settings(), everywhere, {0.0: s})  # type: ignore[arg-type]
         for s in (unknown, wide)
     )
-    before = foresight.score([tried])[0].predicted
-    assert foresight.heard(tried, went) is True and foresight.heard(tried, went) is False
-    after = foresight.score([tried])[0].predicted
+    before = predictor.score([tried])[0].predicted
+    assert predictor.heard(tried, went) is True and predictor.heard(tried, went) is False
+    after = predictor.score([tried])[0].predicted
     assert after == told.score([tried])[0].predicted != before
     assert told.heard(tried, went) is False  # that one is known

@@ -19,8 +19,8 @@ from sumo_adv.benchmark.making.suite import SHARES, candidate, make_suite, place
 from sumo_adv.benchmark.making.trials import body, trial
 from sumo_adv.benchmark.suites import load_suite, shipped_suites
 from sumo_adv.errors import UsageError
-from sumo_adv.world.engine import Engine, can_fork
-from sumo_adv.world.inputs import data_folder, load_input
+from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.inputs import data_folder, load_input
 
 WOMD = Path(__file__).parents[2] / "shared" / "womd"
 needs_forks = pytest.mark.skipif(not can_fork(), reason="suites are made where processes can be forked")

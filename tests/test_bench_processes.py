@@ -16,7 +16,7 @@ from sumo_adv.benchmark.bench import Bench, read_cells
 from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.errors import UsageError
-from sumo_adv.world.inputs import data_folder
+from sumo_adv.simulation.inputs import data_folder
 
 CALM = "It cannot be opened."
 

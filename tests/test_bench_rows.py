@@ -27,7 +27,7 @@ def test_random_draws_every_family_about_as_often_and_numbers_within_bounds() ->
     row.begin(encounter([neighbour()], delays=(0.0, 1.5)))
     plans = asked(row, 600)
     often = Counter((p.delay, p.label, p.planner.mode) for p in plans)
-    # A neighbour: lane shift in two modes and cut-in in one, at two moments: 6 families, 100 draws each; 4 sigma = 36.
+    # A neighbour: lane shift in two modes and cut-in in one, at two moments: 6 templates, 100 draws each; 4 sigma = 36.
     assert len(often) == 6
     assert all(64 <= n <= 136 for n in often.values())
     gaps = [p.parameters["gap"] for p in plans]

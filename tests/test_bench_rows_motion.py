@@ -19,21 +19,21 @@ from sumo_adv.benchmark.rows.cma import POPULATION, Cma
 from sumo_adv.benchmark.rows.controls import SIZE, drive, objective, starts
 from sumo_adv.benchmark.rows.random_search import RandomSearch
 from sumo_adv.benchmark.rows.resampling import FUTURES, Resampling
-from sumo_adv.datatypes import Course, Limits, Proposal, Role, Track
+from sumo_adv.datatypes import Limits, PrescribedMotion, Proposal, Role, Track
 from sumo_adv.metrics.feasibility import failed_gates
+from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Target
-from sumo_adv.world.network import Drivable
 
 DT = 0.1
 REPLAY = {**KRAUSS, "kind": "replay"}
 
 
-def course_of(proposal: Proposal | None) -> Course:
+def course_of(proposal: Proposal | None) -> PrescribedMotion:
     assert proposal is not None and proposal.course is not None
     return proposal.course
 
 
-def driven(target: Target, course: Course) -> Track:
+def driven(target: Target, course: PrescribedMotion) -> Track:
     """The course as the judge gets it: with two states of history."""
     state, n = target.state, len(course.x)
     back = -state.speed * DT * np.array([2.0, 1.0, 0.0])
@@ -46,7 +46,7 @@ def driven(target: Target, course: Course) -> Track:
     return Track("bv", Role.ADVERSARY, time, x, y, heading, speed, acceleration, state.length, state.width)
 
 
-def gates(target: Target, course: Course) -> tuple[str, ...]:
+def gates(target: Target, course: PrescribedMotion) -> tuple[str, ...]:
     track = driven(target, course)
     return failed_gates(track, Limits(), on_road=None, ego=track, others=[], end=None, start=100.05)
 

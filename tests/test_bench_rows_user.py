@@ -19,21 +19,21 @@ from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.cli.memory_common import shipped_bank
 from sumo_adv.cli.records import load
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Course, Ending, Level, Proposal
+from sumo_adv.datatypes import Ending, Level, PrescribedMotion, Proposal
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.engine import Engine
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.engine import Engine
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "own_generator"
 N = 5
 
 
-def course(**changed: Any) -> Course:
+def course(**changed: Any) -> PrescribedMotion:
     arrays = {"x": np.arange(N) + 20.0, "y": np.full(N, 3.2), "heading": np.zeros(N), "speed": np.full(N, 10.0)}
-    return Course(**{**arrays, **changed})
+    return PrescribedMotion(**{**arrays, **changed})
 
 
 class Says:
@@ -137,13 +137,13 @@ FINE = course_proposal("mine", "bv", 0.0, course())
     ("answer", "named"),
     [
         ("cut in!", "str; propose must return a Proposal or None"),
-        (course(), "Course; propose must"),
+        (course(), "PrescribedMotion; propose must"),
         (replace(FINE, delay=0.7), "delay 0.7"),
         (replace(FINE, bv="nobody"), "vehicle 'nobody'; use one of the encounter's targets, bv"),
         (replace(FINE, course=[1.0, 2.0]), "course that is list"),
         (replace(FINE, course=course(y=np.zeros(N - 1))), "one length"),
         (replace(FINE, course=course(x=np.zeros((N, 2)))), "one length"),
-        (replace(FINE, course=Course(*[np.zeros(0)] * 4)), "1 or more"),
+        (replace(FINE, course=PrescribedMotion(*[np.zeros(0)] * 4)), "1 or more"),
         (replace(FINE, course=course(heading=np.array([0, 0, np.nan, 0, 0]))), "not finite"),
         (replace(FINE, course=course(speed=np.full(N, -1.0))), "negative speeds"),
         (replace(FINE, course=course(x=["a"] * N)), "arrays of numbers"),

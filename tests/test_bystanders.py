@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Boxes, Floats
+from sumo_adv.drivers.third_parties import braking
 from sumo_adv.metrics.boxes import overlaps
-from sumo_adv.planning.bystanders import braking
 
 STEPS, DT, LANE = 80, 0.1, 3.2
 TIME: Floats = DT * np.arange(float(STEPS))

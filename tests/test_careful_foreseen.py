@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.planning.careful import CarefulDrivers
-from sumo_adv.world.egos import CarefulEgo, LaneSpeed, Observation
+from sumo_adv.drivers import CarefulEgo, LaneSpeed, Observation
+from sumo_adv.drivers.careful_model import CarefulDrivers
 
 DT = 0.1
 PATH = tuple((float(x), 0.0) for x in range(-50, 2000, 5))

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.world.demand import default_density, generate, journeys
-from sumo_adv.world.inputs import data_folder, load_input
-from sumo_adv.world.scan import scan_demand, scan_network
+from sumo_adv.simulation.demand import default_density, generate, journeys
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.scan import scan_demand, scan_network
 
 RING = ("ab", "bc", "ca")
 

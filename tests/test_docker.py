@@ -188,7 +188,7 @@ def test_a_tmpfs_without_exec_is_named_by_the_sandbox(tmp_path: Path) -> None:
     tmpfs.mkdir()
     program = (
         "from sumo_adv.errors import SandboxError\n"
-        "from sumo_adv.planning.sandbox import Sandbox\n"
+        "from sumo_adv.planners.sandbox import Sandbox\n"
         "try:\n"
         "    Sandbox(bubblewrap=False).note\n"
         "except SandboxError as error:\n"

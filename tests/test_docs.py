@@ -22,7 +22,7 @@ from sumo_adv.batch.plan import read_plan
 from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending
-from sumo_adv.world.scenario import load_scenario
+from sumo_adv.simulation.scenario import load_scenario
 
 PAGES = pages()
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]

@@ -18,7 +18,7 @@ from pydantic_core import PydanticUndefined
 
 from sumo_adv.config import LimitSettings, Settings
 from sumo_adv.config_model import ModelSettings
-from sumo_adv.world.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
+from sumo_adv.simulation.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
 
 PAGE = ROOT / "docs" / "settings.md"
 MODELS: Mapping[str, type[BaseModel]] = {

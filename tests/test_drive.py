@@ -12,10 +12,10 @@ import pytest
 from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
+from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, SumoEgo
+from sumo_adv.drivers import Pose as EgoPose
 from sumo_adv.episode.drive import EGO_TYPE, Drive, ego_type_file
-from sumo_adv.world.egos import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, SumoEgo
-from sumo_adv.world.egos import Pose as EgoPose
-from sumo_adv.world.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
 
 
 class Scripted:

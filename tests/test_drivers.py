@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from situation_samples import KRAUSS, leader, situation
 
-from sumo_adv.datatypes import EgoCourse, Floats
-from sumo_adv.planning.car_following import CarFollowing
-from sumo_adv.planning.drivers import PredictedEgos
-from sumo_adv.planning.junctions import Blocked, seconds
-from sumo_adv.planning.scenes import Scenes
+from sumo_adv.datatypes import Floats, ObservedMotion
+from sumo_adv.drivers.car_following import CarFollowing
+from sumo_adv.drivers.junctions import Blocked, seconds
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
@@ -362,8 +362,8 @@ def test_nobody_waits_for_one_whose_way_does_not_meet_theirs() -> None:
 
 def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     speed = np.array([10.0, 9.0, 7.0, 4.0])
-    course = EgoCourse(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
-    other = EgoCourse(2.0 * course.s, np.zeros(4), 2.0 * speed)
+    course = ObservedMotion(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
+    other = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, other])
     here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
@@ -416,7 +416,7 @@ def test_who_was_in_the_lane_to_the_left_is_followed_as_long_as_it_is_partly_the
 
 
 def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
-    sit = situation([leader()], model={**KRAUSS, "passes_right": True})
+    sit = situation([leader()], model={**KRAUSS, "ignores_sumo_lane_rules": True})
     sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), blocked())
@@ -426,7 +426,7 @@ def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
 @pytest.mark.parametrize(("sees", "brakes"), [(0.0, False), (2.5, True)])
 def test_a_driver_may_have_whoever_is_beside_its_lane_for_its_leader(sees: float, brakes: bool) -> None:
     """A car that stands 12.5 m before the ego's front, its middle 2.2 m to the left: the lane ends at 1.6 m."""
-    egos = egos_of(situation([leader()], model={**KRAUSS, "sees": sees, "passes_right": True}))
+    egos = egos_of(situation([leader()], model={**KRAUSS, "sees": sees, "ignores_sumo_lane_rules": True}))
     for k in range(10):
         egos.step(0.1 * k, (np.array([17.5]), np.array([2.2]), np.array([0.0])), np.array([0.0]), blocked())
     assert bool(egos.v[0] < 9.0) is brakes

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.world.egos import (
+from sumo_adv.drivers import (
     CarefulEgo,
     LaneSpeed,
     Observation,
@@ -22,6 +21,7 @@ from sumo_adv.world.egos import (
     apply_steer,
     make_ego,
 )
+from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
@@ -203,7 +203,7 @@ class Text(Good):
     def act(self, seen): return "left"
 class Wild(Good):
     def act(self, seen):
-        from sumo_adv.world.egos import Steer
+        from sumo_adv.drivers import Steer
         return Steer(float("nan"), 0.0)
 class NoAct:
     def reset(self, seed): pass

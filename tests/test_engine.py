@@ -13,8 +13,8 @@ from engine_samples import body, broken_body
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.world.engine import Engine, can_fork
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.simulation import SimulationSpec
 
 needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
 

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.composing import ExpertGenerator, compose
-from sumo_adv.agents.expert import Expert
-from sumo_adv.agents.firmness import ALONE, SPREAD
-from sumo_adv.agents.ways import families
-from sumo_adv.datatypes import EgoCourse, Intent, LibraryEntry, Planner, Proposal
-from sumo_adv.planning.source import make_planner
+from sumo_adv.agents.expert_generator import ExpertGenerator
+from sumo_adv.datatypes import Intent, LibraryEntry, ObservedMotion, Planner, Proposal
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.composed_intents import compose
+from sumo_adv.search.expert import Expert
+from sumo_adv.search.robustness import ALONE, SPREAD
+from sumo_adv.search.templates import templates_of
 from sumo_adv.situation import Target
 
 ENDPOINT = """
@@ -29,20 +30,20 @@ SHIFT = make_planner("Shift", "side", TABLE + ENDPOINT, "seed")
 class Same:
     """Every proposal scores half a point."""
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
 
-    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
         return False
 
 
 class Best:
     """A brake avoids every proposal: nothing more is drawn."""
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.05, predicted={"alone": 0.05}) for p in proposals]
 
-    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
         return False
 
 
@@ -141,10 +142,10 @@ class Changed(Same):
     def __init__(self) -> None:
         self.attempts = 0
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.9 if self.attempts else 0.5, predicted={"hit": True}) for p in proposals]
 
-    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
         self.attempts += 1
         return self.attempts == 1
 
@@ -156,7 +157,7 @@ def test_where_the_ego_is_thought_to_be_another_driver_all_is_predicted_again_bu
         replace(proposal(gap=2.0), predicted={"neighbour": True, "alone": 0.1}),
         replace(proposal(gap=3.0), by="memory", score=0.0),
     ]
-    course = EgoCourse(np.zeros(9), np.zeros(9), np.zeros(9), 9)
+    course = ObservedMotion(np.zeros(9), np.zeros(9), np.zeros(9), 9)
     after = some.heard(pool, pool[0], course)
     assert [p.score for p in after] == [0.9, 0.9, 0.0]
     assert [p.predicted for p in after] == [{"hit": True}, {"hit": True, "neighbour": True}, {}]
@@ -173,7 +174,7 @@ def shifts(count: int, mode: str = "side") -> tuple[Planner, ...]:
 def test_of_each_mode_the_two_versions_that_come_first_are_drawn_from() -> None:
     sides, others = shifts(4), shifts(1, "weave")
     entry = LibraryEntry("Shift", "", ("neighbour",), (sides[2], *others, sides[0], sides[1], sides[3]))
-    ways = families({0.0: situation([neighbour()])}, [entry])
+    ways = templates_of({0.0: situation([neighbour()])}, [entry])
     assert [w.planner for w in ways] == [sides[2], *others, sides[0]]
 
 
@@ -189,7 +190,7 @@ def test_versions_that_were_learnt_are_told_from_the_authors_and_two_of_them_cou
         LibraryEntry("Merge", "", ("neighbour",), (adapted,)),
         LibraryEntry("Alone", "", ("neighbour",), (alone,)),
     ]
-    ways = families({0.0: situation([neighbour()])}, library)
+    ways = templates_of({0.0: situation([neighbour()])}, library)
     assert [(w.planner, w.learnt) for w in ways] == [
         (learnt[0], True), (learnt[1], True), (first, False), (adapted, False), (alone, False)
     ]  # fmt: skip

@@ -17,9 +17,9 @@ from sumo_adv.errors import UsageError
 from sumo_adv.report.export.fcd import fcd
 from sumo_adv.report.export.piece import read_piece
 from sumo_adv.report.export.replay import TYPES, write_replay
-from sumo_adv.world.fcd_scenario import ROUTES, SCENARIO, TRACKS, write_scenario
-from sumo_adv.world.inputs import load_input
-from sumo_adv.world.tracks import read_tracks
+from sumo_adv.simulation.fcd_scenario import ROUTES, SCENARIO, TRACKS, write_scenario
+from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.tracks import read_tracks
 
 NETWORK = ROOT / "networks" / "two_way.net.xml"
 

@@ -8,10 +8,10 @@ from random import Random
 
 import pytest
 
-from sumo_adv.agents.expert import AT_LEAST_FIRMED, AVOIDABLE, FIRMED, Expert
-from sumo_adv.agents.firmness import ALONE, NEAR, NEIGHBOURS, alone, drawn, firm, firmed, varied
-from sumo_adv.datatypes import EgoCourse, Planner, Proposal
-from sumo_adv.planning.source import make_planner
+from sumo_adv.datatypes import ObservedMotion, Planner, Proposal
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.expert import AT_LEAST_FIRMED, AVOIDABLE, FIRMED, Expert
+from sumo_adv.search.robustness import ALONE, NEAR, NEIGHBOURS, alone, drawn, firm, firmed, varied
 
 HEAD = "def endpoint(bv, ego, road, parameters, acc, horizon):\n    return {}\n"
 WIDE = make_planner("Shift", "wide", 'PARAMETERS = {"gap": (0.0, -50.0, 50.0, "m", "where")}\n\n' + HEAD, "seed")
@@ -25,11 +25,11 @@ class Road:
     def __init__(self) -> None:
         self.asked = 0
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         self.asked += len(proposals)
         return [replace(p, score=self._one(p), predicted={"hit": True}) for p in proposals]
 
-    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
+    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
         return False
 
     def _one(self, p: Proposal) -> float:

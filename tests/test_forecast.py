@@ -12,19 +12,12 @@ import pytest
 from situation_samples import KRAUSS, crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
+from sumo_adv.drivers.prediction import PredictedEgos, seen_edges
+from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
-from sumo_adv.planning.drivers import PredictedEgos, seen_edges
-from sumo_adv.planning.forecast import arrivals, stations
-from sumo_adv.planning.predict import (
-    Answer,
-    Ask,
-    Rollouts,
-    Told,
-    local_endpoint,
-    predict,
-    world_endpoint,
-)
-from sumo_adv.planning.scenes import Scenes, profile_at
+from sumo_adv.planners.answers import Answer, Told, local_endpoint, world_endpoint
+from sumo_adv.planners.forecast import arrivals, stations
+from sumo_adv.search.rollouts import Ask, Rollouts, predict
 from sumo_adv.situation import NO_ARRIVAL, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
@@ -162,7 +155,7 @@ def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
 
 
 @pytest.mark.parametrize(
-    ("kind", "passes_right", "seen"),
+    ("kind", "ignores_sumo_lane_rules", "seen"),
     [
         ("same", False, True),
         ("opposite", False, False),  # it went over to the lane of the other direction
@@ -170,11 +163,11 @@ def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
     ],
 )
 def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front(
-    kind: str, passes_right: bool, seen: bool
+    kind: str, ignores_sumo_lane_rules: bool, seen: bool
 ) -> None:
     """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
-    sit = situation([leader(gap=15.0)], model={**KRAUSS, "passes_right": passes_right})
+    sit = situation([leader(gap=15.0)], model={**KRAUSS, "ignores_sumo_lane_rules": ignores_sumo_lane_rules})
     sit = replace(sit, ego_sides=((3.2, kind),))
     one = np.ones(2)
     egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)

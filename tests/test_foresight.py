@@ -10,9 +10,9 @@ from situation_samples import neighbour, situation
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Planner, Proposal
-from sumo_adv.episode.foresight import FAILED, Foresight
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.prediction import FAILED, Predictor
 
 FRAGILE = """
 PARAMETERS = {"worst": (0.0, 0.0, 9.0, "s", "from when on it fails")}
@@ -38,14 +38,14 @@ def attack(planner: Planner, worst: float) -> Proposal:
     return Proposal("bv", "Any", planner, {"worst": worst}, 0.0, 0.0)
 
 
-def foresight(sandbox: Sandbox) -> Foresight:
-    return Foresight(sandbox, Settings(), everywhere, {0.0: situation([neighbour()])})  # type: ignore[arg-type]
+def predictor(sandbox: Sandbox) -> Predictor:
+    return Predictor(sandbox, Settings(), everywhere, {0.0: situation([neighbour()])})  # type: ignore[arg-type]
 
 
 def test_a_planner_that_fails_for_one_proposal_answers_for_the_others(sandbox: Sandbox) -> None:
     """From 3 s on it divides by zero with the second one's number, and never with the others'."""
     planner = make_planner("Any", "fragile", FRAGILE, "person")
-    foreseen = foresight(sandbox)
+    foreseen = predictor(sandbox)
     first, second, third = foreseen.score([attack(planner, worst) for worst in (99.0, 3.0, 99.0)])
     assert second.score == FAILED and "ZeroDivisionError" in second.predicted["failed"]
     assert first.score == third.score < FAILED and "failed" not in first.predicted
@@ -54,7 +54,7 @@ def test_a_planner_that_fails_for_one_proposal_answers_for_the_others(sandbox: S
 
 def test_one_that_fails_for_all_has_failed_and_is_asked_no_more(sandbox: Sandbox) -> None:
     planner = make_planner("Any", "fragile", FRAGILE, "person")
-    foreseen = foresight(sandbox)
+    foreseen = predictor(sandbox)
     assert [p.score for p in foreseen.score([attack(planner, 2.0), attack(planner, 3.0)])] == [FAILED, FAILED]
     assert list(foreseen.failures) == [planner.hash]
     again = foreseen.score([attack(planner, 99.0)])[0]

@@ -15,9 +15,9 @@ from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, 
 
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import Frame, Path
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.road import road_of
-from sumo_adv.planning.trajectory import Batch, Goal, Motion, pose
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.road import road_of
+from sumo_adv.planners.trajectory import Batch, Goal, Motion, pose
 from sumo_adv.situation import NO_ARRIVAL, Situation, Target, relate
 
 EXAMPLES = settings(max_examples=20, deadline=None, derandomize=True)
@@ -33,7 +33,7 @@ def straight_on(motion: Motion) -> Goal:
 
 
 def tell(sit: Situation, name: str = "bv", motion: Motion | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-    ground = Ground([sit], [name])
+    ground = AdversaryBatch([sit], [name])
     return ground.tell(motion or ground.begin(), 0.0, AT_START, [None])[0]  # type: ignore[arg-type]
 
 
@@ -73,7 +73,7 @@ def test_words_for_what_may_be_tried() -> None:
 
 
 def test_at_the_trigger_everybody_is_where_the_situation_says() -> None:
-    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
+    ground = AdversaryBatch([situation([neighbour()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     s, d, h = ground.relative(motion)
     assert (s.tolist(), d.tolist(), h.tolist()) == ([20.0] * 2, pytest.approx([3.2] * 2), [0.0] * 2)
@@ -88,14 +88,14 @@ def test_at_the_trigger_everybody_is_where_the_situation_says() -> None:
 def test_an_oncoming_car_comes_towards_the_ego() -> None:
     back = line((100.0, 3.2), (-100.0, 3.2))
     oncoming = target(car("bv", 100.0, 3.2, math.pi, 12.0), "oncoming", [(back, "none", math.inf)], EGO_PATH)
-    ground = Ground([situation([oncoming])], ["bv"])
+    ground = AdversaryBatch([situation([oncoming])], ["bv"])
     s, d, h = ground.relative(ground.begin()._replace(s=one(30.0), d=one(1.0)))
     assert (s[0], abs(h[0])) == pytest.approx((70.0, math.pi))
     assert d[0] == pytest.approx(2.2)  # a metre to its left, which is towards the ego
 
 
 def test_an_endpoint_becomes_a_goal_on_the_way() -> None:
-    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
+    ground = AdversaryBatch([situation([neighbour()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     goal = ground.aim(motion, [Endpoint(60.25, 0.5, 0.0, 9.0, 2.5), None], straight_on(motion))
     assert [q[0] for q in goal] == pytest.approx([40.25, -2.7, 9.0, 2.5])
@@ -103,7 +103,7 @@ def test_an_endpoint_becomes_a_goal_on_the_way() -> None:
 
 
 def test_an_endpoint_round_the_corner_chooses_the_turn_while_both_ways_are_one() -> None:
-    ground = Ground([situation([crossing()])], ["bv"])
+    ground = AdversaryBatch([situation([crossing()])], ["bv"])
     motion = ground.begin()
     west = Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)
     ground.aim(motion, [west], straight_on(motion))
@@ -116,7 +116,7 @@ def test_an_endpoint_round_the_corner_chooses_the_turn_while_both_ways_are_one()
 
 
 def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
-    ground = Ground([situation([crossing()])] * 2, ["bv", "bv"])
+    ground = AdversaryBatch([situation([crossing()])] * 2, ["bv", "bv"])
     motion = ground.begin()
     ends = [Endpoint(30.0, 20.0, math.pi / 2, 9.0, 5.0), Endpoint(10.0, -2.0, math.pi, 6.0, 5.0)]
     goal = ground.aim(motion, ends, straight_on(motion))
@@ -129,7 +129,7 @@ def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
 
 def test_vehicles_of_different_ways_share_one_ground() -> None:
     other = replace(neighbour(x=50.0), state=car("other", 50.0, 3.2, speed=12.0))
-    ground = Ground([situation([crossing(), other])] * 3, ["other", "bv", "other"])
+    ground = AdversaryBatch([situation([crossing(), other])] * 3, ["other", "bv", "other"])
     x, y, _ = pose(Batch, ground.begin(), ground.rows)
     assert x == pytest.approx([50.0, 30.0, 50.0])
     assert y == pytest.approx([3.2, -25.0, 3.2])
@@ -138,14 +138,14 @@ def test_vehicles_of_different_ways_share_one_ground() -> None:
 # ---- in the way at a junction
 
 
-def at_station(ground: Ground, s: float, v: float = 8.0) -> Motion:
+def at_station(ground: AdversaryBatch, s: float, v: float = 8.0) -> Motion:
     return ground.begin()._replace(s=one(s), v=one(v))
 
 
 def test_one_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its_rear_has_left_it() -> None:
     """Its junction begins after 15 m, the ways meet at right angles after 25 m (at 30 m of the ego's path), so the
     junction is taken to end after 35 m; the lane is 3.2 m wide, the car 5 m long."""
-    ground = Ground([situation([crossing()])], ["bv"])
+    ground = AdversaryBatch([situation([crossing()])], ["bv"])
     before = ground.blocked(at_station(ground, 0.0))
     assert (before.on[0], before.merging[0], before.meets[0]) == (False, False, pytest.approx(30.0))
     assert (before.before[0], before.back[0], before.behind[0]) == pytest.approx((20.9, 25.9, 37.5))
@@ -175,7 +175,7 @@ def test_on_a_junction_one_counts_as_on_the_way_that_its_front_is_nearest_to(
 ) -> None:
     """Of the two ways on from the south only the one straight on meets the ego's path, at 30 m. The other one turns
     left 2 m before that; a rad of another heading counts as 2.2 m, having been on a way as 2 m."""
-    ground = Ground([situation([replace(crossing(), unattacked=unattacked)])], ["bv"])
+    ground = AdversaryBatch([situation([replace(crossing(), unattacked=unattacked)])], ["bv"])
     ground.blocked(at_station(ground, 5.0))
     found = ground.blocked(at_station(ground, station)._replace(d=one(offset)))
     assert found.meets[0] == pytest.approx(30.0 if straight else math.inf)
@@ -185,9 +185,9 @@ def test_who_waits_to_turn_on_a_junction_is_not_yet_in_the_way() -> None:
     """The way begins to cross others at 20 m: until its front is there nobody minds it."""
     turns = crossing()
     turns = replace(turns, ways=tuple(replace(w, bay=20.0) for w in turns.ways))
-    ground = Ground([situation([turns])], ["bv"])
+    ground = AdversaryBatch([situation([turns])], ["bv"])
     assert [bool(ground.blocked(at_station(ground, s, 0.0)).on[0]) for s in (13.0, 17.0, 18.0)] == [False, False, True]
-    ground = Ground([situation([crossing()])], ["bv"])
+    ground = AdversaryBatch([situation([crossing()])], ["bv"])
     assert ground.blocked(at_station(ground, 13.0, 0.0)).on[0]
 
 
@@ -201,7 +201,7 @@ def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> Non
         )
         state = car("bv", float(way.x[0]), float(way.y[0]), angle)
         one_of = target(state, "crossing", [(way, "straight", 20.0)], EGO_PATH)
-        ground = Ground([situation([one_of])], ["bv"])
+        ground = AdversaryBatch([situation([one_of])], ["bv"])
         assert ground.blocked(at_station(ground, 0.0)).zone[0] == pytest.approx(zone, rel=1e-3)
 
 
@@ -209,7 +209,7 @@ def test_one_that_merges_takes_up_what_it_is_ahead_by_and_moves_on() -> None:
     """A ramp of 67.1 m joins at station 60; its junction begins after 55 m."""
     ramp = line((0.0, -30.0), (60.0, 0.0), (250.0, 0.0))
     merging = target(car("bv", 0.0, -30.0, 0.46), "merging", [(ramp, "straight", 55.0)], EGO_PATH)
-    ground = Ground([situation([merging])], ["bv"])
+    ground = AdversaryBatch([situation([merging])], ["bv"])
     conflict = merging.ways[0].conflict
     assert conflict is not None and conflict.kind == "merging"
     assert (conflict.bv_s, conflict.ego_s) == pytest.approx((67.1, 60.0), abs=1.0)
@@ -225,9 +225,9 @@ def test_one_that_merges_takes_up_what_it_is_ahead_by_and_moves_on() -> None:
 
 def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
     both = situation([neighbour(), replace(crossing(), state=replace(crossing().state, id="other"))])
-    beside = Ground([both], ["bv"])
+    beside = AdversaryBatch([both], ["bv"])
     assert beside.blocked(at_station(beside, 50.0, 12.0)) is None
-    ground = Ground([both, both], ["bv", "other"])
+    ground = AdversaryBatch([both, both], ["bv", "other"])
     found = ground.blocked(ground.begin()._replace(s=one(50.0, 20.0)))
     assert found is not None
     assert (found.on.tolist(), found.meets.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
@@ -236,7 +236,7 @@ def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
 def test_a_move_that_hardly_goes_on_is_told_as_one_of_20_s() -> None:
     """At 0.2 m/s, planned as if at 6 m/s, half of 3 s has gone: 45 s at this speed; told are the seconds of its clock,
     and never more than 20."""
-    ground = Ground([situation([neighbour()])] * 2, ["bv", "bv"])
+    ground = AdversaryBatch([situation([neighbour()])] * 2, ["bv", "bv"])
     motion = ground.begin()._replace(target=one(-3.2, -3.2), clock=one(1.5, 0.0), span=one(3.0, 73.0))
     still = one(0.0, 0.0)
     told = ground.tell(motion, 0.0, (still, still, still, still), [None, None])
@@ -244,7 +244,7 @@ def test_a_move_that_hardly_goes_on_is_told_as_one_of_20_s() -> None:
 
 
 def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
-    ground = Ground([situation([crossing()])] * 2, ["bv", "bv"])
+    ground = AdversaryBatch([situation([crossing()])] * 2, ["bv", "bv"])
     ground.rows.row = np.array([0, 1])  # the second one turns left before the ego's path
     motion = ground.begin()._replace(s=one(20.0, 20.0))
     assert ground.blocked(motion).on.tolist() == [True, False]
@@ -255,7 +255,7 @@ def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
 )
 def test_one_that_comes_against_red_yields_where_the_ego_has_green(mine: str | None, other: str, yields: bool) -> None:
     lights = {"bv": (("tl", 20.0, other),), "ego": () if mine is None else (("tl", 30.0, mine),)}
-    ground = Ground([replace(situation([crossing()]), signals=lights)], ["bv"])
+    ground = AdversaryBatch([replace(situation([crossing()]), signals=lights)], ["bv"])
     assert bool(ground.blocked(at_station(ground, 0.0)).yields[0]) is yields
 
 
@@ -279,7 +279,7 @@ def test_a_planner_is_told_places_in_the_egos_frame() -> None:
 
 def test_a_lane_change_under_way_is_told_with_its_end_and_the_seconds_left() -> None:
     sit = situation([neighbour()])
-    motion = Ground([sit], ["bv"]).begin()
+    motion = AdversaryBatch([sit], ["bv"]).begin()
     moving = motion._replace(
         d=one(-1.0), dd=one(-1.2), slope=one(-0.1), clock=one(1.0), span=one(3.0), target=one(-3.2)
     )

@@ -13,12 +13,12 @@ from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerRuntimeError, SandboxError
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.inprocess import OWN, InProcessSession, fingerprint, is_own
-from sumo_adv.planning.road import road_of
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.session import Call
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.road import road_of
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.session import Call
+from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.trusted import OWN, InProcessSession, fingerprint, is_own
 
 BANK = Path(__file__).parents[1] / "memory_bank"
 SHIPPED = sorted(BANK.glob("*/*.py"))
@@ -38,7 +38,7 @@ def planner(source: str) -> Planner:
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
 def test_every_planner_of_the_shipped_bank_is_our_own(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
-    assert is_own(planner(source)), f"write {fingerprint(source)} into OWN (sumo_adv/planning/inprocess.py)"
+    assert is_own(planner(source)), f"write {fingerprint(source)} into OWN (sumo_adv/planners/trusted.py)"
 
 
 def test_nothing_is_our_own_that_the_bank_does_not_have() -> None:
@@ -87,7 +87,7 @@ def questions(p: Planner, count: int) -> tuple[Mapping[str, Mapping[str, Any]], 
     roads = {}
     for k, target in enumerate((neighbour(), leader(), crossing())):
         sit = situation([target])
-        ground = Ground([sit] * count, ["bv"] * count)
+        ground = AdversaryBatch([sit] * count, ["bv"] * count)
         motion = ground.begin()
         motion = motion._replace(
             s=motion.s + np.linspace(0.0, 60.0, count), d=motion.d + np.linspace(-2.0, 2.0, count), v=motion.v * 0.7

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.world.inputs import EgoRoute, data_folder, input_name, load_input, shipped_names
-from sumo_adv.world.scan import scan_demand
+from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, shipped_names
+from sumo_adv.simulation.scan import scan_demand
 
 NET = """<net version="1.20">
     <edge id=":n_0" function="internal"><lane id=":n_0_0" index="0" speed="10" length="5" shape="0,0 5,0"/></edge>

@@ -12,19 +12,19 @@ import pytest
 from cli_samples import Program
 
 from sumo_adv.datatypes import Boxes, VehicleState
+from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
+from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, predict
+from sumo_adv.drivers.lattice_sample import aside
+from sumo_adv.drivers.protocol import Road
 from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.encounter_search import LaneLine
 from sumo_adv.episode.road_here import RoadHere
-from sumo_adv.episode.scout import LaneLine
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
-from sumo_adv.world.egos import LatticeEgo, Observation, Steer, apply_steer, make_ego
-from sumo_adv.world.egos.lattice_frame import RoadFrame, Watch, predict
-from sumo_adv.world.egos.lattice_sample import aside
-from sumo_adv.world.egos.protocol import Road
-from sumo_adv.world.engine import in_forks
-from sumo_adv.world.network import read_network
-from sumo_adv.world.scenario import load_scenario
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.network import read_network
+from sumo_adv.simulation.scenario import load_scenario
+from sumo_adv.simulation.simulation import SimulationSpec
 
 ROOT = Path(__file__).resolve().parent.parent
 STRAIGHT = [(float(x), 0.0) for x in range(400)]

@@ -13,12 +13,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.planning import lattice, lattice_choice
-from sumo_adv.planning.lattice import LatticeDrivers
-from sumo_adv.planning.scenes import Scenes
-from sumo_adv.world.egos import LatticeEgo, Observation, Steer, apply_steer, lattice_cost, lattice_frame, lattice_sample
-from sumo_adv.world.egos import lattice as controller
-from sumo_adv.world.egos.protocol import Road
+from sumo_adv.drivers import (
+    LatticeEgo,
+    Observation,
+    Steer,
+    apply_steer,
+    lattice_choice,
+    lattice_cost,
+    lattice_frame,
+    lattice_model,
+    lattice_sample,
+)
+from sumo_adv.drivers import lattice_controller as controller
+from sumo_adv.drivers.lattice_model import LatticeDrivers
+from sumo_adv.drivers.protocol import Road
+from sumo_adv.drivers.scenes import Scenes
 
 DT = 0.1
 PATH = [(float(x), 0.0) for x in range(-50, 900)]
@@ -149,7 +158,7 @@ SEEN = ("DRIFT_RATE", "DRIFT_TIME", "ALONG", "SMOOTHING", "STOPPING_SHORT")
     ("names", "mine", "theirs"),
     [
         (SAMPLED, lattice_choice, lattice_sample), (PRICED, lattice_choice, lattice_cost),
-        (DRIVEN, lattice, controller), (SEEN, lattice, lattice_frame),
+        (DRIVEN, lattice_model, controller), (SEEN, lattice_model, lattice_frame),
     ],
 )  # fmt: skip
 def test_its_numbers_are_the_controllers(names: tuple[str, ...], mine: Any, theirs: Any) -> None:
@@ -158,5 +167,9 @@ def test_its_numbers_are_the_controllers(names: tuple[str, ...], mine: Any, thei
 
 def test_its_settings_are_the_controllers() -> None:
     own = controller.LatticeSettings()
-    assert (own.horizon, own.braking, own.lateral) == (lattice.HORIZON, lattice.BRAKING, lattice.LATERAL)
-    assert lattice.SLOWING == lattice_frame.BRAKING
+    assert (own.horizon, own.braking, own.lateral) == (
+        lattice_model.HORIZON,
+        lattice_model.BRAKING,
+        lattice_model.LATERAL,
+    )
+    assert lattice_model.SLOWING == lattice_frame.BRAKING

@@ -16,10 +16,10 @@ import pytest
 from situation_samples import KRAUSS, leader, line, situation
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.planning.car_following import CarFollowing
-from sumo_adv.planning.drivers import PredictedEgos
-from sumo_adv.planning.leaders import Leaders
-from sumo_adv.planning.scenes import Scenes
+from sumo_adv.drivers.car_following import CarFollowing
+from sumo_adv.drivers.leaders import Leaders
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import OnPath, Situation, on_path
 
 HERE = 17.5  # m: centre of a car of 5 m with 12.5 m to the ego's front
@@ -76,7 +76,7 @@ def test_faster_than_60_km_h_one_in_the_lane_to_the_left_holds_it_up_as_well() -
     beside = other("bv", 27.5, d=3.2, speed=20.0)
     sit = replace(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
     assert leaders(sit).held(np.array([0.0]))[0]
-    passes = replace(sit, ego_model={**fast, "passes_right": True})
+    passes = replace(sit, ego_model={**fast, "ignores_sumo_lane_rules": True})
     assert not leaders(passes).held(np.array([0.0]))[0]
 
 

@@ -17,13 +17,13 @@ from typing import Any
 import pytest
 from model_server import KEY, Answer, Asked, Cut, Drip, Hang, Large, ModelServer, Raw, Say, StepClock, no_schema, status
 
-from sumo_adv.agents.chat import ChatReply, ChatRequest
-from sumo_adv.agents.ledger import Budget, Ledger
-from sumo_adv.agents.llm import connect, connect_embedder
-from sumo_adv.agents.presets import find_server
 from sumo_adv.config import load_settings
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
+from sumo_adv.llm.chat import ChatReply, ChatRequest
+from sumo_adv.llm.client import connect, connect_embedder
+from sumo_adv.llm.ledger import Budget, Ledger
+from sumo_adv.llm.presets import find_server
 
 SHAPE = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
 BOMB = gzip.compress(gzip.compress(bytes(20_000_000)))  # 20 MB in some hundred bytes

@@ -10,7 +10,7 @@ from cli_samples import ROOT, TRAIL, Done, Program, Runs, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import verify_same
-from sumo_adv.planning.source import parse_parameters
+from sumo_adv.planners.source import parse_parameters
 
 SEVEN = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",

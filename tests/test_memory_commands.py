@@ -13,10 +13,10 @@ from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
-from sumo_adv.planning.probes import CROSSING_ANGLES, LANE_PLACES, probes
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
-from sumo_adv.planning.trial import trial
+from sumo_adv.planners.probes import CROSSING_ANGLES, LANE_PLACES, probes
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.trial import trial
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 PARAPHRASES = ROOT / "tests" / "data" / "intents_paraphrases.toml"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.network import RoadMap, read_network
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.network import RoadMap, read_network
 
 
 @cache

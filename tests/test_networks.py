@@ -15,7 +15,7 @@ from types import ModuleType
 
 import pytest
 
-from sumo_adv.world.inputs import data_folder, load_input, shipped_names
+from sumo_adv.simulation.inputs import data_folder, load_input, shipped_names
 
 NETWORKS = sorted(data_folder("networks").glob("*.net.xml"))
 SCENARIOS = sorted(data_folder("scenarios").glob("*.toml"))

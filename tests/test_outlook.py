@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from sumo_samples import make_spec, vehicle
 
+from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.outlook import MIN_GAP, apart, outlook
-from sumo_adv.world.egos import ExternalEgo
-from sumo_adv.world.network import RoadMap, read_network
-from sumo_adv.world.simulation import Pose, SimulationSpec
+from sumo_adv.episode.traffic_forecast import MIN_GAP, apart, traffic_forecast
+from sumo_adv.simulation.network import RoadMap, read_network
+from sumo_adv.simulation.simulation import Pose, SimulationSpec
 
 
 @contextmanager
@@ -34,7 +34,7 @@ def scene(folder: Path, network: str, *vehicles: str, steps: int = 1) -> Iterato
 def test_alone_it_keeps_speed_and_lane(tmp_path: Path) -> None:
     with scene(tmp_path, "straight_3lane", vehicle("ego", "eastbound", 0, 100.0, 20.0), steps=3) as (road, drive):
         now, at, speed = drive.now, drive.state("ego"), drive.state("ego").speed
-        track = outlook(road, drive, 4.0)["ego"]
+        track = traffic_forecast(road, drive, 4.0)["ego"]
         assert track.time[0] == pytest.approx(0.1) and track.time[-1] == pytest.approx(now + 4.0)
         i = int(np.argmin(np.abs(track.time - now)))
         assert (track.x[i], track.y[i], track.speed[i]) == pytest.approx((at.x, at.y, at.speed))
@@ -48,7 +48,7 @@ def test_nobody_drives_through_a_leader(tmp_path: Path) -> None:
     ego = vehicle("ego", "eastbound", 0, 30.0, 15.0)
     spec_type = '<vType id="crawling" vClass="passenger" maxSpeed="3" sigma="0" length="5"/>'
     with scene(tmp_path, "straight_3lane", spec_type, slow, ego) as (road, drive):
-        tracks = outlook(road, drive, 20.0)
+        tracks = traffic_forecast(road, drive, 20.0)
         gap = tracks["slow"].x - tracks["ego"].x - 5.0
         assert gap.min() > MIN_GAP - 0.5
         assert tracks["ego"].speed[-1] == pytest.approx(3.0, abs=0.3)  # behind it, at its speed
@@ -58,7 +58,7 @@ def test_nobody_drives_through_a_leader(tmp_path: Path) -> None:
 def test_it_turns_where_its_route_turns_and_slows_for_the_bend(tmp_path: Path) -> None:
     ego = vehicle("ego", "south_in east_out", 0, 150.0, 13.0)
     with scene(tmp_path, "priority_crossing", ego) as (road, drive):
-        track = outlook(road, drive, 14.0)["ego"]
+        track = traffic_forecast(road, drive, 14.0)["ego"]
         assert track.heading[0] == pytest.approx(math.pi / 2) and track.heading[-1] == pytest.approx(0.0, abs=0.05)
         assert track.lane[-1].startswith("east_out") and any(lane.startswith(":") for lane in track.lane)
         inside = np.array([lane.startswith(":") for lane in track.lane])
@@ -74,7 +74,7 @@ def test_it_stops_at_a_red_light(tmp_path: Path) -> None:
             drive.tick()
         ((_, distance, light),) = drive.simulation.signals("ego")[:1]
         assert light in "rR" and distance > 5.0
-        track = outlook(road, drive, 30.0)["ego"]
+        track = traffic_forecast(road, drive, 30.0)["ego"]
         state = drive.state("ego")
         way = math.hypot(track.x[-1] - state.x, track.y[-1] - state.y)
         assert track.speed[-1] == pytest.approx(0.0, abs=0.05) and way <= distance
@@ -85,7 +85,7 @@ def test_off_the_road_it_goes_straight_on(tmp_path: Path) -> None:
         for k in range(3):
             drive.tick({"ego": Pose(120.0 + k, -60.0, 0.1, 10.0)})
         assert drive.state("ego").lane == ""
-        track = outlook(road, drive, 2.0)["ego"]
+        track = traffic_forecast(road, drive, 2.0)["ego"]
         assert track.x[-1] - drive.state("ego").x == pytest.approx(20.0 * math.cos(0.1), abs=0.1)
         assert track.lane[-1] == ""
 
@@ -93,7 +93,7 @@ def test_off_the_road_it_goes_straight_on(tmp_path: Path) -> None:
 def test_how_far_a_vehicle_strayed(tmp_path: Path) -> None:
     others = vehicle("next", "eastbound", 1, 100.0, 15.0)
     with scene(tmp_path, "straight_3lane", vehicle("ego", "eastbound", 0, 100.0, 15.0), others) as (road, drive):
-        tracks = outlook(road, drive, 2.0)
+        tracks = traffic_forecast(road, drive, 2.0)
         for _ in range(10):
             drive.tick()
         away, faster = apart(tracks, drive.state("ego"), drive.now)
@@ -105,8 +105,8 @@ def test_how_far_a_vehicle_strayed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("network", ["straight_3lane", "two_way", "priority_crossing", "signalised_crossing"])
 def test_most_are_where_they_were_foreseen(tmp_path: Path, network: str) -> None:
     """Median distance after 3 s in generated traffic; measured 0.2 to 0.5 m on these networks."""
-    from sumo_adv.world.demand import generate
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.demand import generate
+    from sumo_adv.simulation.inputs import data_folder
 
     net = data_folder("networks") / f"{network}.net.xml"
     spec = SimulationSpec(net, (generate(net, tmp_path / "d.rou.xml", seed=1, end=60.0),), (), 0.0, 1)
@@ -118,7 +118,7 @@ def test_most_are_where_they_were_foreseen(tmp_path: Path, network: str) -> None
             drive.ego = next((n for n, raw in drive.snapshot.raw.items() if raw[3] > 4.0), None)
             if drive.ego is None:
                 continue
-            tracks = outlook(road, drive, 3.0)
+            tracks = traffic_forecast(road, drive, 3.0)
             for _ in range(30):
                 drive.tick()
             missed += [apart(tracks, drive.state(n), drive.now)[0] for n in tracks if n in drive.snapshot.raw]

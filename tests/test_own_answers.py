@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from situation_samples import neighbour, situation
 
-from sumo_adv.datatypes import Course, Proposal
-from sumo_adv.episode.own import answers
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.predict import Answer, Told
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
+from sumo_adv.datatypes import PrescribedMotion, Proposal
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.answers import Answer, Told
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.trusted_answers import answers
 
 SIDE = (Path(__file__).parents[1] / "memory_bank" / "straight_lane_shift" / "side.py").read_text(encoding="utf-8")
 BESIDE = situation([neighbour()])
@@ -27,7 +27,7 @@ def proposal(source: str = SIDE) -> Proposal:
 
 
 def told() -> Told:
-    ground = Ground([BESIDE], ["bv"])
+    ground = AdversaryBatch([BESIDE], ["bv"])
     ego = tuple(np.array([q]) for q in (0.0, 0.0, 10.0, 0.0))
     return ground.tell(ground.begin(), 0.0, ego, [None])[0]  # type: ignore[arg-type]
 
@@ -54,7 +54,11 @@ def test_our_own_planner_answers_as_in_the_sandbox_and_nobody_else_is_asked() ->
 @pytest.mark.parametrize("changed", [SIDE.replace("base = base_lane", "base = 0.0 * base_lane"), "course"])
 def test_any_other_planner_or_a_motion_given_in_advance_is_answered_for_elsewhere(changed: str) -> None:
     still = np.zeros(3)
-    other = replace(proposal(), course=Course(still, still, still, still)) if changed == "course" else proposal(changed)
+    other = (
+        replace(proposal(), course=PrescribedMotion(still, still, still, still))
+        if changed == "course"
+        else proposal(changed)
+    )
     elsewhere = Elsewhere()
     assert answers(other, BESIDE, elsewhere) is elsewhere
 

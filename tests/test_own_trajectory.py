@@ -19,22 +19,23 @@ from trajectory_samples import lane_change
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
-from sumo_adv.episode.attack import Adversary
-from sumo_adv.episode.brain import Brain
+from sumo_adv.episode.attempt import PlannedAdversary
+from sumo_adv.episode.attempt_runner import AttemptRunner
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
 from sumo_adv.metrics.feasibility import motion
-from sumo_adv.planning.follow import Follower, Line, aligned, off_road
-from sumo_adv.planning.predict import Answer, Told, predict
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.trajectory import PathRow, Scalar, pose, start
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import load_input
-from sumo_adv.world.network import Drivable
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.planners.answers import Answer, Told
+from sumo_adv.planners.follower import Follower, Line, aligned, off_road
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.trajectory import PathRow, Scalar, pose, start
+from sumo_adv.search.rollouts import predict
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.simulation.recording import tracks_of
 
 DT = 0.1
 LIMITS = Limits()
@@ -180,7 +181,7 @@ def test_a_line_that_is_none_on_this_way_is_refused() -> None:
 
 
 @dataclass(frozen=True)
-class Led:
+class AdversaryController:
     """A vehicle led by a planner: its poses (x, y, heading, speed, acceleration), the message, the failure."""
 
     rows: Floats
@@ -190,7 +191,7 @@ class Led:
 
 def lead(
     sandbox: Sandbox, planner: Planner, steps: int = 80, every: int = 5, **numbers: float
-) -> tuple[Led, Any, dict[str, str]]:
+) -> tuple[AdversaryController, Any, dict[str, str]]:
     """The adversary of an attempt without SUMO against an ego that keeps 10 m/s, and the prediction of the same."""
     proposal = Proposal("bv", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
     with Sessions(sandbox, HERE, [proposal], 0) as sessions:
@@ -201,7 +202,7 @@ def lead(
             except SandboxError as error:
                 return str(error)
 
-        adversary, rows, failure = Adversary(SIT, "bv", LIMITS), [], None
+        adversary, rows, failure = PlannedAdversary(SIT, "bv", LIMITS), [], None
         for k in range(steps):
             if k % every == 0:
                 failure = adversary.replan(k * DT, (k * 1.0, 0.0, 10.0, 0.0), ask)
@@ -214,7 +215,7 @@ def lead(
             HERE.situations, both, lambda k, told: sessions.ask(both, k, told), limits=LIMITS, steps=steps + 1,
             replan=every,
         )  # fmt: skip
-        return Led(np.array(rows), adversary.message, failure), rollouts, sessions.failures
+        return AdversaryController(np.array(rows), adversary.message, failure), rollouts, sessions.failures
 
 
 @pytest.mark.parametrize(("lateral", "slower"), [(2.0, 0.0), (12.0, 0.0), (2.0, 12.0)])
@@ -286,7 +287,7 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
     proposal = Proposal("bv", "x", planner, {**planner.defaults(), "beyond": -4.8}, 0.0, 0.0)
     for edge, refused in ((-0.97, True), (-9.0, False)):
         with Sessions(sandbox, HERE, [proposal], 0, drivable=Drivable(box(-50.0, edge, 500.0, 9.0))) as sessions:
-            adversary = Adversary(SIT, "bv", LIMITS)
+            adversary = PlannedAdversary(SIT, "bv", LIMITS)
             assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0), partial(sessions.one, proposal)) is None
         assert ("trajectory() leaves the road 2.0 s later" in adversary.message) == refused
 
@@ -295,25 +296,25 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
 
 
 @pytest.fixture(scope="module")
-def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Iterator[Brain]:
+def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Iterator[AttemptRunner]:
     """A vehicle one lane to the left, 12 m ahead of the ego, at 20 m/s."""
     source = load_input(Path("neighbour_ahead_left"))
     given = load_settings(None, horizon=source.horizon, ego=source.ego_controller)
     with Engine(body) as engine:
         engine.request("open", make_task(source, given, tmp_path_factory.mktemp("own")))
         found = engine.request("seek", "")
-        assert isinstance(found, Found)
-        yield Brain(engine, sandbox, found, 0)
+        assert isinstance(found, FoundEncounter)
+        yield AttemptRunner(engine, sandbox, found, 0)
 
 
-def attempt(brain: Brain, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
+def attempt(brain: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
     proposal = Proposal("left_ahead", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
     result = brain.attempt([proposal])[0]
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, DT)}
     return result, tracks.get("left_ahead")
 
 
-def test_in_sumo_a_cubic_of_2_metres_a_second_squared_is_driven_as_such(encounter: Brain) -> None:
+def test_in_sumo_a_cubic_of_2_metres_a_second_squared_is_driven_as_such(encounter: AttemptRunner) -> None:
     result, track = attempt(encounter, lane_change())
     assert result.verdict is not None
     assert (result.verdict.feasible, result.verdict.failed_gates) == (True, ())
@@ -323,14 +324,14 @@ def test_in_sumo_a_cubic_of_2_metres_a_second_squared_is_driven_as_such(encounte
     assert 1.0 < motion(moving).lateral.max() <= 2.0
 
 
-def test_in_sumo_a_cubic_of_20_metres_a_second_squared_is_brought_within_4(encounter: Brain) -> None:
+def test_in_sumo_a_cubic_of_20_metres_a_second_squared_is_brought_within_4(encounter: AttemptRunner) -> None:
     result, track = attempt(encounter, lane_change(), lateral=20.0)
     assert result.verdict is not None and result.verdict.feasible and track is not None
     assert "brought within the limits: it has sideways" in result.driven.message
     assert 3.0 < motion(track.between(result.start, math.inf)).lateral.max() <= 4.1
 
 
-def test_in_sumo_a_trajectory_that_jumps_ends_the_attempt_with_the_reason(encounter: Brain) -> None:
+def test_in_sumo_a_trajectory_that_jumps_ends_the_attempt_with_the_reason(encounter: AttemptRunner) -> None:
     jumps = lane_change("return [(bv['x'] + k + (5 if k > 7 else 0), bv['y'], 0.0, 10.0) for k in range(30)]")
     result, _ = attempt(encounter, jumps)
     assert result.driven.ending == "planner_failed"

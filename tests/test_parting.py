@@ -7,15 +7,15 @@ import math
 import numpy as np
 from situation_samples import EGO_PATH, car, line, neighbour, situation, target
 
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.parting import Parting
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.search.early_termination import EarlyTermination
 from sumo_adv.situation import Target
 
 
 def gone(one: Target, stations: list[float], egos: list[float]) -> list[bool]:
     """Whether it has parted, asked at one moment after the other; centres, [m] along its way and the ego's path."""
-    ground = Ground([situation([one])], ["bv"])
-    parting, start = Parting(ground), ground.begin()
+    ground = AdversaryBatch([situation([one])], ["bv"])
+    parting, start = EarlyTermination(ground), ground.begin()
     return [
         bool(parting.gone(start._replace(s=np.array([s])), np.array([ego]))[0])
         for s, ego in zip(stations, egos, strict=True)

@@ -12,21 +12,21 @@ from log_samples import LEFT, MIDDLE, RIGHT, STEPS, moving, write_scenario
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role
-from sumo_adv.episode.danger import danger
+from sumo_adv.drivers import CarefulEgo, EgoController, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import ego_path
+from sumo_adv.episode.encounter_filter import danger
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import Found
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
-from sumo_adv.world.egos import CarefulEgo, EgoController, ReplayEgo, SumoEgo
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import load_input
-from sumo_adv.world.network import read_network
-from sumo_adv.world.playback import Playback
-from sumo_adv.world.simulation import Pose, SimulationSpec, Snapshot
-from sumo_adv.world.tracks import LoggedTrack
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.network import read_network
+from sumo_adv.simulation.playback import Playback
+from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.simulation.tracks import LoggedTrack
 
 EGO = moving("e", 60.0, RIGHT + 0.3, 14.0)
 LEADER = moving("lead", 90.0, RIGHT, 14.0)
@@ -218,7 +218,7 @@ def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_oth
         with Engine(body) as engine:
             engine.request("open", make_task(given, settings, tmp_path))
             found = engine.request("seek", "")
-        assert isinstance(found, Found)
+        assert isinstance(found, FoundEncounter)
         for s in found.situations.values():
             ends = (ego, background) != ("idm", "sumo")
             assert s.left == (pytest.approx((9.0 - s.time) / 0.1) if ends else np.inf)

@@ -11,21 +11,21 @@ import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
-from sumo_adv.agents.asking import Line
-from sumo_adv.agents.chat import ChatReply, ChatRequest
 from sumo_adv.agents.evidence import evidence_words, in_words
 from sumo_adv.agents.generator import bare, mode_word
-from sumo_adv.agents.ledger import Ledger
 from sumo_adv.agents.modifier import feedback
 from sumo_adv.agents.prompts import MOST_TEXT, NAMES, Prompts, tame
-from sumo_adv.agents.scene import Names, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.scene_text import Names, driver_words, relative_words, road_words, state_words
 from sumo_adv.datatypes import Attempt, Diagnosis, LibraryEntry, Limits, Planner, Proposal, Role, Track, Verdict
 from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.simulation import Snapshot
+from sumo_adv.llm.asking import Line
+from sumo_adv.llm.chat import ChatReply, ChatRequest
+from sumo_adv.llm.ledger import Ledger
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.simulation import Snapshot
 
 LIMITS = Limits()
 PLANNER = Planner("Straight Lane Shift", "side", "# Straight Lane Shift\n# Drifts over.\nX = 1\n", (), "seed")

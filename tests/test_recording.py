@@ -9,13 +9,13 @@ import pytest
 from model_server import KEY, Asked, ModelServer, Say, StepClock, status
 from pydantic import BaseModel
 
-from sumo_adv.agents.asking import Line, ask, ask_many
-from sumo_adv.agents.chat import ChatReply, ChatRequest
-from sumo_adv.agents.ledger import Budget, Ledger
-from sumo_adv.agents.llm import connect
-from sumo_adv.agents.recording import Recorder, Replay
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
+from sumo_adv.llm.asking import Line, ask, ask_many
+from sumo_adv.llm.chat import ChatReply, ChatRequest
+from sumo_adv.llm.client import connect
+from sumo_adv.llm.ledger import Budget, Ledger
+from sumo_adv.llm.recording import Recorder, Replay
 
 
 class Number(BaseModel):

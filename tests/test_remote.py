@@ -15,8 +15,8 @@ import traci
 from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.errors import SimulationError
-from sumo_adv.world.remote import Remote
-from sumo_adv.world.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.remote import Remote
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("sumo") is None, reason="the SUMO program is not installed: pip install sumo-adv[sumo]"

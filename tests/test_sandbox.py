@@ -20,10 +20,10 @@ from sumo_adv.errors import (
     PlannerSyntaxError,
     SandboxError,
 )
-from sumo_adv.planning.jail import Jail, make_jail, wrapper_script
-from sumo_adv.planning.results import packed
-from sumo_adv.planning.sandbox import Sandbox, SandboxLimits
-from sumo_adv.planning.source import HELPERS_TEXT, make_planner, parse_parameters
+from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
+from sumo_adv.planners.results import packed
+from sumo_adv.planners.sandbox import Sandbox, SandboxLimits
+from sumo_adv.planners.source import HELPERS_TEXT, make_planner, parse_parameters
 
 TABLE = 'PARAMETERS = {"gap": (2.0, 0.5, 8.0, "m", "ahead of the ego")}\n'
 HEAD = TABLE + "def endpoint(bv, ego, road, parameters, acc, horizon):\n"

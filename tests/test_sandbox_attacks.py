@@ -19,9 +19,9 @@ from sumo_adv.errors import (
     PlannerSyntaxError,
     SandboxError,
 )
-from sumo_adv.planning.results import check_endpoint, check_trajectory
-from sumo_adv.planning.sandbox import Call, Sandbox, SandboxLimits
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.results import check_endpoint, check_trajectory
+from sumo_adv.planners.sandbox import Call, Sandbox, SandboxLimits
+from sumo_adv.planners.source import make_planner
 
 LIMIT, RUNTIME, RESULT, SYNTAX = PlannerLimitError, PlannerRuntimeError, PlannerResultError, PlannerSyntaxError
 TABLE = "PARAMETERS = {}\n"

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from sumo_adv.errors import UsageError
-from sumo_adv.world.scenario import Scenario, load_scenario
+from sumo_adv.simulation.scenario import Scenario, load_scenario
 
 FULL = """
 schema = 1

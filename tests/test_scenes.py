@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from situation_samples import KRAUSS, crossing, neighbour, situation
 
 from sumo_adv.datatypes import Limits, Planner, Proposal
+from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
-from sumo_adv.planning.predict import Answer, Rollouts, Told, part, predict, world_endpoint
-from sumo_adv.planning.scenes import Scenes, profile_at
+from sumo_adv.planners.answers import Answer, Told, world_endpoint
+from sumo_adv.search.rollouts import Rollouts, part, predict
 from sumo_adv.situation import Situation
 
 IDM = {**KRAUSS, "kind": "idm"}

@@ -12,7 +12,9 @@ from shapely import box
 from situation_samples import car, situation, target
 
 from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, Track
-from sumo_adv.episode.scoring import (
+from sumo_adv.geometry import make_path
+from sumo_adv.search.rollouts import Rollouts
+from sumo_adv.search.scoring import (
     BEYOND,
     GRAZES,
     NONE,
@@ -26,10 +28,8 @@ from sumo_adv.episode.scoring import (
     _surely,
     judge_all,
 )
-from sumo_adv.geometry import make_path
-from sumo_adv.planning.predict import Rollouts
+from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
-from sumo_adv.world.network import Drivable
 
 STEPS, DT = 60, 0.1
 TIME: Floats = DT * np.arange(float(STEPS))

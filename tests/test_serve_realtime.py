@@ -13,29 +13,29 @@ from typing import Any
 from cli_samples import TESTS
 from serve_samples import needs_sumo
 
-from sumo_adv.agents.expert import Expert
+from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry
-from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.serve.clerk import Clerk
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.expert import Expert
+from sumo_adv.serve.clerk import ResultWriter
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Options
-from sumo_adv.serve.server import MOST_AGE, House, Server
+from sumo_adv.serve.server import MOST_AGE, Server, ServerDependencies
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.network import read_network
 from sumo_adv.situation import Situation
-from sumo_adv.world.inputs import data_folder, load_input
-from sumo_adv.world.network import read_network
 
 pytestmark = needs_sumo
 TRIGGER = 3.2  # s, soon after the ego's warm-up
 MAKES_UP = 1.1  # s, a step and the second beyond which Pace lets it slip
 
 
-class Slow(Cast):
+class Slow(Agents):
     """Thinks for a while before it answers as the expert."""
 
     seconds = 0.0
@@ -90,13 +90,13 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
         Sandbox() as sandbox,
         Gate() as gate,
     ):
-        cast = Slow(settings, sandbox)
-        cast.seconds = seconds
-        clerk = Clerk(write, events)
+        agents = Slow(settings, sandbox)
+        agents.seconds = seconds
+        clerk = ResultWriter(write, events)
         clients.append(subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)]))
         try:
-            house = House(
-                given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), cast,
+            house = ServerDependencies(
+                given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), agents,
                 bank, gate, events, clerk, lambda: None,
             )  # fmt: skip
             assert Server(house).run() is None

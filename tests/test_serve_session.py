@@ -18,15 +18,15 @@ from serve_samples import needs_sumo
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.config import load_settings
-from sumo_adv.episode.outlook import outlook
+from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import OnLoss, Options
 from sumo_adv.serve.session import KEPT, EgoLost, EgoPlan, Pace, Session
-from sumo_adv.serve.watch import Watch
-from sumo_adv.world.inputs import EgoRoute
-from sumo_adv.world.network import read_network
-from sumo_adv.world.simulation import Pose
+from sumo_adv.serve.watch import EncounterMonitor
+from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.network import read_network
+from sumo_adv.simulation.simulation import Pose
 
 pytestmark = needs_sumo
 ROUTE = EgoRoute(("eastbound",), 0.0, 0, 100.0, 15.0)
@@ -171,8 +171,8 @@ def test_a_scene_that_went_as_foreseen_holds(tmp_path: Path) -> None:
         case.come()
         case.steps(30)
         road = read_network(case.spec.network)
-        watch = Watch(case.session, road, load_settings(None), (), 0.0)
-        tracks = outlook(road, case.session, 5.0)
+        watch = EncounterMonitor(case.session, road, load_settings(None), (), 0.0)
+        tracks = traffic_forecast(road, case.session, 5.0)
         case.steps(15)
         assert watch.changed(tracks, "ahead", "neighbour") == ""
         assert "no longer oncoming but neighbour" in watch.changed(tracks, "ahead", "oncoming")

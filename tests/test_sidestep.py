@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 from situation_samples import leader, situation
 
-from sumo_adv.planning.drivers import seen_edges
-from sumo_adv.planning.scenes import Scenes
-from sumo_adv.planning.sidestep import Sidestep
+from sumo_adv.drivers.lateral_gap import LateralGap
+from sumo_adv.drivers.prediction import seen_edges
+from sumo_adv.drivers.scenes import Scenes
 
 
-def sidestep(lane: float = 3.2, sides: tuple[tuple[float, str], ...] = ((3.2, "same"),)) -> Sidestep:
+def sidestep(lane: float = 3.2, sides: tuple[tuple[float, str], ...] = ((3.2, "same"),)) -> LateralGap:
     """Against a car of 5 x 1.8 m; the ego's is the rightmost of two lanes."""
     sit = situation([leader()])
     sit = replace(sit, ego=replace(sit.ego, width=1.8), lane_width=lane, ego_sides=sides)
-    return Sidestep(Scenes([sit]), np.array([5.0]), np.array([1.8]))
+    return LateralGap(Scenes([sit]), np.array([5.0]), np.array([1.8]))
 
 
-def beside(found: Sidestep, front: float, seconds: float, ahead: float = 0.0, was_inside: bool = True) -> float:
+def beside(found: LateralGap, front: float, seconds: float, ahead: float = 0.0, was_inside: bool = True) -> float:
     """The offset [m] after so long with the other's front there."""
     for _ in range(round(seconds / 0.1)):
         found.step(np.array([ahead]), np.array([front]), np.array([was_inside]))

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import Found
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.episode.worker import body
-from sumo_adv.planning.road import road_of
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import load_input
+from sumo_adv.planners.road import road_of
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import load_input
 
 
 def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Path) -> None:
@@ -20,7 +20,7 @@ def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Pa
     with Engine(body) as engine:
         engine.request("open", make_task(given, settings, tmp_path))
         found = engine.request("seek", "")
-    assert isinstance(found, Found)
+    assert isinstance(found, FoundEncounter)
     bv = found.ranking[0][0]
     for situation in found.situations.values():
         ego_light, bv_light = situation.signals["ego"][0], situation.signals[bv][0]

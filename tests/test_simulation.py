@@ -14,9 +14,9 @@ from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError
-from sumo_adv.world.moved import MovedSpeeds
-from sumo_adv.world.recording import Recording, tracks_of
-from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
+from sumo_adv.simulation.moved_speed import MovedSpeeds
+from sumo_adv.simulation.recording import Recording, tracks_of
+from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
 
 
 @contextmanager

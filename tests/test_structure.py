@@ -13,13 +13,19 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
     ("datatypes", "errors", "files", "geometry", "situation"),
-    ("config", "config_model", "metrics"),
-    ("world", "planning", "memory", "agents"),
+    ("config", "config_model", "metrics", "simulation", "memory"),
+    ("drivers", "llm"),
+    ("planners",),
+    ("search",),
+    ("agents",),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report"),
-    ("cli", "api", "__main__"),
+    ("cli", "api", "world", "__main__"),
 )
-"""From the bottom up (DESIGN.md): a part may import what stands below it, not its neighbours and not what is above."""
+"""From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
+SIDEWAYS = {("config", "config_model"), ("files", "errors"), ("geometry", "datatypes"), ("situation", "datatypes"),
+            ("situation", "geometry"), ("cli", "api"), ("api", "cli"), ("__main__", "cli")}  # fmt: skip
+"""Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"
 SKIPPED = {".venv", ".git", "__pycache__", "runs", "build", "dist"}
 
@@ -29,7 +35,7 @@ def level_of(part: str) -> int:
 
 
 def part_of(module: str) -> str | None:
-    """``sumo_adv.world.egos`` -> ``world``; None if it is not ours or the package itself."""
+    """``sumo_adv.drivers`` -> ``world``; None if it is not ours or the package itself."""
     names = module.split(".")
     return names[1] if names[0] == TOP and len(names) > 1 else None
 
@@ -59,14 +65,14 @@ def imported(tree: ast.AST) -> list[str]:
 
 
 def wrong_imports(source: str, module: str) -> list[str]:
-    """Imports in ``source`` that point sideways or up."""
+    """Imports in ``source`` that point up, or sideways where that is not stated."""
     me = part_of(module)
     wrong = []
     for name in imported(ast.parse(source)):
         other = part_of(name)
         if me is None or other is None or other == me or other.startswith("__version"):
             continue
-        if level_of(other) > level_of(me) or (level_of(other) == level_of(me) == 2):
+        if level_of(other) > level_of(me) or (level_of(other) == level_of(me) and (me, other) not in SIDEWAYS):
             wrong.append(name)
     return wrong
 
@@ -106,11 +112,11 @@ def test_imports_point_one_way(path: Path) -> None:
 
 
 def test_the_rule_catches_what_it_should() -> None:
-    assert wrong_imports("from sumo_adv.world.egos import ego", "sumo_adv.metrics.ttc") == ["sumo_adv.world.egos"]
+    assert wrong_imports("from sumo_adv.drivers import ego", "sumo_adv.metrics.ttc") == ["sumo_adv.drivers"]
     assert wrong_imports("def f():\n    import sumo_adv.cli.main", "sumo_adv.episode.loop") == ["sumo_adv.cli.main"]
-    assert wrong_imports("from sumo_adv import world", "sumo_adv.datatypes") == ["sumo_adv.world"]
-    assert wrong_imports("from sumo_adv.world.egos import make_ego", "sumo_adv.episode.loop") == []
-    hint = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from sumo_adv.world.egos import ego"
+    assert wrong_imports("from sumo_adv import drivers", "sumo_adv.datatypes") == ["sumo_adv.drivers"]
+    assert wrong_imports("from sumo_adv.drivers import make_ego", "sumo_adv.episode.loop") == []
+    hint = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from sumo_adv.drivers import ego"
     assert wrong_imports(hint, "sumo_adv.metrics.ttc") == []
 
 

@@ -10,9 +10,9 @@ import pytest
 from situation_samples import car
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.episode.survey import _goes_first, _onward
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.network import RoadMap, read_network
+from sumo_adv.episode.situation_builder import _goes_first, _onward
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.network import RoadMap, read_network
 
 
 @cache

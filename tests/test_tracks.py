@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_adv.errors import UsageError
-from sumo_adv.world.tracks import COLUMNS, TrackLog, read_tracks, write_tracks
+from sumo_adv.simulation.tracks import COLUMNS, TrackLog, read_tracks, write_tracks
 
 HEADER = ",".join(COLUMNS) + "\n"
 CAR = """0.0,a,vehicle,1,0,0,0,10,4.0,2.0

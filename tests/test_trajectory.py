@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats, Limits
 from sumo_adv.geometry import Path, make_path
-from sumo_adv.planning.trajectory import Batch, Goal, Motion, PathRow, PathRows, Scalar, advance, pose, start, steer
+from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, Scalar, advance, pose, start, steer
 
 DT = 0.1
 LIMITS = Limits()

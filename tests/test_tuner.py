@@ -6,17 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.composing import ExpertGenerator, compose
-from sumo_adv.agents.expert import Expert
-from sumo_adv.agents.firmness import drawn
-from sumo_adv.agents.hindsight import WEIGHED
-from sumo_adv.agents.tuner import TRIED_PRICE, Tuner
-from sumo_adv.agents.ways import Family, families
-from sumo_adv.datatypes import Boxes, EgoCourse, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.foresight import _batches
-from sumo_adv.episode.refine import _untuned
+from sumo_adv.agents.expert_generator import ExpertGenerator
+from sumo_adv.datatypes import Boxes, Intent, LibraryEntry, ObservedMotion, Proposal
+from sumo_adv.episode.refinement import _untuned
 from sumo_adv.metrics.boxes import touching
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.source import make_planner
+from sumo_adv.search.composed_intents import compose
+from sumo_adv.search.correction import WEIGHED
+from sumo_adv.search.expert import Expert
+from sumo_adv.search.ordering import TRIED_PRICE, Tuner
+from sumo_adv.search.prediction import _batches
+from sumo_adv.search.robustness import drawn
+from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
 
@@ -103,7 +104,7 @@ def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) ->
     situations, library = dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))]
     expert = Expert(scorer, proposals=proposals, seed=7)
     expert.analyze(situations, library)
-    return Tuner(expert, families(situations, library), share=8)
+    return Tuner(expert, templates_of(situations, library), share=8)
 
 
 def tried(tuner: Tuner, count: int) -> list[Proposal]:
@@ -113,14 +114,14 @@ def tried(tuner: Tuner, count: int) -> list[Proposal]:
 def test_families_are_what_applies_to_each_vehicle():
     situation = straight_situation()
     library = [entry("Shift", ("neighbour",)), entry("Oncoming", ("oncoming",))]
-    found = families({0.0: situation}, library)
+    found = templates_of({0.0: situation}, library)
     assert {(f.target.relation, f.entry.label) for f in found} == {("neighbour", "Shift")}
-    assert families({0.0: situation}, library, ["Oncoming"]) == []
+    assert templates_of({0.0: situation}, library, ["Oncoming"]) == []
 
 
 def test_the_first_proposal_of_a_family_has_its_authors_numbers_and_drawn_ones_stay_in_bounds():
     situation = straight_situation()
-    family = families({0.0: situation}, [entry("Shift", ("neighbour",))])[0]
+    family = templates_of({0.0: situation}, [entry("Shift", ("neighbour",))])[0]
     assert family.proposal(None).parameters == {"gap": 2.0, "drift": 3.0}
     for seed in range(50):
         drawn = family.proposal(random.Random(seed)).parameters
@@ -142,7 +143,7 @@ def test_same_seed_same_order():
     for _ in range(2):
         expert = Expert(ByGap(), proposals=30, seed=7)
         expert.analyze({0.0: situation}, library)
-        tuner = Tuner(expert, families({0.0: situation}, library), share=8)
+        tuner = Tuner(expert, templates_of({0.0: situation}, library), share=8)
         orders.append([p.parameters["gap"] for p in tried(tuner, 8)])
     assert orders[0] == orders[1] and len(orders[0]) == 8
 
@@ -151,7 +152,7 @@ def test_a_planner_gets_at_most_its_share():
     situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
     expert = Expert(ByGap(), proposals=30, seed=7)
     expert.analyze({0.0: situation}, library)
-    tuner = Tuner(expert, families({0.0: situation}, library), share=3)
+    tuner = Tuner(expert, templates_of({0.0: situation}, library), share=3)
     assert len(tried(tuner, 10)) == 3
     assert tuner.exhausted() == [library[0].planners[0].hash]
 
@@ -176,12 +177,12 @@ def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one
     situation, known = straight_situation(), learnt_version([entry("Shift", ("neighbour",))])
     expert = Expert(ByGap(), proposals=30, seed=7)
     expert.analyze({0.0: situation}, [known])
-    tuner = Tuner(expert, families({0.0: situation}, [known]), share=3)
+    tuner = Tuner(expert, templates_of({0.0: situation}, [known]), share=3)
     assert len(tried(tuner, 10)) == 3
     most = tuner.exhausted()
     assert most == [known.planners[1].hash]  # of 31 proposals 30 are the author's: nearest to 1 m are three of these
     changed = make_planner("Shift", "side", SHIFT.replace("(2.0,", "(0.5,"), "expert", most[0])
-    way = families({0.0: situation}, [known])[0]
+    way = templates_of({0.0: situation}, [known])[0]
     tuner.add([replace(way, planner=changed, learnt=False)], 20)
     assert [p.planner.hash for p in tried(tuner, 10)] == [changed.hash] * 3
 
@@ -249,7 +250,7 @@ def test_half_of_what_is_redrawn_is_near_the_best_ones():
     assert np.mean(gaps[:75]) > -1.0
 
 
-COURSE = EgoCourse(np.array([0.0, 1.0]), np.zeros(2), np.array([10.0, 10.0]))
+COURSE = ObservedMotion(np.array([0.0, 1.0]), np.zeros(2), np.array([10.0, 10.0]))
 
 
 @pytest.mark.parametrize(
@@ -294,7 +295,7 @@ def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
 def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():
     situation = straight_situation()
     braking = entry("Emergency Braking", ("neighbour",))
-    family = Family(0.0, next(iter(situation.targets.values())), braking, braking.planners[0])
+    family = AttackTemplate(0.0, next(iter(situation.targets.values())), braking, braking.planners[0])
     assert family.proposal(None).acceleration == -7.5
     assert -8.0 <= family.proposal(random.Random(3)).acceleration <= -5.0
 
@@ -302,7 +303,7 @@ def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():
 def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
     situation = straight_situation()
     library = [entry("Shift", ("neighbour",))]
-    ways = families({4.0: situation, 5.5: situation}, library)
+    ways = templates_of({4.0: situation, 5.5: situation}, library)
     intent = Intent("bv", "Shift", "", "high", ((0.0, -2.0), (1.0, 1.0)))
     remembered = ways[0].proposal(random.Random(1))
     plans = _untuned([intent], ways, [remembered])

@@ -16,20 +16,20 @@ import pytest
 from metrics_tracks import cruise
 from shapely import box
 
+from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Track
-from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.loop import Episode, make_task, replay_episode, run_episode
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.folder import staged, write_run
 from sumo_adv.report.manifest import read_manifest
 from sumo_adv.report.tables import SERIES_HEADER, series_rows
 from sumo_adv.report.verdicts import demand_sigmas, edge_distance, figures, judge_best, realism_figures
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import data_folder, load_input
-from sumo_adv.world.network import Drivable
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.network import Drivable
 
 FURTHER = {
     "collision_class", "kind", "impact", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "rss", "tet",
@@ -73,7 +73,7 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         Sandbox() as sandbox,
         Engine(body) as engine,
     ):
-        episode = run_episode(given, settings, task, engine, Cast(settings, sandbox), bank, lambda *_: None)
+        episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     yield write(episode, folder / "run")
 
 

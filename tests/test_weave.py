@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.planning.probes import HORIZON, Probe, probes
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.probes import HORIZON, Probe, probes
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.source import make_planner
 
 BANK = Path(__file__).parents[1] / "memory_bank"
 FOLDERS = (

@@ -14,12 +14,12 @@ from womd_samples import WITH_MAP, empty, four_way, frame, no_map, straight, wri
 
 from sumo_adv.cli.records import choice_of
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.inputs import load_input
 from sumo_adv.womd.convert import cache_folder, conversion
 from sumo_adv.womd.reader import Choice, read_records
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.table import COLUMNS, row, shortfalls, totals
 from sumo_adv.womd.traffic import _teleports, random_traffic
-from sumo_adv.world.inputs import load_input
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
 FILES = {
@@ -153,7 +153,7 @@ def test_the_cache_is_where_the_platform_says() -> None:
 
 def test_random_traffic_counts(tmp_path: Path) -> None:
     """A straight road of three lanes has no collision; one of bike lanes has no traffic at all."""
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.inputs import data_folder
 
     found = random_traffic(data_folder("networks") / "straight_3lane.net.xml", duration=30.0)
     assert found["collisions"] == found["teleports"] == 0 and found["events"] == [] and found["vehicles"] > 5

@@ -12,10 +12,10 @@ import pytest
 import womd_samples as samples
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.womd.network import ConvertedNetwork, convert_network
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
-from sumo_adv.world.network import RoadMap, read_network
 
 
 def record(folder: Path, message: Any) -> Record:

@@ -10,16 +10,16 @@ from womd_nets import edge, junction, link, net
 from womd_samples import four_way, line, straight, track
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.playback_spec import scenario_playback, with_background
+from sumo_adv.simulation.scan import scan_demand
+from sumo_adv.simulation.scenario import load_scenario
+from sumo_adv.simulation.tracks import read_tracks
 from sumo_adv.womd.matching import Stretch, match, net_graph
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.routes import Router
 from sumo_adv.womd.scene import parked_vehicles, write_scene
 from sumo_adv.womd.sumonet import SumoNet
-from sumo_adv.world.playback_spec import scenario_playback, with_background
-from sumo_adv.world.scan import scan_demand
-from sumo_adv.world.scenario import load_scenario
-from sumo_adv.world.tracks import read_tracks
 
 
 def record(message: Any) -> Record:

@@ -10,18 +10,18 @@ import json
 import tempfile
 from pathlib import Path
 
-from sumo_adv.agents.chat import ChatReply, ChatRequest
-from sumo_adv.agents.ledger import Counted, Ledger
-from sumo_adv.agents.recording import Recorder
+from sumo_adv.agents.agents import ROLES, Agents
 from sumo_adv.cli.models import shipped_prompts
 from sumo_adv.config import load_settings
-from sumo_adv.episode.cast import ROLES, Cast
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.worker import body
+from sumo_adv.llm.chat import ChatReply, ChatRequest
+from sumo_adv.llm.ledger import Counted, Ledger
+from sumo_adv.llm.recording import Recorder
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import data_folder, load_input
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import data_folder, load_input
 
 HERE = Path(__file__).resolve().parent
 NOTE = "The answers were written by hand for this example; no language model was asked."
@@ -77,9 +77,9 @@ def main() -> None:
         Recorder(HERE / "recording.jsonl", Author.name, note=NOTE) as recorder,
     ):
         model = recorder.wrap(Counted(Author(), ledger))
-        cast = Cast(settings, sandbox, dict.fromkeys(ROLES, model), ledger, shipped_prompts())
+        agents = Agents(settings, sandbox, dict.fromkeys(ROLES, model), ledger, shipped_prompts())
         episode = run_episode(
-            given, settings, make_task(given, settings, Path(scratch)), engine, cast, bank, lambda *_: None
+            given, settings, make_task(given, settings, Path(scratch)), engine, agents, bank, lambda *_: None
         )
     print(f"{episode.ending}: {[(a.proposal.by, round(a.verdict.min_ttc, 2)) for a in episode.refinement.attempts]}")
 

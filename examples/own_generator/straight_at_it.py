@@ -3,7 +3,7 @@
 import numpy as np
 
 from sumo_adv.benchmark.nouns import course_proposal
-from sumo_adv.datatypes import Course
+from sumo_adv.datatypes import PrescribedMotion
 
 
 class StraightAtIt:
@@ -21,4 +21,4 @@ class StraightAtIt:
         station = (1 - share) * (s + bv.speed * time) + share * (ego.speed * time + 3.0)
         x, y, heading = path.at(station, d * (1 - share))
         speed = np.maximum(np.gradient(station, self.situation.dt), 0.0)
-        return course_proposal("mine", bv.id, self.delay, Course(x, y, heading, speed))
+        return course_proposal("mine", bv.id, self.delay, PrescribedMotion(x, y, heading, speed))

@@ -14,10 +14,10 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.asking import Line, ask, ask_many
 from sumo_adv.agents.prompts import Prompt, Prompts, tame
-from sumo_adv.agents.scene import Names, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.scene_text import Names, driver_words, relative_words, road_words, state_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
+from sumo_adv.llm.asking import Line, ask, ask_many
 from sumo_adv.situation import Situation
 
 RISKS: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from sumo_adv.agents.expert import REACHES
-from sumo_adv.agents.firmness import alone, drawn
 from sumo_adv.agents.prompts import tame
-from sumo_adv.agents.scene import Names
+from sumo_adv.agents.scene_text import Names
 from sumo_adv.datatypes import LibraryEntry, Proposal
+from sumo_adv.search.expert import REACHES
+from sumo_adv.search.robustness import alone, drawn
 
 HEADING = "EVIDENCE (predictions of the library's planners against a simple model of EGO's driver)"
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.asking import Line, ask
-from sumo_adv.agents.composing import MakePlanner
+from sumo_adv.agents.expert_generator import MakePlanner
 from sumo_adv.agents.prompts import Prompt, Prompts, tame
-from sumo_adv.agents.scene import Names, relative_words, road_words
+from sumo_adv.agents.scene_text import Names, relative_words, road_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner
 from sumo_adv.errors import SandboxError
+from sumo_adv.llm.asking import Line, ask
 from sumo_adv.situation import Situation
 
 MOST_EXAMPLES = 2  # planners of near behaviours that are shown

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.asking import Line, ask
-from sumo_adv.agents.composing import MakePlanner
+from sumo_adv.agents.expert_generator import MakePlanner
 from sumo_adv.agents.generator import Trial, bare, faults, rules
 from sumo_adv.agents.prompts import Prompt, Prompts, tame
 from sumo_adv.datatypes import Attempt, Diagnosis, Limits, Planner
+from sumo_adv.llm.asking import Line, ask
 
 MOST_TOLD = 4  # attempts of a planner that are told of: the best ones
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
-from sumo_adv.agents.chat import estimate_tokens
 from sumo_adv.errors import UsageError
+from sumo_adv.llm.chat import estimate_tokens
 
 NAMES = ("analyzer", "confirm", "generator", "modifier", "planner")
 MOST_TEXT = 400  # characters of a label or description that stands in a prompt

@@ -5,20 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from sumo_adv.datatypes import Attempt, EgoCourse, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner
 from sumo_adv.situation import Situation
-
-
-class Scorer(Protocol):
-    """Predicts proposals; lower scores are better."""
-
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[EgoCourse] | None = None) -> list[Proposal]:
-        """The same proposals with ``score`` and ``predicted``; ``seen``: against egos that drive so."""
-        ...
-
-    def heard(self, tried: Proposal, course: EgoCourse) -> bool:
-        """How the ego went in an attempt; whether it is predicted otherwise from now on."""
-        ...
 
 
 class Analyzer(Protocol):

@@ -34,7 +34,7 @@ from sumo_adv.batch.worker import share
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.world.inputs import load_input
+from sumo_adv.simulation.inputs import load_input
 
 LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
 JOIN_SECONDS = 60.0  # for a node to say its versions

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sumo_adv.batch.nouns import Input, Parts
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.world.inputs import input_name, load_input
+from sumo_adv.simulation.inputs import input_name, load_input
 
 MAGIC = re.compile(r"[*?\[]")
 

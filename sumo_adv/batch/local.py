@@ -18,7 +18,7 @@ from typing import Any
 from sumo_adv.batch.nouns import Done, Job, Setup
 from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.world.engine import QUIET_VARIABLES, deaf
+from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
 
 TRIES = 2  # of an episode whose worker crashes or hangs, or whose simulation fails
 STARTS = 3  # workers in a row that may die before they are ready

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sumo_adv.config import Settings
     from sumo_adv.memory.similarity import Similarity
-    from sumo_adv.world.inputs import RunInput
+    from sumo_adv.simulation.inputs import RunInput
 
 Row = Mapping[str, Any]
 """One line of ``results.csv``; see ``results.py``."""
@@ -73,7 +73,7 @@ class Parts:
 
     load: Callable[[Path, str | None], RunInput]
     records: Callable[[Path], Iterator[tuple[str, str] | str]]  # of a file: id and content, or what is wrong with one
-    cast_of: Callable[..., AbstractContextManager[Any]]
+    open_agents: Callable[..., AbstractContextManager[Any]]
     similarity: Callable[[Settings], Similarity]
     staged: Callable[..., AbstractContextManager[Any]]
     write_run: Callable[..., dict[str, Any]]

@@ -23,8 +23,8 @@ from sumo_adv.episode.warm import WarmEngine
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.inputs import RunInput
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.inputs import RunInput
 
 KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
 
@@ -80,11 +80,12 @@ class Runner:
         ):
             task = make_task(given, settings, Path(scratch))
             bank = self._bank(settings)
+            recorded = folder.stage / self._parts.model_file
             with (
-                self._parts.cast_of(settings, self._sandbox(settings), folder.stage / self._parts.model_file) as cast,
+                self._parts.open_agents(settings, self._sandbox(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
-                episode = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)
+                episode = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
                 said = engine.said() if episode.ending is Ending.SIMULATION_FAILED else ""
             if episode.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()

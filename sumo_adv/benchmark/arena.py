@@ -9,22 +9,22 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Proposal
-from sumo_adv.episode.attack import Driven
-from sumo_adv.episode.brain import Brain, OneByOne
-from sumo_adv.episode.cast import Cast
+from sumo_adv.episode.attempt import Driven
+from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.knowledge import read_library, signature
 from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
-from sumo_adv.episode.refine import attempt_of, checked, settle_best, succeeded
-from sumo_adv.episode.task import AttemptResult, Found, Task
+from sumo_adv.episode.memory_access import read_library, signature
+from sumo_adv.episode.refinement import attempt_of, checked, settle_best, succeeded
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import RunInput
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import RunInput
 
 
 def _silent(*_: object) -> None:
@@ -60,37 +60,37 @@ class Arena:
         self.episode.timing["opened"] = time.perf_counter() - began
 
     @property
-    def found(self) -> Found | None:
+    def found(self) -> FoundEncounter | None:
         """The encounter."""
         return self.episode.found
 
-    def fresh(self, cast: Cast | None = None) -> Episode:
+    def fresh(self, agents: Agents | None = None) -> Episode:
         """An episode at the trigger of this encounter."""
         e = self.episode
         return Episode(
             e.source, e.settings, e.task, e.ending, e.reason, e.found, prefix=e.prefix, lanes=e.lanes,
-            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, cast=cast,
+            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, agents=agents,
             timing={**e.timing, "total": e.timing["opened"]},
         )  # fmt: skip
 
-    def by_program(self, bank: MemoryBank, cast: Cast) -> Episode:
+    def by_program(self, bank: MemoryBank, agents: Agents) -> Episode:
         """The program's own loop, from the analyzer on, with the library of ``bank``."""
-        episode = self.fresh(cast)
+        episode = self.fresh(agents)
         episode.bank_hash = bank.content_hash()
         if episode.found is None:
             return episode
         clock = _Clock(episode.settings)
         try:
             met = predicted(episode, episode.found, self.sandbox, bank)
-            entries = decide(episode, met, cast, bank)
+            entries = decide(episode, met, agents, bank)
             if entries is not None:
-                brain = Brain(self.engine, self.sandbox, met.found, episode.settings.seed)
-                tries = brain if self.engine.at_once > 1 else OneByOne(brain)
-                pursue(episode, met, entries, tries, cast, bank, clock.tell)
+                brain = AttemptRunner(self.engine, self.sandbox, met.found, episode.settings.seed)
+                tries = brain if self.engine.at_once > 1 else SequentialRunner(brain)
+                pursue(episode, met, entries, tries, agents, bank, clock.tell)
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)
         clock.stop(episode)
-        episode.timing["waited"] = cast.ledger.waited
+        episode.timing["waited"] = agents.ledger.waited
         return episode
 
     def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Episode:
@@ -121,7 +121,7 @@ class Arena:
         clock.stop(episode)
         return episode
 
-    def _one(self, opponent: Opponent, episode: Episode, found: Found, clock: _Clock) -> bool:
+    def _one(self, opponent: Opponent, episode: Episode, found: FoundEncounter, clock: _Clock) -> bool:
         done = episode.refinement
         proposal = opponent.propose(tuple(done.attempts))
         if proposal is None:
@@ -135,7 +135,7 @@ class Arena:
         clock.tell("attempt", attempt)
         return True
 
-    def _result(self, proposal: Proposal, found: Found) -> AttemptResult:
+    def _result(self, proposal: Proposal, found: FoundEncounter) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
         try:
@@ -146,8 +146,8 @@ class Arena:
             failed = Driven("planner_failed", str(error), None)
             return AttemptResult(failed, None, found.situations[proposal.delay].time)
 
-    def _brain(self, found: Found) -> Brain:
-        return Brain(self.engine, self.sandbox, found, self.episode.settings.seed)
+    def _brain(self, found: FoundEncounter) -> AttemptRunner:
+        return AttemptRunner(self.engine, self.sandbox, found, self.episode.settings.seed)
 
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""
@@ -156,7 +156,7 @@ class Arena:
         except SimulationError:
             return True
 
-    def encounter(self, found: Found, bank: MemoryBank) -> Encounter:
+    def encounter(self, found: FoundEncounter, bank: MemoryBank) -> Encounter:
         """What an opponent sees."""
         settings, first = self.episode.settings, found.first
         now = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)

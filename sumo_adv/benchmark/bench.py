@@ -21,7 +21,7 @@ from sumo_adv.benchmark.jobs import Job, Setup, cell_path
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
 from sumo_adv.errors import UsageError
-from sumo_adv.world.engine import deaf
+from sumo_adv.simulation.engine import deaf
 
 TICK = 0.5  # s between looks at the clock
 KILLED = 5.0  # s that a process that was killed may take to be gone

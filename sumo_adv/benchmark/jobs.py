@@ -15,7 +15,7 @@ from sumo_adv.benchmark.nouns import GROUPS, Case
 
 if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
-    from sumo_adv.world.inputs import RunInput
+    from sumo_adv.simulation.inputs import RunInput
 
 FILE_SIGNS = re.compile(r"[^A-Za-z0-9._=+-]+")
 KINDS_SHOWN = 2  # of each group, as examples
@@ -26,7 +26,7 @@ class Parts:
     """What the command line composes, all importable by name, because they go to other processes."""
 
     load: Callable[[Path, str | None], RunInput]
-    cast_of: Callable[..., AbstractContextManager[Any]]
+    open_agents: Callable[..., AbstractContextManager[Any]]
     full_outcome: Callable[[Episode], dict[str, Any]]  # what outcome.json holds
     keep_run: Callable[[Path, Episode], None]  # the folder of a run
     draw_example: Callable[[Path, Episode], None]  # a picture of the encounter without and with the attack

@@ -9,11 +9,11 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.task import Found
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import PAPER_EPSILON
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.simulation.recording import tracks_of
 
 NEAR = 60.0  # m from the ego's middle: traffic whose motion is compared with
 MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
@@ -58,14 +58,14 @@ def motion_of(episode: Episode) -> dict[str, Any]:
     return {"adversary": _samples(moved), "raw": _samples(_near(episode, found, start, end))}
 
 
-def _raw(episode: Episode, found: Found) -> dict[str, Track]:
+def _raw(episode: Episode, found: FoundEncounter) -> dict[str, Track]:
     before = episode.prefix.snapshots[-2:] if episode.prefix is not None else []
     sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **found.sizes}
     tracks = tracks_of([*before, *found.raw], sizes, episode.task.roles(found.ego), episode.settings.step_length)
     return {t.id: t for t in tracks}
 
 
-def _near(episode: Episode, found: Found, start: float, end: float) -> list[Track]:
+def _near(episode: Episode, found: FoundEncounter, start: float, end: float) -> list[Track]:
     tracks = _raw(episode, found)
     ego = tracks[found.ego].between(start, end)
     if not len(ego.time):

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Course, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, LibraryEntry, Planner, PrescribedMotion, Proposal
+from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
-from sumo_adv.world.network import Drivable
 
 GROUPS = ("straight", "intersection")
 
@@ -66,6 +66,6 @@ class Opponent(Protocol):
         ...
 
 
-def course_proposal(row: str, bv: str, delay: float, course: Course) -> Proposal:
+def course_proposal(row: str, bv: str, delay: float, course: PrescribedMotion) -> Proposal:
     """An attack that is a motion given in advance. ``delay`` [s]: of the encounter; ``bv``: one of its targets."""
     return Proposal(bv, row, Planner(row, "course", "", (), row), {}, 0.0, delay, by=row, course=course)

@@ -14,10 +14,10 @@ from sumo_adv.benchmark.methods import method_of
 from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.config import load_settings
+from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.world.egos import make_ego
 
 SCHEMA = 1
 PLAN, LOCK = "bench.json", "bench.lock"

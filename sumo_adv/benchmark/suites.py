@@ -32,8 +32,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
 from sumo_adv.errors import UsageError
-from sumo_adv.world.inputs import data_folder, input_name, load_input, resolve
-from sumo_adv.world.network import read_network
+from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
+from sumo_adv.simulation.network import read_network
 
 SUITE_FILE = "suite.toml"
 LABEL_FILE = "labels.json"

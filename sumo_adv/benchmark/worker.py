@@ -27,8 +27,8 @@ from sumo_adv.episode.warm import WarmEngine, die_with_parent
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.files import is_storage_error, json_text, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.inputs import RunInput
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.inputs import RunInput
 
 SCHEMA = 1
 KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
@@ -117,9 +117,9 @@ class Bencher:
         settings = arena.episode.settings
         with (
             bank_of(method, job, self._setup, bank, scratch) as own,
-            self._setup.parts.cast_of(settings, arena.sandbox, scratch / f"{slug(row)}.jsonl") as cast,
+            self._setup.parts.open_agents(settings, arena.sandbox, scratch / f"{slug(row)}.jsonl") as agents,
         ):
-            return self._filled(job, row, arena.by_program(own, cast))
+            return self._filled(job, row, arena.by_program(own, agents))
 
     def _filled(self, job: Job, row: str, episode: Episode) -> Cell:
         """The cell of a row that attacked, or could not."""

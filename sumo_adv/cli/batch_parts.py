@@ -7,7 +7,7 @@ from pathlib import Path
 
 from sumo_adv.batch.nouns import Parts
 from sumo_adv.cli.memory_common import make_similarity
-from sumo_adv.cli.models import cast_of
+from sumo_adv.cli.models import open_agents
 from sumo_adv.cli.records import load
 from sumo_adv.report.folder import staged, write_run
 from sumo_adv.report.outcome import MODEL_FILE
@@ -27,4 +27,4 @@ def records(path: Path) -> Iterator[tuple[str, str] | str]:
 
 def batch_parts() -> Parts:
     """All of them."""
-    return Parts(load, records, cast_of, make_similarity, staged, write_run, MODEL_FILE)
+    return Parts(load, records, open_agents, make_similarity, staged, write_run, MODEL_FILE)

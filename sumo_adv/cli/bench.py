@@ -203,7 +203,7 @@ def _order(
     from sumo_adv.benchmark.suites import load_suite
     from sumo_adv.cli.bench_parts import bench_parts
     from sumo_adv.report.outcome import versions
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.inputs import data_folder
 
     egos = _unique([e.strip() for e in ego.split(",") if e.strip()])
     if not egos:
@@ -218,10 +218,10 @@ def _order(
 
 def _check_models(asked: Asked) -> None:
     """Raises UsageError for a row whose model has no server or no key; asks nothing."""
-    from sumo_adv.agents.ledger import Ledger
-    from sumo_adv.agents.llm import connect
+    from sumo_adv.agents.agents import ROLES
     from sumo_adv.benchmark.methods import method_of
-    from sumo_adv.episode.cast import ROLES
+    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.ledger import Ledger
 
     for row in asked.rows:
         given = method.settings if (method := method_of(row)) is not None else {}

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.benchmark.jobs import Parts
-from sumo_adv.cli.models import cast_of
+from sumo_adv.cli.models import open_agents
 from sumo_adv.cli.records import load
 from sumo_adv.episode.episode import Episode
 from sumo_adv.files import sentences
@@ -45,4 +45,4 @@ def draw_example(target: Path, episode: Episode) -> None:
 
 def bench_parts() -> Parts:
     """All of them."""
-    return Parts(load, cast_of, full_outcome, keep_run, draw_example)
+    return Parts(load, open_agents, full_outcome, keep_run, draw_example)

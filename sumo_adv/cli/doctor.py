@@ -48,7 +48,7 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
     from sumo_adv.cli import doctor_checks as checks
     from sumo_adv.cli import doctor_user as user
     from sumo_adv.config import Settings, load_settings
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.inputs import data_folder
 
     yield from checks.interpreter()
     yield from checks.libraries()

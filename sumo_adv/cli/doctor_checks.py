@@ -18,7 +18,7 @@ from pathlib import Path
 
 from sumo_adv import __version__
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.world.library import SYSTEM_LIBRARIES
+from sumo_adv.simulation.library import SYSTEM_LIBRARIES
 
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
 EXTRAS = (
@@ -191,9 +191,9 @@ def _version(name: str) -> str:
 
 def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding]:
     """A planner is tried where planners run; and how many walls there are. ``contained``: in a container."""
-    from sumo_adv.planning.sandbox import Sandbox
-    from sumo_adv.planning.source import make_planner
-    from sumo_adv.planning.trial import trial
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.planners.source import make_planner
+    from sumo_adv.planners.trial import trial
 
     try:
         with Sandbox(bubblewrap=None if bubblewrap else False) as box:

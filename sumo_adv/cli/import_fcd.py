@@ -25,8 +25,8 @@ def import_fcd(
 ) -> None:
     """Make a scenario of floating car data: run it with any ego; the other vehicles become SUMO's, or stay recorded."""
     from sumo_adv.report.folder import staged
-    from sumo_adv.world.fcd_scenario import SCENARIO, write_scenario
-    from sumo_adv.world.scan import scan_network
+    from sumo_adv.simulation.fcd_scenario import SCENARIO, write_scenario
+    from sumo_adv.simulation.scan import scan_network
 
     scan_network(network)
     with staged(out, force=force, marker=SCENARIO) as folder:

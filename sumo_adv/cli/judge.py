@@ -88,12 +88,12 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     """A run simulated again, and its reference drivers with it."""
     from sumo_adv.cli.once import new_engine
     from sumo_adv.episode.loop import replay_episode
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.judging import Judgement
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.report.outcome import verdict
     from sumo_adv.report.page.read import read_run
-    from sumo_adv.world.inputs import trusted_driver
+    from sumo_adv.simulation.inputs import trusted_driver
 
     before = read_run(folder).outcome.get("outcome") or {}
     recorded = read_manifest(folder)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.calibrate import Paraphrase
     from sumo_adv.memory.records import Source
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
 
 
 def verify(
@@ -31,7 +31,7 @@ def verify(
 
     Whether a planner still succeeds as its evidence says is tried only with --scenario.
     """
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
 
     with open_bank(memory) as bank:
         wanted = known_intent(bank, label).label if label is not None else None
@@ -56,7 +56,7 @@ def _remark(row: dict[str, Any]) -> str:
 
 
 def _verify(sandbox: Sandbox, source: Source, scenario: Path | None, attempts: int) -> list[dict[str, Any]]:
-    from sumo_adv.planning.trial import trial
+    from sumo_adv.planners.trial import trial
 
     rows = []
     for planner in source.planners:
@@ -77,7 +77,7 @@ def _again(
 ) -> tuple[dict[str, Any] | None, str | None]:
     """The new run of a planner that has evidence on the scenario, and what is wrong with it."""
     from sumo_adv.cli.memory_rerun import rerun, successes_on
-    from sumo_adv.world.inputs import load_input
+    from sumo_adv.simulation.inputs import load_input
 
     held = successes_on(source, planner, load_input(scenario).name)
     if not held:

@@ -25,7 +25,7 @@ Metric = Annotated[
 
 def shipped_bank() -> Path:
     """The bank of the paper's seven intents that comes with the program."""
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.inputs import data_folder
 
     return data_folder("memory_bank.sqlite")
 
@@ -65,7 +65,7 @@ def make_similarity(settings: Settings) -> Similarity:
 
     kind, _, name = settings.metric.partition(":")
     if kind == "endpoint":
-        from sumo_adv.agents.llm import connect_embedder
+        from sumo_adv.llm.client import connect_embedder
 
         return Embedded(connect_embedder(name, settings), kind)
     if kind == "local":
@@ -95,7 +95,7 @@ def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
 
 def parse_parameters(source: str) -> tuple[Parameter, ...]:
     """A planner's table, read without running it."""
-    from sumo_adv.planning.source import parse_parameters as parse
+    from sumo_adv.planners.source import parse_parameters as parse
 
     return parse(source)
 

@@ -25,9 +25,9 @@ def add(
 ) -> None:
     """Add a planner of your own, after it answered well in made-up situations in the sandbox."""
     from sumo_adv.errors import UsageError
-    from sumo_adv.planning.sandbox import Sandbox
-    from sumo_adv.planning.source import make_planner
-    from sumo_adv.planning.trial import trial
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.planners.source import make_planner
+    from sumo_adv.planners.trial import trial
 
     name = (mode or file.stem).strip()
     if not name or not name.isprintable() or len(name) > 80:

@@ -35,8 +35,8 @@ def import_(
     """Add what the bank lacks of an export. If a planner fails in the sandbox, nothing is added."""
     from sumo_adv.errors import UsageError
     from sumo_adv.memory.exchange import import_bank
-    from sumo_adv.planning.sandbox import Sandbox
-    from sumo_adv.planning.trial import trier
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.planners.trial import trier
 
     with open_bank(memory, make=True) as bank, Sandbox() as sandbox:
         added, refused = import_bank(bank, folder, parse_parameters, trier(sandbox), skip_refused=skip)

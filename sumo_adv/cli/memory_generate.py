@@ -73,14 +73,14 @@ def _intent(
 
 
 def _written(settings: Settings, name: str, intent: IntentRecord, near: list[LibraryEntry]) -> Planner:
-    from sumo_adv.agents.asking import Line
     from sumo_adv.agents.generator import ModelGenerator
-    from sumo_adv.agents.ledger import Ledger
-    from sumo_adv.agents.llm import connect
     from sumo_adv.datatypes import Intent
-    from sumo_adv.planning.sandbox import Sandbox
-    from sumo_adv.planning.source import HELPERS_TEXT, make_planner
-    from sumo_adv.planning.trial import trial
+    from sumo_adv.llm.asking import Line
+    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.ledger import Ledger
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.planners.source import HELPERS_TEXT, make_planner
+    from sumo_adv.planners.trial import trial
 
     ledger = Ledger.for_settings(settings)
     prompts: Prompts = _prompts()

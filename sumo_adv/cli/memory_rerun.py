@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
     from sumo_adv.memory.records import Evidence, Source
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,13 +39,13 @@ def rerun(
 
     Raises UsageError for a scenario that cannot be read.
     """
+    from sumo_adv.agents.agents import Agents
     from sumo_adv.config import load_settings
-    from sumo_adv.episode.cast import Cast
     from sumo_adv.episode.loop import make_task, run_episode
     from sumo_adv.episode.worker import body
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.world.engine import Engine
-    from sumo_adv.world.inputs import load_input
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.inputs import load_input
 
     given = load_input(scenario)
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder:
@@ -60,7 +60,7 @@ def rerun(
         task = make_task(given, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(body) as engine:
             bank.add(source.intent, [planner])
-            episode = run_episode(given, settings, task, engine, Cast(settings, sandbox), bank, lambda *_: None)
+            episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     own = [a.verdict for a in episode.refinement.attempts if a.proposal.planner.hash == planner.hash]
     good = any(v.critical and v.feasible and not v.rear_end for v in own)
     nearest = min((v.min_ttc for v in own), default=math.inf)

@@ -10,24 +10,24 @@ from typing import TYPE_CHECKING
 from sumo_adv.config import Settings
 
 if TYPE_CHECKING:
-    from sumo_adv.agents.chat import ChatModel
+    from sumo_adv.agents.agents import Agents
     from sumo_adv.agents.prompts import Prompts
-    from sumo_adv.episode.cast import Cast
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.llm.chat import ChatModel
+    from sumo_adv.planners.sandbox import Sandbox
 
 
 @contextmanager
-def cast_of(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Cast]:
-    """The cast; every exchange with its models goes into the file ``record``. Raises UsageError."""
-    from sumo_adv.agents.ledger import Ledger
-    from sumo_adv.episode.cast import ROLES, Cast
+def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Agents]:
+    """The agents; every exchange with its models goes into the file ``record``. Raises UsageError."""
+    from sumo_adv.agents.agents import ROLES, Agents
+    from sumo_adv.llm.ledger import Ledger
 
     names = {role: name for role in ROLES if (name := settings.player(role)) is not None}
     if not names:
-        yield Cast(settings, sandbox)
+        yield Agents(settings, sandbox)
         return
-    from sumo_adv.agents.llm import connect
-    from sumo_adv.agents.recording import Recorder
+    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.recording import Recorder
 
     ledger = Ledger.for_settings(settings)
     by_name: dict[str, ChatModel] = {name: connect(name, settings, ledger) for name in sorted(set(names.values()))}
@@ -36,12 +36,14 @@ def cast_of(settings: Settings, sandbox: Sandbox, record: Path | None = None) ->
             said = ", ".join(model.name for model in by_name.values())
             recorder = stack.enter_context(Recorder(record, said))
             by_name = {name: recorder.wrap(model) for name, model in by_name.items()}
-        yield Cast(settings, sandbox, {role: by_name[name] for role, name in names.items()}, ledger, shipped_prompts())
+        yield Agents(
+            settings, sandbox, {role: by_name[name] for role, name in names.items()}, ledger, shipped_prompts()
+        )
 
 
 def shipped_prompts() -> Prompts:
     """The prompts that come with the program."""
     from sumo_adv.agents.prompts import Prompts
-    from sumo_adv.world.inputs import data_folder
+    from sumo_adv.simulation.inputs import data_folder
 
     return Prompts(data_folder("prompts"))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sumo_adv.config import Settings
     from sumo_adv.episode.episode import Episode
-    from sumo_adv.world.engine import Engine
-    from sumo_adv.world.inputs import RunInput
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.inputs import RunInput
 
 
 def play(
@@ -30,19 +30,19 @@ def play(
     Raises UsageError or BankError for wrong use; what else goes wrong is the episode's ending.
     """
     from sumo_adv.cli.memory_common import open_for_run
-    from sumo_adv.cli.models import cast_of
+    from sumo_adv.cli.models import open_agents
     from sumo_adv.episode.loop import make_task, run_episode
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.outcome import MODEL_FILE
 
     task = make_task(given, settings, scratch)
     with (
         open_for_run(settings) as bank,
         Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
-        cast_of(settings, sandbox, stage / MODEL_FILE) as cast,
+        open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
         new_engine() as engine,
     ):
-        episode = run_episode(given, settings, task, engine, cast, bank, tell)
+        episode = run_episode(given, settings, task, engine, agents, bank, tell)
         played()
     return episode
 
@@ -50,7 +50,7 @@ def play(
 def new_engine() -> Engine:
     """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
     from sumo_adv.episode.worker import body
-    from sumo_adv.world.engine import Engine, deaf
+    from sumo_adv.simulation.engine import Engine, deaf
 
     with _without_main(), deaf():
         return Engine(body)

@@ -14,9 +14,9 @@ from sumo_adv.config import Settings
 
 if TYPE_CHECKING:
     from sumo_adv.agents.prompts import Prompt
-    from sumo_adv.episode.loop import Met
-    from sumo_adv.world.engine import Engine
-    from sumo_adv.world.inputs import RunInput
+    from sumo_adv.episode.loop import PlannedEncounter
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.inputs import RunInput
 
 
 def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
@@ -33,14 +33,14 @@ def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
 
 
 def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
+    from sumo_adv.agents.agents import Agents
     from sumo_adv.cli.memory_common import open_for_run
-    from sumo_adv.episode.cast import Cast
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.loop import make_task, meet
     from sumo_adv.episode.worker import body
     from sumo_adv.errors import UsageError
-    from sumo_adv.planning.sandbox import Sandbox
-    from sumo_adv.world.engine import Engine
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.simulation.engine import Engine
 
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
@@ -52,14 +52,14 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
             met = meet(episode, engine, sandbox, bank, lambda *_: None)
             if met is None or not met.expert.pool:
                 raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
-            return [_analyzer(episode, met, bank), *_writers(met, settings, Cast(settings, sandbox), engine)]
+            return [_analyzer(episode, met, bank), *_writers(met, settings, Agents(settings, sandbox), engine)]
 
 
-def _analyzer(episode: Any, met: Met, bank: Any) -> Prompt:
+def _analyzer(episode: Any, met: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.evidence import evidence_words
     from sumo_adv.cli.models import shipped_prompts
-    from sumo_adv.episode.knowledge import remembered
+    from sumo_adv.episode.memory_access import remembered
 
     settings, allowed = episode.settings, episode.source.intents
     known = remembered(bank, met.library, met.scene)
@@ -71,13 +71,13 @@ def _analyzer(episode: Any, met: Met, bank: Any) -> Prompt:
     )  # fmt: skip
 
 
-def _writers(met: Met, settings: Settings, cast: Any, engine: Engine) -> list[Prompt]:
+def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
     from sumo_adv.cli.models import shipped_prompts
-    from sumo_adv.episode.brain import Brain
-    from sumo_adv.episode.refine import Refinement, Refiner
-    from sumo_adv.planning.source import HELPERS_TEXT
+    from sumo_adv.episode.attempt_runner import AttemptRunner
+    from sumo_adv.episode.refinement import Refinement, Refiner
+    from sumo_adv.planners.source import HELPERS_TEXT
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
     intent = met.expert.ranking(met.found.situations, met.library)[0]
@@ -85,8 +85,8 @@ def _writers(met: Met, settings: Settings, cast: Any, engine: Engine) -> list[Pr
     generator = generator_prompt(prompts, intent, met.found.first, near, limits, HELPERS_TEXT, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
-    brain = Brain(engine, cast.sandbox, met.found, settings.seed)
-    Refiner(brain, met.found, met.expert, cast, met.library, once, lambda _: None).run([intent], found)
+    brain = AttemptRunner(engine, agents.sandbox, met.found, settings.seed)
+    Refiner(brain, met.found, met.expert, agents, met.library, once, lambda _: None).run([intent], found)
     if not found.attempts:
         return [generator]
     planner = found.attempts[0].proposal.planner

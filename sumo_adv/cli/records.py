@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
+    from sumo_adv.simulation.inputs import RunInput
     from sumo_adv.womd.reader import Choice
     from sumo_adv.womd.record import Record
-    from sumo_adv.world.inputs import RunInput
 
 INDEX_DIGITS = 9  # a longer number is an id
 
@@ -23,7 +23,7 @@ def load(source: Path, record: str | None) -> RunInput:
 
     Raises SumoAdvError for what cannot be read or converted.
     """
-    from sumo_adv.world.inputs import load_input
+    from sumo_adv.simulation.inputs import load_input
 
     if ".tfrecord" not in source.name.lower() or not source.is_file():
         if record is not None:

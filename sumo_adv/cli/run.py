@@ -163,10 +163,10 @@ def _refuse_what_a_replay_ignores(context: typer.Context) -> None:
 def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.once import new_engine
     from sumo_adv.episode.loop import replay_episode
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.world.inputs import trusted_driver
+    from sumo_adv.simulation.inputs import trusted_driver
 
     recorded = read_manifest(source)
     driver = recorded.task.ego_driver

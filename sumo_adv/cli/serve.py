@@ -22,7 +22,7 @@ from sumo_adv.serve.options import Mode, OnLoss, Options
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
-    from sumo_adv.serve.clerk import Clerk
+    from sumo_adv.serve.clerk import ResultWriter
     from sumo_adv.serve.events import Events
     from sumo_adv.serve.gate_events import GateEvent
 
@@ -88,7 +88,7 @@ def serve(
 ) -> None:
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
     from sumo_adv.serve.sumo_process import find_sumo
-    from sumo_adv.world.inputs import load_input
+    from sumo_adv.simulation.inputs import load_input
 
     find_sumo()
     given = load_input(source)
@@ -118,20 +118,20 @@ def _serve(
     status_port: int | None, *, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.models import cast_of
+    from sumo_adv.cli.models import open_agents
     from sumo_adv.cli.serve_progress import make_terminal
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.paths import default_bank_path
-    from sumo_adv.planning.sandbox import Sandbox
+    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.serve.clerk import Clerk
+    from sumo_adv.serve.clerk import ResultWriter
     from sumo_adv.serve.events import EventFile, Events, Status
     from sumo_adv.serve.gate import Gate
     from sumo_adv.serve.policy import Rules
-    from sumo_adv.serve.server import House, Server
+    from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.serve.status import StatusPage
-    from sumo_adv.world.inputs import data_folder
-    from sumo_adv.world.network import read_network
+    from sumo_adv.simulation.inputs import data_folder
+    from sumo_adv.simulation.network import read_network
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
@@ -161,11 +161,11 @@ def _serve(
             )
         )
         _claim(target, force=force)
-        cast = stack.enter_context(cast_of(settings, sandbox, target / MODEL_FILE))
+        agents = stack.enter_context(open_agents(settings, sandbox, target / MODEL_FILE))
         _note(target, given, settings, options, None)
-        clerk = Clerk(_writer(target), events)
+        clerk = ResultWriter(_writer(target), events)
         stack.enter_context(terminal)
-        house = House(given, options, task_for, road, cast, bank, gate, events, clerk, interrupts.check)
+        house = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, clerk, interrupts.check)
         server = Server(house)
         if status_port is not None:
             page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
@@ -275,7 +275,7 @@ def _share(inputs: Path, shared: Path) -> None:
             return
 
 
-def _summary(ending: Ending | None, reason: str, clerk: Clerk, target: Path) -> dict[str, Any]:
+def _summary(ending: Ending | None, reason: str, clerk: ResultWriter, target: Path) -> dict[str, Any]:
     return {
         "ending": None if ending is None else str(ending), "reason": reason, "encounters": clerk.written,
         "critical": clerk.critical, "collisions": clerk.collided, "folder": str(target),
@@ -283,7 +283,7 @@ def _summary(ending: Ending | None, reason: str, clerk: Clerk, target: Path) -> 
 
 
 def _finish(
-    ending: Ending | None, summary: Mapping[str, Any], clerk: Clerk, options: Options, *, as_json: bool
+    ending: Ending | None, summary: Mapping[str, Any], clerk: ResultWriter, options: Options, *, as_json: bool
 ) -> None:
     if as_json:
         typer.echo(json.dumps(summary, ensure_ascii=False))

@@ -9,7 +9,7 @@ import numpy as np
 from sumo_adv.datatypes import Diagnosis, Floats, Limits, Track
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.geometry import Frame, Path, wrap_all
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.simulation.recording import tracks_of
 
 TOGETHER = 2.0  # m: centres of two paths that close are the same place
 BRAKES = 1.5  # m/s2: a driver who brakes so has reacted

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.world.egos import EgoController, LaneSpeed, Observation, ReplayEgo, Road, Steer, apply_steer
-from sumo_adv.world.egos import Pose as EgoPose
-from sumo_adv.world.playback import Playback
-from sumo_adv.world.recording import Recording
-from sumo_adv.world.remote import Remote
-from sumo_adv.world.simulation import Pose, Simulation, SimulationSpec, Snapshot
-from sumo_adv.world.stage import LOGGED_TYPE_XML
+from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Road, Steer, apply_steer
+from sumo_adv.drivers import Pose as EgoPose
+from sumo_adv.simulation.playback import Playback
+from sumo_adv.simulation.recording import Recording
+from sumo_adv.simulation.remote import Remote
+from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
 LineAhead = Callable[[VehicleState], Sequence[tuple[float, float]] | None]

@@ -16,9 +16,9 @@ import numpy as np
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.situation import MEET_AHEAD, WayLine, relate
-from sumo_adv.world.network import RoadMap
-from sumo_adv.world.simulation import heading_of
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.simulation import heading_of
+from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 ON, OFF, LOOKS = 0.40, 0.30, 2
 LOOK_EVERY = 0.5  # s
@@ -46,7 +46,7 @@ class Candidate:
     id: str
     relation: str
     risk: float
-    ways: tuple[WayLine, ...]
+    ways: tuple[ReferencePath, ...]
     lane: str
 
     @property
@@ -55,7 +55,7 @@ class Candidate:
         return self.relation in MEET_AHEAD
 
 
-class Encounter:
+class EncounterDetector:
     """Watches one ego. ``look`` is called every half second and answers with the shortlist once it is time."""
 
     def __init__(self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False) -> None:
@@ -156,7 +156,7 @@ def _oncoming(s: float, closing: float) -> float:
     return 0.9 * math.exp(-max(0.0, abs(time - 4.0) - 1.0) / 1.5) if 1.8 < time < 10.0 else 0.0
 
 
-def _meeting(way: WayLine, bv: VehicleState, ego: VehicleState) -> float:
+def _meeting(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> float:
     """Risk at a conflict point: both can be there at about the same time, the BV at the latest 0.2 s after the ego."""
     conflict = way.conflict
     assert conflict is not None
@@ -200,7 +200,7 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     return path if path.length > REACH else path.extended(REACH - path.length)
 
 
-def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[WayLine, ...]:
+def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[ReferencePath, ...]:
     """All ways on of a vehicle, each related to the ego's path."""
     position = drive.simulation.lane_position(bv.id) - bv.length / 2
     return tuple(relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH))

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent
-from sumo_adv.episode.cast import Cast
-from sumo_adv.episode.refine import Refinement
-from sumo_adv.episode.task import Found, Prefix, Task
-from sumo_adv.world.inputs import RunInput
+from sumo_adv.episode.refinement import Refinement
+from sumo_adv.episode.task import FoundEncounter, Prefix, Task
+from sumo_adv.simulation.inputs import RunInput
 
 
 @dataclass(slots=True)
@@ -23,7 +23,7 @@ class Episode:
     task: Task
     ending: Ending = Ending.SIMULATION_FAILED
     reason: str = ""
-    found: Found | None = None
+    found: FoundEncounter | None = None
     intents: Sequence[Intent] = ()
     intent: Intent | None = None
     refinement: Refinement = field(default_factory=Refinement)
@@ -33,7 +33,7 @@ class Episode:
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
     isolation: str = ""
     bank_hash: str = ""
-    cast: Cast | None = None  # None in a replay: nobody was asked
+    agents: Agents | None = None  # None in a replay: nobody was asked
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
     traceback: str = ""  # of a fault of ours

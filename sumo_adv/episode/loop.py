@@ -12,15 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.composing import composed
-from sumo_adv.agents.expert import REACHES, Expert
+from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.brain import Brain, OneByOne
-from sumo_adv.episode.cast import Cast
+from sumo_adv.drivers.car_following import exact
+from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.foresight import Foresight
-from sumo_adv.episode.knowledge import (
+from sumo_adv.episode.memory_access import (
     learn,
     read_library,
     recall,
@@ -28,22 +26,25 @@ from sumo_adv.episode.knowledge import (
     retrieve,
     signature,
 )
-from sumo_adv.episode.refine import NOTHING, Attempts, Refiner, settle_best, succeeded
-from sumo_adv.episode.task import Found, NotFound, Task
+from sumo_adv.episode.refinement import NOTHING, Attempts, Refiner, settle_best, succeeded
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
-from sumo_adv.planning.car_following import exact
-from sumo_adv.planning.sandbox import Sandbox
-from sumo_adv.world.demand import generate
-from sumo_adv.world.engine import Engine
-from sumo_adv.world.inputs import RunInput
-from sumo_adv.world.playback_spec import with_background
-from sumo_adv.world.scan import first_departure, scan_demand
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.composed_intents import composed
+from sumo_adv.search.expert import REACHES, Expert
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.playback_spec import with_background
+from sumo_adv.simulation.scan import first_departure, scan_demand
+from sumo_adv.simulation.simulation import SimulationSpec
 
 MOST_SKIPS = 6  # encounters passed over for being out of reach
-Tell = Callable[[str, Any], None]  # what happens, for progress: ("encounter", Found), ("attempt", Attempt), ...
+Tell = Callable[[str, Any], None]
+"""Told what happens, for progress: ("encounter", FoundEncounter), ("attempt", Attempt), ..."""
 
 
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
@@ -85,17 +86,17 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
 
 
 def run_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, cast: Cast, bank: MemoryBank, tell: Tell
+    source: RunInput, settings: Settings, task: Task, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell
 ) -> Episode:
     """The whole loop. Only wrong use is raised; everything else is an ending.
 
     Raises:
         UsageError, BankError: found to be wrong use once the simulation ran (an unknown ego, a broken driver class).
     """
-    episode = Episode(source, settings, task, bank_hash=bank.content_hash(), cast=cast)
+    episode = Episode(source, settings, task, bank_hash=bank.content_hash(), agents=agents)
     began = time.perf_counter()
     try:
-        _run(episode, engine, cast, bank, tell)
+        _run(episode, engine, agents, bank, tell)
     except KeyboardInterrupt:
         episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
     except ModelError as error:
@@ -119,17 +120,17 @@ def model_ending(error: ModelError) -> Ending:
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
-def _run(episode: Episode, engine: Engine, cast: Cast, bank: MemoryBank, tell: Tell) -> None:
-    met = meet(episode, engine, cast.sandbox, bank, tell)
-    entries = None if met is None else decide(episode, met, cast, bank)
+def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
+    met = meet(episode, engine, agents.sandbox, bank, tell)
+    entries = None if met is None else decide(episode, met, agents, bank)
     if met is None or entries is None:
         return
     tell("intents", episode.intents)
-    brain = Brain(engine, cast.sandbox, met.found, episode.settings.seed)
-    pursue(episode, met, entries, brain if engine.at_once > 1 else OneByOne(brain), cast, bank, tell)
+    brain = AttemptRunner(engine, agents.sandbox, met.found, episode.settings.seed)
+    pursue(episode, met, entries, brain if engine.at_once > 1 else SequentialRunner(brain), agents, bank, tell)
 
 
-def decide(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence[LibraryEntry] | None:
+def decide(episode: Episode, met: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry] | None:
     """Fill in the intents of an encounter; the library for it, or None if nothing can be tried (the episode says so).
 
     Raises:
@@ -139,7 +140,7 @@ def decide(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence
     if met.known is not None:  # a like scene has evidence: nobody is asked
         episode.intents = [met.known]
     else:
-        entries = analyze(episode, met, cast, bank)
+        entries = analyze(episode, met, agents, bank)
     if met.expert.pool:
         return entries
     episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
@@ -147,12 +148,12 @@ def decide(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence
 
 
 def pursue(
-    episode: Episode, met: Met, entries: Sequence[LibraryEntry], brain: Attempts, cast: Cast, bank: MemoryBank,
-    tell: Tell,
+    episode: Episode, met: PlannedEncounter, entries: Sequence[LibraryEntry], brain: Attempts, agents: Agents,
+    bank: MemoryBank, tell: Tell,
 ) -> None:  # fmt: skip
     """Attempts until success or until all is used up, and what is learnt from them."""
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(brain, met.found, met.expert, cast, entries, settings, lambda a: tell("attempt", a))
+    refiner = Refiner(brain, met.found, met.expert, agents, entries, settings, lambda a: tell("attempt", a))
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
@@ -160,19 +161,19 @@ def pursue(
         episode.ending, episode.reason = model_ending(error), str(error)
     finally:  # also of what was interrupted or failed
         _keep_intent(episode, met.library)
-        episode.isolation = cast.sandbox.isolation
-        timing["prediction"] = timing.get("prediction", 0.0) + met.foresight.seconds
+        episode.isolation = agents.sandbox.isolation
+        timing["prediction"] = timing.get("prediction", 0.0) + met.predictor.seconds
         timing["attempts"] = episode.refinement.seconds
-        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in met.foresight.failures.items())
+        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in met.predictor.failures.items())
     learn(episode, bank, entries)
 
 
 @dataclass(frozen=True, slots=True)
-class Met:
+class PlannedEncounter:
     """An encounter with its predictions. ``known``: the intent that worked in a like scene, where that is recalled."""
 
-    found: Found
-    foresight: Foresight
+    found: FoundEncounter
+    predictor: Predictor
     library: Sequence[LibraryEntry]
     scene: SceneSignature
     expert: Expert
@@ -184,7 +185,7 @@ class Met:
         return self.known is not None or any(p.score < REACHES for p in self.expert.pool)
 
 
-def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> Met | None:
+def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> PlannedEncounter | None:
     """The first encounter that an intent reaches, by prediction; None if there is none (the episode says why)."""
     while True:
         found = seek(episode, engine, tell)
@@ -196,23 +197,23 @@ def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, t
         episode.skips += 1
 
 
-def predicted(episode: Episode, found: Found, sandbox: Sandbox, bank: MemoryBank) -> Met:
+def predicted(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
     """An encounter with the library as the bank has it and the predictions of what could be done."""
     settings = episode.settings
-    foresight = Foresight(sandbox, settings, found.drivable, found.situations)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
     now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, now, settings.seed)
-    expert, known = foresee(episode, found, foresight, library, bank)
-    return Met(found, foresight, library, now, expert, known)
+    expert, known = foresee(episode, found, predictor, library, bank)
+    return PlannedEncounter(found, predictor, library, now, expert, known)
 
 
 def foresee(
-    episode: Episode, found: Found, foresight: Foresight, library: Sequence[LibraryEntry], bank: MemoryBank
+    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Expert, Intent | None]:
     """The expert with its predictions of an encounter; or, with ``recall = scene``, what worked in a like scene."""
     settings, driver = episode.settings, found.first.ego_model
     expert = Expert(
-        foresight, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
+        predictor, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
         unsure=bool(driver.get("unknown", False)), known=exact(driver),
     )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
@@ -223,7 +224,7 @@ def foresee(
     return expert, None
 
 
-def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequence[LibraryEntry]:
+def analyze(episode: Episode, met: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
     """Fill in the intents of an encounter; the library with what was retrieved or generated for new ones.
 
     Raises:
@@ -232,11 +233,11 @@ def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequenc
     began = time.perf_counter()
     situations, library = met.found.situations, met.library
     try:
-        episode.intents = cast.analyze(
+        episode.intents = agents.analyze(
             met.expert, situations, library, allowed=episode.source.intents,
             remembered=remembered(bank, library, met.scene),
         )  # fmt: skip
-        entries = retrieve(episode, cast, met.found.first, library, bank)
+        entries = retrieve(episode, agents, met.found.first, library, bank)
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
     wanted = {i.label for i in episode.intents}
@@ -245,7 +246,7 @@ def analyze(episode: Episode, met: Met, cast: Cast, bank: MemoryBank) -> Sequenc
     return entries
 
 
-def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
+def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
     """Start the simulation and go on to an encounter; fills the episode in."""
     began = time.perf_counter()
     if episode.found is None:
@@ -255,7 +256,7 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> Found | None:
         began = time.perf_counter()
     found = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
     episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
-    if isinstance(found, NotFound):
+    if isinstance(found, NoEncounter):
         episode.ending, episode.reason, episode.found = found.ending, found.reason, None
         episode.intents = ()  # those of an encounter that was passed over
         return None
@@ -282,7 +283,7 @@ def replay_episode(
         )
     if proposal.bv not in found.situations[proposal.delay].targets:
         raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
-    brain = Brain(engine, sandbox, found, settings.seed)
+    brain = AttemptRunner(engine, sandbox, found, settings.seed)
     result = brain.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)

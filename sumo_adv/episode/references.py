@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Course, Floats, Preventability, Proposal, Track, VehicleState
+from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Preventability, Proposal, Track, VehicleState
+from sumo_adv.drivers import Observation, Pose
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import on_grid, row_of
@@ -24,7 +25,6 @@ from sumo_adv.metrics.reference import BRAKERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.manoeuvre import manoeuvre_poses
 from sumo_adv.metrics.reference.view import HISTORY, Views
-from sumo_adv.world.egos import Observation, Pose
 
 MEMORY = HISTORY + 0.1  # s of past states that a view needs
 
@@ -151,7 +151,7 @@ def order_of(
 ) -> Order:  # fmt: skip
     """The order for an attempt that collided; ``case``: what was judged of it."""
     foe = case.adversary.between(result.start + 1e-3, np.inf)
-    course = Course(foe.x, foe.y, foe.heading, foe.speed)
+    course = PrescribedMotion(foe.x, foe.y, foe.heading, foe.speed)
     given = encounter_of(
         case.ego, case.adversary, case.others, result.start, contact_time, lane_half_width, unattacked
     )  # fmt: skip

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.world.egos import Road
-from sumo_adv.world.network import RoadMap
-from sumo_adv.world.simulation import Simulation
+from sumo_adv.drivers import Road
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.simulation import Simulation
 
 SLOW, AT_LINE = 1.0, 10.0  # m/s, m: slower and nearer to its lane's end, the ego is told whether it may go:
 # SUMO's advice is given to one who creeps as it was asked to, and so would have it creep on

@@ -8,12 +8,12 @@ from typing import Any
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Role, Verdict
-from sumo_adv.episode.attack import Driven
+from sumo_adv.episode.attempt import Driven
+from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.simulation.playback_spec import PlaybackSpec
+from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 from sumo_adv.situation import Situation
-from sumo_adv.world.inputs import EgoRoute
-from sumo_adv.world.network import Drivable
-from sumo_adv.world.playback_spec import PlaybackSpec
-from sumo_adv.world.simulation import SimulationSpec, Snapshot
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class FoundEncounter:
     """An encounter: who, when, the ranking, a situation for each delay, and the unattacked run."""
 
     ego: str
@@ -61,7 +61,7 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
-class NotFound:
+class NoEncounter:
     """Why there is no encounter."""
 
     ending: Ending

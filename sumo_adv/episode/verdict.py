@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track, Verdict
-from sumo_adv.episode.attack import Driven
+from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.task import Found
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.validity import judge
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.simulation.recording import tracks_of
 
 
 def gate_verdict(
-    drive: Drive, found: Found, settings: Settings, trigger_step: int, bv: str, start: float, driven: Driven
+    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bv: str, start: float, driven: Driven
 ) -> Verdict | None:
     """The verdict on the attempt that began at ``start`` [s]; None where one of the two was gone before it moved.
 
@@ -36,7 +36,7 @@ def gate_verdict(
     )  # fmt: skip
 
 
-def unattacked(found: Found, settings: Settings) -> Track | None:
+def unattacked(found: FoundEncounter, settings: Settings) -> Track | None:
     """The ego's motion without the attack, from the trigger on; None where that is not known."""
     tracks = tracks_of(found.raw, found.sizes, {}, settings.step_length, (found.ego,)) if found.raw else []
     return tracks[0] if tracks and len(tracks[0].time) > 1 else None

@@ -20,8 +20,8 @@ from types import TracebackType
 from typing import Any, Self
 
 from sumo_adv.errors import SimulationError
-from sumo_adv.world.engine import Engine, can_fork
-from sumo_adv.world.library import load_libsumo
+from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.library import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 

@@ -17,29 +17,29 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.episode.attack import attack, leader
-from sumo_adv.episode.danger import danger
+from sumo_adv.drivers import make_ego
+from sumo_adv.episode.attempt import attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
-from sumo_adv.episode.moments import MOST_SHIFT
-from sumo_adv.episode.own import answers
+from sumo_adv.episode.encounter_filter import danger
+from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
-from sumo_adv.episode.scout import Scout
-from sumo_adv.episode.survey import area_of, surveys
-from sumo_adv.episode.task import AttemptResult, Found, NotFound, Prefix, Task
+from sumo_adv.episode.situation_builder import area_of, build_situations
+from sumo_adv.episode.start_times import MOST_SHIFT
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import gate_verdict, unattacked
 from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
-from sumo_adv.planning.predict import Told
+from sumo_adv.planners.answers import Told
+from sumo_adv.planners.trusted_answers import answers
+from sumo_adv.simulation.engine import can_fork, in_forks
+from sumo_adv.simulation.network import RoadMap, read_network
+from sumo_adv.simulation.playback import Playback
+from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.situation import Situation
-from sumo_adv.world.egos import make_ego
-from sumo_adv.world.engine import can_fork, in_forks
-from sumo_adv.world.network import RoadMap, read_network
-from sumo_adv.world.playback import Playback
-from sumo_adv.world.recording import tracks_of
-from sumo_adv.world.simulation import Snapshot
 
 COOL_DOWN = 2.0  # s after an encounter that was passed over
 
@@ -52,8 +52,8 @@ class Worker:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
         self._road: RoadMap | None = None
         self._passed: list[str] = []
-        self._found: Found
-        self._unreached: tuple[Found, int, Track] | None = None  # the first encounter out of reach, its step, its ego
+        self._found: FoundEncounter
+        self._unreached: tuple[FoundEncounter, int, Track] | None = None
         self._moved = False  # an attempt ran in place: load and repeat before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -69,7 +69,7 @@ class Worker:
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
         self._forks = task.settings.fork and can_fork() and controller.forkable
-        self._scout = Scout(self._drive, self._road, task)
+        self._scout = EncounterSearch(self._drive, self._road, task)
 
     def _playback(self, task: Task) -> Playback | None:
         if task.playback is None:
@@ -83,7 +83,7 @@ class Worker:
         """Whether attempts are forked."""
         return self._forks
 
-    def seek(self, passed_over: str = "") -> Found | NotFound:
+    def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
         """Go on until an encounter begins that is harmless unattacked, or until none can come.
 
         ``passed_over``: why the encounter found before is left alone.
@@ -96,11 +96,11 @@ class Worker:
             self._cool_down()
         while True:
             ranking = self._scout.until_encounter()
-            if isinstance(ranking, NotFound):
+            if isinstance(ranking, NoEncounter):
                 if self._unreached is not None and self._drive.recorded():
                     return self._back(*self._unreached)
                 if passed:
-                    return NotFound(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
+                    return NoEncounter(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
                 return ranking
             found, why = self._survey(ranking, tuple(passed))
             if found is not None:
@@ -108,10 +108,10 @@ class Worker:
                 return found
             passed.append(f"{self._drive.now:.1f} s ({why})")
             if self._task.trigger is not None:
-                return NotFound(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
+                return NoEncounter(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
             self._cool_down()
 
-    def _back(self, found: Found, step: int, raw_ego: Track) -> Found:
+    def _back(self, found: FoundEncounter, step: int, raw_ego: Track) -> FoundEncounter:
         """At an encounter that was passed over for being out of reach: the recording has no better one."""
         self._found = replace(found, passed_over=tuple(self._passed), last=True)
         self._trigger_step, self._raw_ego, self._moved = step, raw_ego, False
@@ -216,7 +216,7 @@ class Worker:
 
     # -- the unattacked run -------------------------------------------------------------------------------------
 
-    def _survey(self, ranking: Sequence[Candidate], passed: tuple[str, ...]) -> tuple[Found | None, str]:
+    def _survey(self, ranking: Sequence[Candidate], passed: tuple[str, ...]) -> tuple[FoundEncounter | None, str]:
         """Run on unattacked, and describe the encounter unless it is critical by itself."""
         if not ranking:
             return None, "no vehicle near could endanger the ego"
@@ -236,7 +236,7 @@ class Worker:
             return None, why
         ranking = [c for c in ranking if c.id not in critical]
         self._raw_ego = tracks[drive.ego]
-        situations = surveys(
+        situations = build_situations(
             self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
             routes=routes, signals=signals, left=math.inf if left is None else left, reacting=drive.reacting(),
         )  # fmt: skip
@@ -245,7 +245,7 @@ class Worker:
         order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
         area = area_of(self._raw_ego.between(time, math.inf))
         drivable = self._map.drivable(*area)
-        return Found(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
+        return FoundEncounter(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
 
     def _unattacked(self, late: bool) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         """To the end of the last attempt; ``late``: also of those that begin only near where the ways meet."""
@@ -262,7 +262,12 @@ class Worker:
         follows_sumo = name in ("krauss", "idm", "eidm", "careful", "replay")
         known = follows_sumo or name == "lattice"
         numbers = drive.simulation.model(drive.ego)
-        return {"kind": name if known else "idm", "passes_right": not follows_sumo, "unknown": not known, **numbers}
+        return {
+            "kind": name if known else "idm",
+            "ignores_sumo_lane_rules": not follows_sumo,
+            "unknown": not known,
+            **numbers,
+        }
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

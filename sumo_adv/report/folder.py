@@ -23,8 +23,8 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_states
 from sumo_adv.report.verdicts import figures, judge_best
-from sumo_adv.world.recording import tracks_of
-from sumo_adv.world.simulation import Snapshot
+from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts

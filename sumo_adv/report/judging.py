@@ -25,7 +25,7 @@ from sumo_adv.report.folder import PLAN
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
 from sumo_adv.report.tables import PLAN_HEADER
-from sumo_adv.world.network import read_network
+from sumo_adv.simulation.network import read_network
 
 ROAD_MARGIN = 150.0  # m around the ego's way within which the road is read
 HISTORY = 1.1  # s before the trigger

@@ -14,12 +14,12 @@ from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
-from sumo_adv.planning.source import make_planner
+from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
-from sumo_adv.world.inputs import EgoRoute, RunInput
-from sumo_adv.world.playback_spec import PlaybackSpec, make_playback
-from sumo_adv.world.props import Prop
-from sumo_adv.world.simulation import SimulationSpec
+from sumo_adv.simulation.inputs import EgoRoute, RunInput
+from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
+from sumo_adv.simulation.props import Prop
+from sumo_adv.simulation.simulation import SimulationSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.composing import NAME
-from sumo_adv.agents.ledger import Ledger
+from sumo_adv.agents.agents import ROLES
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict, plain_acceleration
-from sumo_adv.episode.cast import ROLES
 from sumo_adv.episode.episode import Episode
-from sumo_adv.world.playback_spec import PlaybackSpec
+from sumo_adv.llm.ledger import Ledger
+from sumo_adv.search.composed_intents import NAME
+from sumo_adv.simulation.playback_spec import PlaybackSpec
 
 SCHEMA = 1
 VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)
@@ -61,25 +61,25 @@ def outcome(
 
 def _agents(episode: Episode) -> dict[str, Any]:
     """Who played which part. The built-in expert is never presented as a language model."""
-    cast = episode.cast
-    players = {role: NAME if cast is None else cast.player(role) for role in ROLES}
-    models = sorted({m.name for m in cast.models.values()}) if cast is not None else []
+    agents = episode.agents
+    players = {role: NAME if agents is None else agents.player(role) for role in ROLES}
+    models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     note = EXPERT_NOTE
     if models:
         parts = ", ".join(f"{role} {player}" for role, player in players.items())
         note = f"Parts played at the end: {parts}; predictions and tuner are built in."
     return {
         **players, "tuner": episode.settings.tuner, "note": note,
-        "calls": dict.fromkeys(ROLES, 0) if cast is None else cast.calls,
-        "failed": {} if cast is None else cast.failed, "analysis": {} if cast is None else cast.analysis,
+        "calls": dict.fromkeys(ROLES, 0) if agents is None else agents.calls,
+        "failed": {} if agents is None else agents.failed, "analysis": {} if agents is None else agents.analysis,
     }  # fmt: skip
 
 
 def _llm(episode: Episode) -> dict[str, Any]:
     """The ledger; ``model`` names those that took part, null for none."""
-    cast = episode.cast
-    names = sorted({m.name for m in cast.models.values()}) if cast is not None else []
-    return {"model": ", ".join(names) or None, **(Ledger() if cast is None else cast.ledger).as_dict()}
+    agents = episode.agents
+    names = sorted({m.name for m in agents.models.values()}) if agents is not None else []
+    return {"model": ", ".join(names) or None, **(Ledger() if agents is None else agents.ledger).as_dict()}
 
 
 def episode_ego(episode: Episode) -> str | None:
@@ -160,7 +160,7 @@ def versions() -> dict[str, str]:
 def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
     task, best = episode.task, episode.best
-    asked = episode.cast if episode.cast is not None and episode.cast.models else None
+    asked = episode.agents if episode.agents is not None and episode.agents.models else None
     used = {a.proposal.planner.hash: a.proposal.planner for a in episode.refinement.attempts}
     spec = task.spec
     return {

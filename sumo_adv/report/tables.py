@@ -14,8 +14,8 @@ from sumo_adv.metrics.case import NEAR
 from sumo_adv.metrics.criticality import AVAILABLE
 from sumo_adv.metrics.series import series
 from sumo_adv.metrics.validity import MOST
-from sumo_adv.world.recording import tracks_of
-from sumo_adv.world.simulation import Snapshot
+from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.simulation import Snapshot
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")

@@ -18,7 +18,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.task import AttemptResult, Found, Prefix
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.contact import Impact
 from sumo_adv.metrics.fault import SecondOpinion
@@ -27,8 +27,8 @@ from sumo_adv.metrics.markings import Crossing, Strip, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
-from sumo_adv.world.network import Drivable
-from sumo_adv.world.recording import tracks_of
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.simulation.recording import tracks_of
 
 LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
 MOST_MAPPED = 40  # reference vehicles whose distance to the road's edge is taken
@@ -90,7 +90,9 @@ def _leveled(gates: Verdict, engine: Verdict) -> Verdict:
     return replace(gates, **{name: getattr(engine, name) for name in LEVEL_FIELDS})
 
 
-def _tracks(episode: Episode, best: Attempt, found: Found, prefix: Prefix, result: AttemptResult) -> list[Track]:
+def _tracks(
+    episode: Episode, best: Attempt, found: FoundEncounter, prefix: Prefix, result: AttemptResult
+) -> list[Track]:
     """The recording that the engine judged: from a little before the attempt's start on."""
     settings = episode.settings
     first = len(prefix.snapshots) + settings.steps(result.start - found.time) - settings.steps(settings.history)
@@ -99,7 +101,7 @@ def _tracks(episode: Episode, best: Attempt, found: Found, prefix: Prefix, resul
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
-def _full(episode: Episode, case: Case, found: Found, result: AttemptResult) -> FullVerdict:
+def _full(episode: Episode, case: Case, found: FoundEncounter, result: AttemptResult) -> FullVerdict:
     return full_judge(
         case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.ttc,
         limits=episode.settings.limits.limits(), on_road=found.drivable, lane_half_width=found.first.lane_width / 2,
@@ -158,7 +160,7 @@ def _rss(opinion: SecondOpinion | None) -> dict[str, Any] | None:
 # -- realism --------------------------------------------------------------------------------------------------------
 
 
-def _realism(episode: Episode, moved: Track, found: Found, prefix: Prefix) -> dict[str, Any]:
+def _realism(episode: Episode, moved: Track, found: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
     """The adversary's motion up to the contact against the unattacked run's traffic in the same window."""
     step = episode.settings.step_length
     start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (found.time, found.time)

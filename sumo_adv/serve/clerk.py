@@ -16,7 +16,7 @@ WAITING = 2  # encounters that may wait to be written; then the simulation waits
 Write = Callable[[Episode, int], Mapping[str, Any]]
 
 
-class Clerk:
+class ResultWriter:
     """``write`` gets an episode and its number and gives back what ``outcome.json`` holds, with its ``folder``."""
 
     def __init__(self, write: Write, events: Events) -> None:

@@ -1,6 +1,6 @@
 """One encounter of a server: described from the states up to now alone, decided, and attacked while the client drives.
 
-What ``run`` learns from an unattacked fork is foreseen here (``episode.outlook``), and foreseen again when the attack
+What ``run`` learns from an unattacked fork is foreseen here (``episode.traffic_forecast``), and again when the attack
 begins; the adversary then replans every half second against what the ego really does.
 """
 
@@ -11,23 +11,23 @@ from dataclasses import dataclass
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.attack import Driven, attack, leader
-from sumo_adv.episode.brain import answer_of
-from sumo_adv.episode.danger import danger
+from sumo_adv.episode.attempt import Driven, attack, leader
+from sumo_adv.episode.attempt_runner import answer_of
 from sumo_adv.episode.encounter import Candidate
-from sumo_adv.episode.moments import MOST_SHIFT
-from sumo_adv.episode.outlook import outlook
-from sumo_adv.episode.sessions import Roads, Sessions
-from sumo_adv.episode.survey import area_of, survey, surveys
-from sumo_adv.episode.task import AttemptResult, Found
+from sumo_adv.episode.encounter_filter import danger
+from sumo_adv.episode.situation_builder import area_of, build_situation, build_situations
+from sumo_adv.episode.start_times import MOST_SHIFT
+from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.episode.verdict import gate_verdict
-from sumo_adv.planning.sandbox import Sandbox
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.session import EgoLost, Session
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.stage import Stage
 from sumo_adv.situation import Situation
-from sumo_adv.world.network import RoadMap
-from sumo_adv.world.simulation import Snapshot
-from sumo_adv.world.stage import Stage
 
 FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
 LOST = "The ego's client was lost or late."
@@ -37,7 +37,7 @@ LOST = "The ego's client was lost or late."
 class Scene:
     """An encounter as it was foreseen at its trigger. ``tracks``: everybody near, the last second and what follows."""
 
-    found: Found
+    found: FoundEncounter
     ranking: Sequence[Candidate]
     tracks: Mapping[str, Track]
 
@@ -53,17 +53,17 @@ def describe(
     ego, time = session.ego, session.now
     if not ranking or ego is None:
         return "no vehicle near could endanger the ego"
-    tracks = outlook(road, session, settings.duration + max(settings.delays) + MOST_SHIFT)
+    tracks = traffic_forecast(road, session, settings.duration + max(settings.delays) + MOST_SHIFT)
     soon = {name: track.between(track.time[0], time + FORESEEN) for name, track in tracks.items()}
     why, _ = danger(soon, session, time, settings.ttc, [c.id for c in ranking])
     if why:
         return why
     simulation = session.simulation
     route = simulation.route(ego)[0]
-    model = {"kind": "idm", "passes_right": True, "unknown": True, **simulation.model(ego)}
+    model = {"kind": "idm", "ignores_sumo_lane_rules": True, "unknown": True, **simulation.model(ego)}
     signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
     routes = {c.id: simulation.route(c.id)[0] for c in ranking}
-    situations = surveys(
+    situations = build_situations(
         road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, routes=routes,
         signals=signals,
     )  # fmt: skip
@@ -72,7 +72,7 @@ def describe(
     order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
     area = area_of(tracks[ego].between(time, time + settings.duration))
     sizes, drivable = dict(simulation.fleet.sizes), road.drivable(*area)
-    found = Found(ego, time, order, situations, (), tuple(passed), drivable, sizes, area)
+    found = FoundEncounter(ego, time, order, situations, (), tuple(passed), drivable, sizes, area)
     return Scene(found, tuple(ranking), tracks)
 
 
@@ -152,9 +152,9 @@ class LiveAttempts:
         if ego is None or ego not in raw or bv not in raw:
             return None
         simulation = session.simulation
-        tracks = outlook(self._road, session, settings.duration)
+        tracks = traffic_forecast(self._road, session, settings.duration)
         candidate = next(c for c in self._scene.ranking if c.id == bv)
-        return survey(
+        return build_situation(
             self._road, tracks, ego, [candidate], session.now, dt=settings.step_length, horizon=settings.horizon,
             ego_model=self._scene.found.first.ego_model, route=simulation.route(ego)[0],
             routes={bv: simulation.route(bv)[0]}, signals={name: tuple(simulation.signals(name)) for name in (ego, bv)},

@@ -18,7 +18,7 @@ from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, connect
 from sumo_adv.serve.policy import Policy, Rules
-from sumo_adv.serve.seat import Client, Interrupted, Late, Seat
+from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
@@ -52,7 +52,7 @@ class Gate:
         self._allow = [_network(text) for text in allow]
         if not _is_loopback(host) and not self._allow:
             raise UsageError(f"TraCI has no log-in: with the host {host} say which addresses may connect (--allow).")
-        self._seat = Seat(on_event or (lambda event: None))
+        self._seat = ClientSlot(on_event or (lambda event: None))
         self._changed = threading.Condition()
         self._stopping = self._running = False
         self._turns: Turns | None = None

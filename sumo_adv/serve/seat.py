@@ -87,7 +87,7 @@ def errors(message: bytes, reason: str) -> bytes:
     return framing.make_message(*answers)
 
 
-class Seat:
+class ClientSlot:
     """Holds at most one client. Thread-safe."""
 
     def __init__(self, tell: Callable[[GateEvent], None]) -> None:

@@ -12,24 +12,24 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Attempt, Ending, LibraryEntry, Proposal
-from sumo_adv.episode.cast import Cast
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import Met, decide, model_ending, predicted, pursue
+from sumo_adv.episode.loop import PlannedEncounter, decide, model_ending, predicted, pursue
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.serve.clerk import Clerk
+from sumo_adv.serve.clerk import ResultWriter
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Mode, OnLoss, Options
 from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
-from sumo_adv.serve.watch import Watch
-from sumo_adv.world.demand import journeys
-from sumo_adv.world.inputs import EgoRoute, RunInput
-from sumo_adv.world.network import RoadMap
-from sumo_adv.world.scan import scan_demand
+from sumo_adv.serve.watch import EncounterMonitor
+from sumo_adv.simulation.demand import journeys
+from sumo_adv.simulation.inputs import EgoRoute, RunInput
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.scan import scan_demand
 
 INSERTED_EGO, DEFAULT_TYPE = "ego", "DEFAULT_VEHTYPE"
 WARM_UP = 20.0  # s of traffic before an ego on drawn routes departs
@@ -40,25 +40,25 @@ FRUITLESS = 3  # simulations in a row without an encounter, after which it is of
 
 
 @dataclass(frozen=True, slots=True)
-class House:
+class ServerDependencies:
     """Everything that a server needs and does not make itself. ``task_for``: the task with another seed."""
 
     source: RunInput
     options: Options
     task_for: Callable[[int], Task]
     road: RoadMap
-    cast: Cast
+    agents: Agents
     bank: MemoryBank
     gate: Gate
     events: Events
-    clerk: Clerk
+    clerk: ResultWriter
     check: Callable[[], None]  # called every step; raises KeyboardInterrupt
 
 
 class Server:
     """Runs until ``encounters`` are done, the input has no more, the client is gone for good, or Ctrl-C."""
 
-    def __init__(self, house: House) -> None:
+    def __init__(self, house: ServerDependencies) -> None:
         self._house = house
         self._task = house.task_for(0)
         self._settings = self._task.settings
@@ -145,14 +145,16 @@ class Server:
             self.reason = f"At the trigger given, {self._task.trigger:g} s, there was nothing to attack with."
         self._end_session(clean=True)
 
-    def _start(self) -> tuple[Session, Watch]:
+    def _start(self) -> tuple[Session, EncounterMonitor]:
         """A new simulation, and its client."""
         house, task = self._house, self._task
         self._session = session = Session(
             task.spec, house.gate, house.options, self._ego(task), house.events, house.check
         )
         only = tuple(n for n in task.only)
-        return session, Watch(session, house.road, self._settings, only, task.warm_up if task.ego is not None else 0.0)
+        return session, EncounterMonitor(
+            session, house.road, self._settings, only, task.warm_up if task.ego is not None else 0.0
+        )
 
     def _ego(self, task: Task) -> EgoPlan:
         """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
@@ -186,7 +188,7 @@ class Server:
 
     # -- an encounter -------------------------------------------------------------------------------------------
 
-    def _encounter(self, session: Session, watch: Watch, scene: Scene, passed: list[str]) -> bool:
+    def _encounter(self, session: Session, watch: EncounterMonitor, scene: Scene, passed: list[str]) -> bool:
         """Decide and attack; False if it was passed over or dropped."""
         house, found = self._house, scene.found
         house.events.tell(
@@ -218,7 +220,7 @@ class Server:
     def _episode(self, scene: Scene) -> Episode:
         house, found = self._house, scene.found
         episode = Episode(
-            house.source, self._settings, self._task, bank_hash=house.bank.content_hash(), cast=house.cast
+            house.source, self._settings, self._task, bank_hash=house.bank.content_hash(), agents=house.agents
         )
         episode.found, episode.lanes = found, house.road.strips(*found.area)
         return episode
@@ -229,12 +231,12 @@ class Server:
         settings = settings if episodes else settings.model_copy(update={"attempts": 1})
         episode.settings = settings
         live = LiveAttempts(
-            session, scene, house.road, settings, house.cast.sandbox, house.events,
+            session, scene, house.road, settings, house.agents.sandbox, house.events,
             (lambda: self._again(scene.found.time)) if episodes else None,
         )  # fmt: skip
         assert decision.entries is not None
         try:
-            pursue(episode, decision.met, decision.entries, live, house.cast, house.bank, self._tell_attempt)
+            pursue(episode, decision.met, decision.entries, live, house.agents, house.bank, self._tell_attempt)
             if live.lost and episode.ending is not Ending.CRITICAL:
                 episode.ending, episode.reason = Ending.EGO_LOST, ""
         except KeyboardInterrupt:
@@ -284,8 +286,8 @@ class Server:
         began = time.perf_counter()
 
         def work() -> Decision:
-            met = predicted(episode, scene.found, self._house.cast.sandbox, self._house.bank)
-            entries = decide(episode, met, self._house.cast, self._house.bank) if met.reaches else None
+            met = predicted(episode, scene.found, self._house.agents.sandbox, self._house.bank)
+            entries = decide(episode, met, self._house.agents, self._house.bank) if met.reaches else None
             return Decision(met, entries)
 
         decision = work() if session.pace is None else _meanwhile(work, session.tick)
@@ -296,7 +298,7 @@ class Server:
         )  # fmt: skip
         return decision
 
-    def _stale(self, session: Session, watch: Watch, scene: Scene, wanted: Collection[str]) -> str:
+    def _stale(self, session: Session, watch: EncounterMonitor, scene: Scene, wanted: Collection[str]) -> str:
         """Why a decision for ``wanted`` vehicles no longer fits the world; empty if it does."""
         age = session.now - scene.found.time
         if age == 0.0:
@@ -312,7 +314,7 @@ class Server:
 class Decision:
     """The predictions of an encounter, and the library to try from; None if nothing is to be tried."""
 
-    met: Met
+    met: PlannedEncounter
     entries: Sequence[LibraryEntry] | None
 
     @property

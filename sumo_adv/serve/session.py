@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import SimulationError
 from sumo_adv.serve.events import Events
@@ -20,10 +21,9 @@ from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.gate_events import Stepper
 from sumo_adv.serve.options import OnLoss, Options
 from sumo_adv.serve.sumo_process import SumoProcess
-from sumo_adv.world.egos import ExternalEgo
-from sumo_adv.world.inputs import EgoRoute
-from sumo_adv.world.remote import Remote
-from sumo_adv.world.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.remote import Remote
+from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
 
 if TYPE_CHECKING:
     from traci.connection import Connection

@@ -19,7 +19,7 @@ from sumo_adv.serve.policy import (
     Policy,
     step_until,
 )
-from sumo_adv.serve.seat import Client, Interrupted, Late, Seat, errors
+from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
 from sumo_adv.serve.shapes import Misfit, subscribed
 
 LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
@@ -35,7 +35,7 @@ class Turns:
         self,
         connect: Callable[[Callable[[], None]], Link],
         policy: Policy,
-        seat: Seat,
+        seat: ClientSlot,
         deadline: float,
         stopping: Callable[[], bool],
         why_ended: Callable[[], str],

@@ -6,16 +6,16 @@ from collections.abc import Mapping
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track
-from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, Encounter
-from sumo_adv.episode.outlook import apart
+from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, EncounterDetector
+from sumo_adv.episode.traffic_forecast import apart
 from sumo_adv.serve.session import EgoLost, Session
-from sumo_adv.world.network import RoadMap
+from sumo_adv.simulation.network import RoadMap
 
 STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
 EGO_PAUSE = 2.0  # s the ego is on the road before anything may happen to it
 
 
-class Watch:
+class EncounterMonitor:
     """Looks at one session every half second."""
 
     def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
@@ -75,8 +75,8 @@ class Watch:
             away, faster = apart(tracks, session.state(name), session.now)
             if away > STRAYED[0] or faster > STRAYED[1]:
                 return f"{name} is {away:.1f} m and {faster:.1f} m/s from where it was foreseen"
-        now = {c.id: c.relation for c in Encounter(self._road, len(raw), (bv,)).rank(session)}
+        now = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
         return "" if now.get(bv) == relation else f"{bv} is no longer {relation} but {now.get(bv, 'out of reach')}"
 
-    def _fresh(self) -> Encounter:
-        return Encounter(self._road, self._settings.shortlist, self._only)
+    def _fresh(self) -> EncounterDetector:
+        return EncounterDetector(self._road, self._settings.shortlist, self._only)

@@ -13,12 +13,12 @@ import numpy as np
 
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_all
+from sumo_adv.simulation.tracks import KINDS, LoggedTrack, TrackLog, write_tracks
 from sumo_adv.womd.matching import Stretch
 from sumo_adv.womd.record import TRACK_KINDS, ObjectTrack, Record
 from sumo_adv.womd.routes import Router
 from sumo_adv.womd.segments import Segments
 from sumo_adv.womd.sumonet import SumoNet
-from sumo_adv.world.tracks import KINDS, LoggedTrack, TrackLog, write_tracks
 
 STEP = 0.1  # s
 UNEVEN = 0.05  # s that a time stamp may be off its step

@@ -10,8 +10,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.simulation.demand import generate
 from sumo_adv.womd.network.netconvert import find_netconvert
-from sumo_adv.world.demand import generate
 
 DURATION = 120.0  # s
 PATIENCE = 60.0  # s without a move after which SUMO teleports a vehicle

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.cli.main import app
-from sumo_adv.world.inputs import data_folder
+from sumo_adv.simulation.inputs import data_folder
 
 EGOS = ("idm", "careful", "krauss", "replay", "eidm")
 ATTEMPTS = 4

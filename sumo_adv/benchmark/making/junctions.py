@@ -11,9 +11,9 @@ from random import Random
 from sumo_adv.benchmark.making.drafts import Car, Draft, apart
 from sumo_adv.benchmark.making.straight import SIZES
 from sumo_adv.geometry import Path as Line
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.situation import Conflict, relate
-from sumo_adv.world.inputs import data_folder
-from sumo_adv.world.network import RoadMap, read_network
 
 NETWORKS = {
     "crossing_priority": ("priority_crossing", "rural_crossing", "priority_crossing", "dual_left_turn"),

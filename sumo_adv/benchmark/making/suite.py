@@ -23,8 +23,8 @@ from sumo_adv.benchmark.making.straight import draw_straight
 from sumo_adv.benchmark.making.trials import EGOS, body, trial
 from sumo_adv.benchmark.suites import NAME, SUITE_FILE, hash_of_file
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.world.engine import Engine, can_fork
-from sumo_adv.world.inputs import data_folder
+from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.inputs import data_folder
 
 VERSION = "1"
 SHIPPED, SHIPPED_SEED = "suite81", 1

@@ -19,13 +19,13 @@ from typing import Any
 from sumo_adv.config import load_settings
 from sumo_adv.episode.encounter import FASTEST_START, LATEST
 from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import Found, NotFound, Task
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.episode.worker import Worker
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.situation import Target
-from sumo_adv.world.engine import in_forks
-from sumo_adv.world.inputs import load_input
-from sumo_adv.world.library import load_libsumo
 
 EGOS = ("idm", "krauss", "eidm", "careful")
 """The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
@@ -67,15 +67,15 @@ def tried(one: Trial) -> str:
         found = worker.seek()
     except UsageError:  # SUMO found no room for the ego in all the time given
         return "the ego is not inserted"
-    return _not_found(found) if isinstance(found, NotFound) else _fault(one, found)
+    return _not_found(found) if isinstance(found, NoEncounter) else _fault(one, found)
 
 
-def _not_found(found: NotFound) -> str:
+def _not_found(found: NoEncounter) -> str:
     words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", found.reason)
     return re.sub(r":.*", "", words).rstrip(".")
 
 
-def _fault(one: Trial, found: Found) -> str:
+def _fault(one: Trial, found: FoundEncounter) -> str:
     present = {name: sum(name in snapshot.raw for snapshot in found.raw) for name in (found.ego, one.bv)}
     dt = one.task.settings.step_length
     if present[found.ego] * dt < STAYS:

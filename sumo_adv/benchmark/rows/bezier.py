@@ -19,8 +19,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter, course_proposal
-from sumo_adv.datatypes import Attempt, Course, Floats, Proposal
-from sumo_adv.planning.scenes import profile_at
+from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
+from sumo_adv.drivers.scenes import profile_at
 from sumo_adv.situation import Situation, Target
 
 ARRIVALS = (6.0, 4.0, 3.0, 8.0, 2.0)  # s after the takeover
@@ -55,7 +55,7 @@ class Bezier:
         return course_proposal(self.name, bv, delay, curve(situation, situation.targets[bv], arrival))
 
 
-def curve(situation: Situation, target: Target, arrival: float) -> Course:
+def curve(situation: Situation, target: Target, arrival: float) -> PrescribedMotion:
     """The motion of ``target`` that is at the ego's place ``arrival`` [s] after the takeover."""
     state, dt = target.state, situation.dt
     steps = max(round(arrival / dt), 1)
@@ -66,7 +66,7 @@ def curve(situation: Situation, target: Target, arrival: float) -> Course:
     dx, dy = np.diff(x), np.diff(y)
     moved = np.hypot(dx, dy)
     heading = np.where(moved > STILL, np.arctan2(dy, dx), state.heading)
-    return Course(x[1:], y[1:], heading, moved / dt)
+    return PrescribedMotion(x[1:], y[1:], heading, moved / dt)
 
 
 def _cubic(p0: float, p1: float, p2: float, p3: float, steps: int) -> Floats:

@@ -4,7 +4,7 @@
 is ``STEERING_UNIT`` of the sharpest turn that the limits allow at its speed, on top of the bend of the way it is on,
 and ``ACCELERATION_UNIT`` of the strongest braking or acceleration. So the zero vector drives on along its way, and a
 standard normal one wanders by about a lane. After the horizon it turns back to the direction of its way and keeps its
-speed. The vehicle is the bicycle of ``world/egos/bicycle.py`` (Polack et al. 2017). Acceleration, jerk and grip are
+speed. The vehicle is the bicycle of ``drivers/bicycle.py`` (Polack et al. 2017). Acceleration, jerk and grip are
 bound as for any adversary (``planning.trajectory.faster``); the front wheel turns by at most ``STEERING_RATE``. Where
 the motion leaves the road it ends, standing: nothing after that can count, and SUMO has crashed on what went on there.
 """
@@ -18,15 +18,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
-from sumo_adv.datatypes import Boxes, Course, Floats, Verdict
+from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Verdict
+from sumo_adv.drivers.bicycle import MAX_STEERING, apply_steer
+from sumo_adv.drivers.protocol import Steer
 from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.metrics.boxes import corners
 from sumo_adv.metrics.feasibility import ROAD_TOLERANCE
-from sumo_adv.planning.trajectory import Scalar, faster
-from sumo_adv.situation import Target, WayLine
-from sumo_adv.world.egos.bicycle import MAX_STEERING, apply_steer
-from sumo_adv.world.egos.protocol import Steer
-from sumo_adv.world.network import Drivable
+from sumo_adv.planners.trajectory import Scalar, faster
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.situation import ReferencePath, Target
 
 KNOTS = 6
 SIZE = 2 * KNOTS
@@ -44,7 +44,7 @@ class Start:
 
     delay: float
     target: Target
-    way: WayLine
+    way: ReferencePath
 
 
 def starts(encounter: Encounter) -> list[Start]:
@@ -57,7 +57,7 @@ def starts(encounter: Encounter) -> list[Start]:
     ]
 
 
-def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) -> Course:
+def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) -> PrescribedMotion:
     """The motion that controls come to, over the duration of an attempt."""
     settings, way = encounter.settings, start.way.path
     dt, limits, state = settings.step_length, settings.limits.limits(), start.target.state
@@ -83,17 +83,17 @@ def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) 
     return _on_road(poses, start.target, encounter.drivable)
 
 
-def _on_road(poses: Floats, target: Target, drivable: Drivable) -> Course:
+def _on_road(poses: Floats, target: Target, drivable: Drivable) -> PrescribedMotion:
     """The motion up to the step in which a corner leaves the road, as the gate sees it, and there it stands."""
     x, y, heading, speed = (np.ascontiguousarray(column) for column in poses.T)
     length, width = (size - 2 * ROAD_TOLERANCE for size in (target.state.length, target.state.width))
     points = corners(Boxes(x, y, heading, speed, length, width))
     off = np.flatnonzero(~drivable(points[..., 0], points[..., 1]).all(axis=1))
     if not len(off):
-        return Course(x, y, heading, speed)
+        return PrescribedMotion(x, y, heading, speed)
     n = int(off[0]) + 1
     x, y, heading = (np.append(column[:n], column[n - 1]) for column in (x, y, heading))
-    return Course(x, y, heading, np.append(speed[:n], 0.0))
+    return PrescribedMotion(x, y, heading, np.append(speed[:n], 0.0))
 
 
 def _wheel(curvature: float) -> float:

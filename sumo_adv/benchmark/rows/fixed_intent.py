@@ -3,7 +3,7 @@
 What it is: one intent of the library, on every vehicle, with every mode and at every moment it applies to: first all of
 them with their authors' numbers, earliest and most dangerous first, then in turn with drawn ones. No prediction. The
 row ``best fixed`` of the tables is the label with the best rate over a suite: what can be had without looking at the
-encounter, chosen in hindsight, so it flatters.
+encounter, chosen in correction, so it flatters.
 Limits: where the intent applies to nobody there is nothing to try and the encounter counts as failed.
 Citation: the best constant answer, the usual floor of a classifier; the paper's LLM-F is two such behaviours.
 """
@@ -14,9 +14,9 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sumo_adv.agents.ways import Family, families
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Proposal
+from sumo_adv.search.templates import AttackTemplate, templates_of
 
 LABELS = (
     "Aggressive Cut-in",
@@ -35,12 +35,12 @@ class FixedIntent:
 
     def __init__(self, label: str) -> None:
         self.name, self.label = f"fixed:{label}", label
-        self._families: list[Family] = []
+        self._families: list[AttackTemplate] = []
         self._draw = random.Random(0)
 
     def begin(self, encounter: Encounter) -> None:
         """All that applies of the label."""
-        self._families = families(encounter.situations, encounter.library, [self.label])
+        self._families = templates_of(encounter.situations, encounter.library, [self.label])
         self._draw = random.Random(encounter.seed)
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:

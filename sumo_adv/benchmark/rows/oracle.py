@@ -19,9 +19,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sumo_adv.agents.ways import BRAKING_LABEL, Family, families
 from sumo_adv.benchmark.nouns import Cell, Encounter
 from sumo_adv.datatypes import Attempt, Proposal
+from sumo_adv.search.templates import BRAKING_LABEL, AttackTemplate, templates_of
 
 MOST = 60  # simulations an encounter
 BRAKING = (-8.0, -6.5, -5.0)  # m/s2
@@ -45,7 +45,7 @@ class Oracle:
 
     def begin(self, encounter: Encounter) -> None:
         """Lay down all simulations."""
-        ways = families(encounter.situations, encounter.library)
+        ways = templates_of(encounter.situations, encounter.library)
         self._plans = [replace(p, by=self.name) for p in _plans(ways, random.Random(encounter.seed))]
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
@@ -53,9 +53,9 @@ class Oracle:
         return self._plans[len(tried)] if len(tried) < len(self._plans) else None
 
 
-def _plans(ways: Sequence[Family], draw: random.Random) -> list[Proposal]:
-    """At most ``MOST`` proposals: all families once, in turn by label; then the label with the fewest so far."""
-    by_label: dict[str, list[Family]] = defaultdict(list)
+def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal]:
+    """At most ``MOST`` proposals: all templates_of once, in turn by label; then the label with the fewest so far."""
+    by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
     for way in ways:
         by_label[way.entry.label].append(way)
     endless = {label: _endless(label, mine, draw) for label, mine in by_label.items()}
@@ -69,8 +69,8 @@ def _plans(ways: Sequence[Family], draw: random.Random) -> list[Proposal]:
     return plans
 
 
-def _endless(label: str, ways: Sequence[Family], draw: random.Random) -> Iterator[Proposal]:
-    """A label's families with their authors' numbers, then again and again with drawn ones."""
+def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) -> Iterator[Proposal]:
+    """A label's templates_of with their authors' numbers, then again and again with drawn ones."""
     turn = 0
     while True:
         for k, way in enumerate(ways):

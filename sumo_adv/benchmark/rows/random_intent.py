@@ -1,8 +1,8 @@
 """Random intent: any vehicle, intent, mode and moment that apply, with numbers drawn within their bounds.
 
-What it is: the library's planners without any choice. Each attempt draws one of all families (vehicle, intent, mode,
-delay) uniformly, then every number of its planner uniformly within the bounds its author gave. Nothing is predicted and
-nothing is learnt from the attempts before. What a method gains over this row is what choosing is worth.
+What it is: the library's planners without any choice. Each attempt draws one of all ways to attack (vehicle, intent,
+mode, delay) uniformly, then every number of its planner uniformly within the bounds its author gave. Nothing is
+predicted and nothing is learnt from the attempts before. What a method gains over this row is what choosing is worth.
 Limits: an intent with many modes, or that applies to many vehicles, is drawn more often.
 Citation: the usual control of search-based testing (Arcuri and Briand 2011, "Adaptive random testing: an illusion of
 effectiveness?", ISSTA); here over the paper's behaviour library.
@@ -14,23 +14,23 @@ import random
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sumo_adv.agents.ways import Family, families
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Proposal
+from sumo_adv.search.templates import AttackTemplate, templates_of
 
 
 class RandomIntent:
-    """Draws families and their numbers uniformly."""
+    """Draws templates_of and their numbers uniformly."""
 
     name = "random"
 
     def __init__(self) -> None:
-        self._families: list[Family] = []
+        self._families: list[AttackTemplate] = []
         self._draw = random.Random(0)
 
     def begin(self, encounter: Encounter) -> None:
         """All that applies, and the seed's draws."""
-        self._families = families(encounter.situations, encounter.library)
+        self._families = templates_of(encounter.situations, encounter.library)
         self._draw = random.Random(encounter.seed)
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:

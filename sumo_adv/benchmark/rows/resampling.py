@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.benchmark.nouns import Encounter, course_proposal
-from sumo_adv.datatypes import Attempt, Bools, Boxes, Course, Floats, Limits, Proposal
+from sumo_adv.datatypes import Attempt, Bools, Boxes, Floats, Limits, PrescribedMotion, Proposal
+from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.boxes import on_grid, pick, touching
-from sumo_adv.planning.drivers import PredictedEgos
-from sumo_adv.planning.ground import Ground
-from sumo_adv.planning.trajectory import Batch, Goal, Motion, advance, pose, steer
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, pose, steer
 from sumo_adv.situation import Situation, Target
 
 Places = NDArray[np.intp]
@@ -90,7 +90,7 @@ class Resampling:
         self._places.append(best[1:])
         some, k = self._drawn[best[1]], best[2]
         x, y, heading, speed = (np.ascontiguousarray(column[k, 1:]) for column in some.poses)
-        return course_proposal(self.name, some.names[k], some.delay, Course(x, y, heading, speed))
+        return course_proposal(self.name, some.names[k], some.delay, PrescribedMotion(x, y, heading, speed))
 
     def _weights(self, tried: Sequence[Attempt]) -> Floats:
         """Of the futures, by what the attempts came to."""
@@ -114,7 +114,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     targets = situation.target_list()
     names = [t.state.id for t in targets for _ in range(DRAWN)]
     plan = _plans(targets, rng)
-    ground = Ground([situation] * len(names), names)
+    ground = AdversaryBatch([situation] * len(names), names)
     ground.rows.row = ground.rows.row + plan.way
     steps, dt, limits = settings.steps(settings.duration), situation.dt, settings.limits.limits()
     width = np.array([t.state.width for t in ground.targets])
@@ -166,7 +166,7 @@ def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
     return _Plan(way, lane + stray, begins, rng.uniform(2.5, 6.5, (2, n)), speeds, spans, prior)
 
 
-def _forward(ground: Ground, motion: Motion, plan: _Plan, now: float, limits: Limits, dt: float) -> Motion:
+def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, now: float, limits: Limits, dt: float) -> Motion:
     """One step of all motions along what was drawn for them."""
     later, moved, again = now >= plan.spans[0], now >= plan.begins[0], now >= plan.begins[1]
     v = np.where(later, plan.speeds[1], plan.speeds[0])

@@ -16,10 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
-from sumo_adv.datatypes import Attempt, Course, Planner, Proposal, acceleration_of
+from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
+from sumo_adv.drivers.user_class import make_object, said
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError
 from sumo_adv.situation import Situation
-from sumo_adv.world.user_class import make_object, said
 
 ARRAYS = ("x", "y", "heading", "speed")
 
@@ -82,10 +82,10 @@ def _checked(answer: object, situations: Mapping[float, Situation], name: str) -
     return replace(answer, by=name)
 
 
-def _course(course: object) -> Course:
+def _course(course: object) -> PrescribedMotion:
     """The course as arrays of floats. Raises ValueError."""
-    if not isinstance(course, Course):
-        raise ValueError(f"a course that is {type(course).__name__}; it must be a Course")
+    if not isinstance(course, PrescribedMotion):
+        raise ValueError(f"a course that is {type(course).__name__}; it must be a PrescribedMotion")
     try:
         arrays = [np.array(getattr(course, name), float) for name in ARRAYS]
     except (TypeError, ValueError) as error:
@@ -98,4 +98,4 @@ def _course(course: object) -> Course:
     if (arrays[3] < 0).any():
         raise ValueError("a course with negative speeds; a vehicle drives forwards along its heading")
     x, y, heading, speed = arrays
-    return Course(x, y, heading, speed)
+    return PrescribedMotion(x, y, heading, speed)

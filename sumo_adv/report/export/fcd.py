@@ -12,8 +12,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Track
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.world.network import Lane, RoadMap, read_network
-from sumo_adv.world.simulation import angle_deg_of
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.simulation import angle_deg_of
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
 

@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.report.export.fcd import Row, fcd_text, track_rows, type_name
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.world.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
 
 CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
 COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}

@@ -13,7 +13,7 @@ from sumo_adv.datatypes import Track
 from sumo_adv.errors import UsageError
 from sumo_adv.report.figures.parts import LEAST_EXTENT, Lanes, View, closest_time, pose_at
 from sumo_adv.report.page.read import RunRead, read_run
-from sumo_adv.world.network import read_network
+from sumo_adv.simulation.network import read_network
 
 BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
 MARGIN = 12.0  # m around the action

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track
-from sumo_adv.world.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
 
 REACH = 220.0  # m around the ego's path
 THINNED = 0.02  # m a lane's line may be off when points are left out

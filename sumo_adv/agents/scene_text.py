@@ -1,0 +1,196 @@
+"""A situation in words and rounded numbers, as a language model is shown it: ego-centred, with units, with topology.
+
+Vehicles have aliases (EGO, BV1.., V1..), so that no text of a file stands in a prompt as a name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.agents.prompts import tame
+from sumo_adv.datatypes import Track
+from sumo_adv.situation import ReferencePath, Signal, Situation, Target
+
+MOST_OTHERS = 8  # vehicles besides ego and shortlist that are told of, the nearest ones
+ROWS = (-1.1, -0.7, -0.3, 0.0)  # s: history of ego and shortlist
+FEW_ROWS = (-1.1, 0.0)  # s: of the others
+PUSH = 4.0  # m/s2 for "at the earliest"
+SIGNALS = {"g": "green", "G": "green", "y": "yellow", "Y": "yellow", "r": "red", "R": "red", "u": "red-yellow"}
+SIGNALS |= {"o": "blinking", "O": "off", "s": "stop sign"}
+DRIVERS = {
+    "krauss": "SUMO's Krauss car-following driver",
+    "idm": "an IDM car-following driver",
+    "eidm": "an extended IDM car-following driver",
+    "careful": "a careful and competent driver (brakes only, reacts within about 1.2 s, up to 7.6 m/s2)",
+    "replay": "a recorded motion, played back: it does not react at all",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Aliases of a situation's vehicles; ``bvs``: alias -> id of those that may be chosen, most dangerous first."""
+
+    bvs: Mapping[str, str]
+    aliases: Mapping[str, str]  # id -> alias, of everybody that is told of
+
+    @staticmethod
+    def of(situation: Situation) -> Names:
+        """BV1.. for the shortlist, V1.. for the nearest others."""
+        bvs = {f"BV{k + 1}": t.state.id for k, t in enumerate(situation.target_list())}
+        aliases = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
+        rest = [t for t in situation.history if t.id not in aliases]
+        rest.sort(key=lambda t: math.hypot(t.x[-1] - situation.ego.x, t.y[-1] - situation.ego.y))
+        aliases |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MOST_OTHERS])}
+        return Names(bvs, aliases)
+
+
+def road_words(situation: Situation, names: Names) -> str:
+    """Lanes beside the ego, the ego's way, and each BV's ways and conflict points."""
+    lines = [f"EGO's lane is {situation.lane_width:.1f} m wide; its centre is at about y = 0 where EGO is."]
+    for offset, kind in sorted(situation.ego_sides, key=lambda side: abs(side[0])):
+        side = "left" if offset > 0 else "right"
+        direction = "same direction" if kind == "same" else "OPPOSITE direction"
+        lines.append(f"To its {side} there is a lane, {direction}, centre {abs(offset):.1f} m to the {side}.")
+    if not situation.ego_sides:
+        lines.append("There is no other lane beside it (or EGO is inside a junction).")
+    lines += _signal_lines("EGO", situation.signals.get(situation.ego.id, ()))
+    lines.append(f"EGO's path: {_bends(situation)}.")
+    for alias, name in names.bvs.items():
+        lines += _ways(alias, situation.targets[name], situation)
+        lines += _signal_lines(alias, situation.signals.get(name, ()))
+    return "\n".join(lines)
+
+
+def state_words(situation: Situation, names: Names) -> str:
+    """Rounded history of everybody that is told of."""
+    tracks = {t.id: t for t in situation.history}
+    lines = []
+    for name, alias in names.aliases.items():
+        if name not in tracks:
+            continue
+        rows = FEW_ROWS if alias.startswith("V") else ROWS
+        lines.append(f"{alias}: {_history(tracks[name], situation, rows)}")
+    return "\n".join(lines)
+
+
+def relative_words(situation: Situation, names: Names, library: Mapping[str, Sequence[str]]) -> str:
+    """Each BV's place relative to the ego, and which behaviours apply. ``library``: label -> words it applies to."""
+    lines = []
+    for alias, name in names.bvs.items():
+        target = situation.targets[name]
+        words = set(target.applies())
+        fitting = [tame(label) for label, applies in library.items() if words & set(applies)]
+        lines.append(f"{alias}: {_relation(target, situation)} Behaviours that apply: {', '.join(fitting) or 'none'}.")
+    return "\n".join(lines)
+
+
+def driver_words(situation: Situation) -> str:
+    """What is known of the ego's driving."""
+    model = situation.ego_model
+    kind = DRIVERS.get(str(model["kind"]), "an unknown driver, thought of as an IDM car-following driver")
+    future = (
+        "braking" if situation.ego.acceleration < -0.3 else ("speeding up" if situation.ego.acceleration > 0.3 else "")
+    )
+    return (
+        f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
+        f" {model['speed']:.1f} m/s at most, headway {model['tau']:.1f} s, comfortable braking"
+        f" {model['deceleration']:.1f} m/s2{'; now ' + future if future else ''}. EGO is"
+        f" {situation.ego.length:.1f} m long and {situation.ego.width:.1f} m wide."
+    )
+
+
+# -- pieces ---------------------------------------------------------------------------------------------------------
+
+
+def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
+    if not signals:
+        return []
+    _, distance, state = signals[0]
+    return [f"{alias} has a signal {distance:.0f} m ahead, now {SIGNALS.get(state, 'unknown')}."]
+
+
+def _bends(situation: Situation) -> str:
+    path = situation.ego_path
+    start = path.project(situation.ego.x, situation.ego.y, near=0.0, reach=25.0)[0]
+    turned = [math.degrees(_turn(situation, start, start + ahead)) for ahead in (30.0, 60.0, 100.0)]
+    if max(map(abs, turned)) < 8:
+        return "straight on for 100 m"
+    return ", ".join(f"{t:+.0f} deg after {m} m" for t, m in zip(turned, (30, 60, 100), strict=True))
+
+
+def _turn(situation: Situation, a: float, b: float) -> float:
+    heading = situation.ego_path.at(np.array([a, b]))[2]
+    return math.remainder(float(heading[1] - heading[0]), math.tau)
+
+
+def _ways(alias: str, target: Target, situation: Situation) -> list[str]:
+    lines = []
+    for way in target.ways:
+        if way.conflict is None:
+            continue
+        lines.append(f"{alias} {_movement(way)}: {_conflict(way, target, situation)}")
+    if not lines and any(math.isfinite(w.junction) for w in target.ways):
+        lines.append(f"{alias}: none of its ways through the junction ahead of it meets EGO's path.")
+    return lines
+
+
+def _movement(way: ReferencePath) -> str:
+    return {"left": "turning left", "right": "turning right"}.get(way.movement, "going straight on")
+
+
+def _conflict(way: ReferencePath, target: Target, situation: Situation) -> str:
+    c = way.conflict
+    assert c is not None
+    x, y, _ = situation.frame.to_local(c.x, c.y, c.heading)
+    own, speed = max(c.bv_s - target.station, 0.0), target.state.speed
+    soonest = (math.sqrt(speed**2 + 2 * PUSH * own) - speed) / PUSH
+    present = f"{own / speed:.1f} s at its present speed, " if speed > 0.5 else "it stands, "
+    there = np.flatnonzero(situation.profile_s >= c.ego_s)
+    ego = f"{there[0] * situation.dt:.1f} s" if len(there) else "not within the time looked at"
+    meets = "crosses" if c.kind == "crossing" else "merges into"
+    signals = situation.signals.get(target.state.id, ())
+    rule = "it must give way there" if way.gives_way else "it has priority there"
+    if signals:
+        rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"
+    return (
+        f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg; way to it: {own:.1f} m"
+        f" ({present}{soonest:.1f} s at the earliest), EGO {c.ego_s:.1f} m ({ego} if nothing disturbs it); {rule}."
+    )
+
+
+def _history(track: Track, situation: Situation, rows: Sequence[float]) -> str:
+    parts = []
+    for t in rows:
+        i = int(np.argmin(np.abs(track.time - (situation.time + t))))
+        if abs(track.time[i] - situation.time - t) > 0.06:
+            continue
+        x, y, h = situation.frame.to_local(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
+        parts.append(f"t={t:.1f}: x={x:.1f} y={y:.1f} hdg={math.degrees(h):.0f} v={track.speed[i]:.1f}")
+    return (
+        "; ".join(parts) + f"; acceleration now {track.acceleration[-1]:.1f}; {track.length:.1f} x {track.width:.1f} m"
+    )
+
+
+def _relation(target: Target, situation: Situation) -> str:
+    ego, bv = situation.ego, target.state
+    x, y, h = situation.frame.to_local(bv.x, bv.y, bv.heading)
+    gap = abs(x) - (ego.length + bv.length) / 2
+    closing = ego.speed - bv.speed * math.cos(h)
+    closing = closing if x > 0 else -closing
+    pace = f"{'closing' if closing >= 0 else 'opening'} at {abs(closing):.1f} m/s"
+    side = "to the left" if y > 0 else "to the right"
+    along = f"{gap:.1f} m {'ahead' if x > 0 else 'behind'} bumper to bumper" if gap > 0 else "overlapping in length"
+    lateral = f"centres {abs(y):.1f} m apart sideways"
+    match target.relation:
+        case "leader" | "follower":
+            return f"in EGO's lane, {along}, {pace}."
+        case "neighbour":
+            return f"in a lane {side}, same direction, {along}, {lateral}, {pace}."
+        case "oncoming":
+            return f"oncoming {side}, {along}, {lateral}, {pace}."
+        case relation:
+            return f"{relation}, {math.hypot(x, y):.1f} m away in a straight line, from {side.removeprefix('to ')}."

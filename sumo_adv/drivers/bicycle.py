@@ -1,0 +1,55 @@
+"""The kinematic bicycle model, for egos that answer with pedals and wheel.
+
+Reference point is the box centre, taken to lie half-way between the axles (Polack et al. 2017, "The kinematic bicycle
+model"; Rajamani 2012, section 2.2, with l_f = l_r = wheelbase / 2). For a steering angle d and a wheelbase L:
+
+    slip       b = atan(tan(d) / 2)            angle between velocity and heading
+    curvature  k = cos(b) tan(d) / L           of the centre's path
+    travelled  s = v dt + a dt^2 / 2           up to standstill, never backwards
+    heading   += k s
+    position  += s sinc(k s / 2) (cos, sin)(heading + b + k s / 2)
+
+which is exact for constant a and d: the centre runs along a circular arc.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.drivers.protocol import Steer
+
+MAX_STEERING = 0.6  # rad, front wheel angle to either side
+MAX_BRAKING = 9.0  # m/s2, as SUMO's emergency deceleration
+MAX_ACCELERATION = 4.0  # m/s2
+
+
+def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float = 2.8) -> VehicleState:
+    """``state`` after ``dt`` [s] of ``steer``, which is limited to 0.6 rad and -9 to 4 m/s2; ``wheelbase`` [m].
+
+    The speed is that of the box centre; ``acceleration`` of the answer is the mean over the step.
+    """
+    steering = min(max(steer.steering, -MAX_STEERING), MAX_STEERING)
+    acceleration = min(max(steer.acceleration, -MAX_BRAKING), MAX_ACCELERATION)
+    speed = max(0.0, state.speed + acceleration * dt)
+    travelled = state.speed * dt + 0.5 * acceleration * dt * dt
+    if acceleration < 0 and speed == 0.0:
+        travelled = state.speed**2 / (-2.0 * acceleration)
+    slip = math.atan(0.5 * math.tan(steering))
+    turned = math.cos(slip) * math.tan(steering) / wheelbase * travelled
+    chord = travelled if turned == 0.0 else travelled * math.sin(turned / 2) / (turned / 2)
+    direction = state.heading + slip + turned / 2
+    return replace(
+        state,
+        x=state.x + chord * math.cos(direction),
+        y=state.y + chord * math.sin(direction),
+        heading=_wrap(state.heading + turned),
+        speed=speed,
+        acceleration=(speed - state.speed) / dt,
+    )
+
+
+def _wrap(angle: float) -> float:
+    """``angle`` [rad] in (-pi, pi]."""
+    return math.pi - (math.pi - angle) % math.tau

@@ -1,0 +1,116 @@
+"""Egos that SUMO drives: its own car-following models with their defaults written out.
+
+Krauss: Krauss 1998; IDM: Treiber, Hennecke and Helbing 2000; EIDM: Salles, Kaufmann and Reuss 2020. All noise is off
+(``sigma`` of Krauss, the three sigmas of EIDM, ``speedDev``), so that a run depends on the seed only through traffic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+from sumo_adv.drivers.protocol import Action, Observation
+from sumo_adv.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class Krauss:
+    """Parameters of SUMO's Krauss model, named as in SUMO's vType."""
+
+    tau: float = 1.0  # s, time headway
+    accel: float = 2.6  # m/s2
+    decel: float = 4.5  # m/s2, comfortable braking
+    emergencyDecel: float = 9.0  # m/s2, the most it can brake
+    minGap: float = 2.5  # m, at standstill
+    speedFactor: float = 1.0  # -, times the speed limit
+    speedDev: float = 0.0  # -, spread of the speed factor
+    sigma: float = 0.0  # -, dawdling (SUMO's own default is 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Idm:
+    """Parameters of SUMO's IDM, named as in SUMO's vType."""
+
+    tau: float = 1.0  # s, time headway
+    accel: float = 2.6  # m/s2
+    decel: float = 4.5  # m/s2, comfortable braking
+    emergencyDecel: float = 9.0  # m/s2, the most it can brake
+    minGap: float = 2.5  # m, at standstill
+    speedFactor: float = 1.0  # -, times the speed limit
+    speedDev: float = 0.0  # -, spread of the speed factor
+    delta: float = 4.0  # -, exponent of the free-road term
+    stepping: float = 0.25  # s, inner integration step
+
+
+@dataclass(frozen=True, slots=True)
+class Eidm:
+    """Parameters of SUMO's EIDM, named as in SUMO's vType; its driver errors are off."""
+
+    tau: float = 1.0  # s, time headway
+    accel: float = 2.6  # m/s2
+    decel: float = 4.5  # m/s2, comfortable braking
+    emergencyDecel: float = 9.0  # m/s2, the most it can brake
+    minGap: float = 2.5  # m, at standstill
+    speedFactor: float = 1.0  # -, times the speed limit
+    speedDev: float = 0.0  # -, spread of the speed factor
+    delta: float = 4.0  # -, exponent of the free-road term
+    stepping: float = 0.25  # s, inner integration step
+    tpreview: float = 4.0  # s, look-ahead
+    treaction: float = 0.5  # s, reaction time
+    sigmaleader: float = 0.0  # -, error in the leader's speed (SUMO: 0.02)
+    sigmagap: float = 0.0  # -, error in the gap (SUMO: 0.1)
+    sigmaerror: float = 0.0  # -, driving error (SUMO: 0.04)
+
+
+MODELS: Mapping[str, tuple[str, type[Krauss | Idm | Eidm]]] = {
+    "krauss": ("Krauss", Krauss),
+    "idm": ("IDM", Idm),
+    "eidm": ("EIDM", Eidm),
+}
+"""Our name: SUMO's name for ``carFollowModel``, and the parameters with their defaults."""
+
+POSITIVE = frozenset({"tau", "accel", "decel", "emergencyDecel", "speedFactor", "delta", "stepping", "tpreview"})
+
+
+def sumo_type(model: str, parameters: Mapping[str, Any]) -> dict[str, str]:
+    """vType attributes of ``model`` with ``parameters`` laid over its defaults.
+
+    Raises UsageError for a parameter that the model does not know, or a value that is no number or out of range.
+    """
+    sumo_name, settings = MODELS[model]
+    values = {f.name: f.default for f in fields(settings)}
+    for name, value in parameters.items():
+        if name not in values:
+            raise UsageError(f"The ego {model!r} has no parameter {name!r}; it knows {', '.join(values)}.")
+        values[name] = _number(model, name, value)
+    return {"carFollowModel": sumo_name} | {name: f"{value:g}" for name, value in values.items()}
+
+
+def _number(model: str, name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UsageError(f"The ego {model!r} needs a finite number for {name!r}, not {value!r}.")
+    if value < 0 or (value == 0 and name in POSITIVE):
+        least = "above zero" if name in POSITIVE else "zero or more"
+        raise UsageError(f"The ego {model!r} needs {name!r} to be {least}, not {value!r}.")
+    return float(value)
+
+
+class SumoEgo:
+    """SUMO drives; nothing is observed, nothing is commanded (the fast path)."""
+
+    forkable = True
+    needs_observation = False
+
+    def __init__(self, model: str, parameters: Mapping[str, Any]) -> None:
+        """``model``: a key of ``MODELS``. Raises UsageError as ``sumo_type`` does."""
+        self.name = model
+        self.sumo_type: Mapping[str, str] = sumo_type(model, parameters)
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget: SUMO's seed is the simulation's."""
+
+    def act(self, observation: Observation) -> Action:
+        """Always None: leave it to SUMO."""
+        return None

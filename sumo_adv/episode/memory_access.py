@@ -1,0 +1,187 @@
+"""What the memory bank gives to an episode and gets from it: library, retrieval, recall of scenes, learning."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sumo_adv import __version__
+from sumo_adv.agents.agents import Agents
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.refinement import rank
+from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.errors import BankError
+from sumo_adv.memory import bandit
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.recall import SCALES, recall_scene, signature_distance
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.search.composed_intents import NAME as EXPERT
+from sumo_adv.search.composed_intents import applies_of
+from sumo_adv.situation import Situation
+
+CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
+
+
+def read_library(
+    bank: MemoryBank, now: SceneSignature, seed: int
+) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
+    """The behaviour library as it stands in the bank, an intent's planners ordered by what the evidence says of scenes
+    like ``now`` (Thompson sampling); and how they were ordered, for the manifest."""
+    rng = random.Random(seed)
+    entries, explained = [], list[dict[str, object]]()
+    for record in bank.intents():
+        if record.status == "active":
+            arms = bandit.draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
+            explained.append({"label": record.label, "planners": bandit.explain(arms)})
+            planners = tuple(arm.planner for arm in arms)
+            entries.append(LibraryEntry(record.label, record.description, record.applies, planners))
+    return entries, explained
+
+
+def recall(
+    episode: Episode, found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> tuple[Intent, Proposal] | None:
+    """What succeeded in a like scene, as it was driven there; None where no scene of the bank is like this one."""
+    began, allowed = time.perf_counter(), episode.source.intents
+    best: tuple[tuple[bool, float], Intent, Proposal] | None = None
+    for delay, situation in sorted(found.situations.items()):
+        for target in situation.target_list():
+            now = signature(situation, target.state.id, episode.task.ego_driver)
+            evidence = recall_scene(bank, now)
+            known = _remembered(library, evidence) if evidence is not None else None
+            if evidence is None or known is None or (allowed and evidence.label not in allowed):
+                continue
+            entry, planner = known
+            order = (not evidence.valid, signature_distance(evidence.scene, now))
+            if best is None or order < best[0]:
+                why = f"a like scene in '{evidence.network}' has evidence (distance {order[1]:.2f})"
+                intent = Intent(target.state.id, entry.label, entry.description, "high", evidence.acceleration, why)
+                proposal = Proposal(
+                    target.state.id, entry.label, planner, dict(evidence.parameters), evidence.acceleration, delay,
+                    by="memory", score=0.0,
+                )  # fmt: skip
+                best = (order, intent, proposal)
+    episode.timing["recall"] = time.perf_counter() - began
+    return None if best is None else best[1:]
+
+
+def _remembered(library: Sequence[LibraryEntry], evidence: Evidence) -> tuple[LibraryEntry, Planner] | None:
+    """The entry and the planner that a piece of evidence is about; None if they are retired."""
+    for entry in library:
+        for planner in entry.planners:
+            if entry.label == evidence.label and planner.hash == evidence.planner_hash:
+                return entry, planner
+    return None
+
+
+def retrieve(
+    episode: Episode, agents: Agents, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> list[LibraryEntry]:
+    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner; an intent
+    that is known by another label gets that one.
+
+    Raises:
+        ModelError: a model plays the analyzer or the generator and failed.
+    """
+    entries, known = list(library), {e.label: e for e in library}
+    for intent in tuple(episode.intents):
+        if intent.label in known:
+            continue
+        began = time.perf_counter()
+        found = bank.retrieve(intent.label, intent.description)
+        episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
+        near = [known[label] for label, _ in found.nearest if label in known]
+        hit = found.hit
+        if found.band and near and agents.by_model("analyzer"):
+            hit = agents.confirm(intent, near[:CONFIRMED])
+        words = situation.targets[intent.bv].applies()
+        if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
+            entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
+            entries = [entry if e.label == hit else e for e in entries]
+            known[hit] = entry
+            episode.intents = [replace(i, label=hit) if i.label == intent.label else i for i in episode.intents]
+            continue
+        planners = agents.generate(intent, situation, near or library)
+        if planners:
+            own = applies_of(intent.label) or words
+            entry = LibraryEntry(intent.label, intent.description, own, planners, "generated")
+            known[intent.label] = entry
+            entries.append(entry)
+    return entries
+
+
+def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:
+    """What the bank knows of each intent in encounters of this geometry against this driver, in words."""
+    found, key = {}, (now.geometry, now.controller)
+    for entry in library:
+        like = [e for e in bank.evidence(entry.label) if (e.scene.geometry, e.scene.controller) == key]
+        if like:
+            good, valid = sum(e.success for e in like), sum(e.valid is True for e in like)
+            found[entry.label] = f"{len(like)} times tried, {good} times critical, {valid} times an avoidable collision"
+    return found
+
+
+def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
+    """Keep what was critical, feasible and not rear-end; of failures only the evidence, a row for each planner that was
+    tried and that the bank has.
+
+    A bank that cannot be written is a note.
+    """
+    if episode.settings.learn == "off" or episode.best is None or episode.found is None:
+        return
+    tried: dict[str, Attempt] = {}
+    for attempt in episode.refinement.attempts:
+        name = attempt.proposal.planner.hash
+        if attempt.ending == "ego_lost":  # nobody drove: says nothing of the planner
+            continue
+        if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
+            tried[name] = attempt
+    try:
+        for attempt in tried.values():
+            episode.learnt |= _learn_one(episode, bank, entries, attempt)
+    except BankError as error:
+        episode.notes.append(f"Nothing was learnt: {error}")
+
+
+def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
+    """Write one piece of evidence; True if it is a success.
+
+    An intent that the expert composed comes with all its modes: they are the bank's own, for another movement, and
+    where the bank has the intent none is generated any more."""
+    evidence = _evidence(episode, attempt)
+    entry = next(e for e in entries if e.label == attempt.proposal.label)
+    planner = attempt.proposal.planner
+    known = planner.hash in {p.hash for p in bank.planners(entry.label)}
+    if not evidence.success and not known:
+        return False
+    record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
+    adapted = [p for p in entry.planners if p.origin == EXPERT and p.hash != planner.hash]
+    if evidence.success and record is not None and adapted:
+        bank.add(record, adapted)
+    bank.record(evidence, intent=record, planner=None if known else planner)
+    return evidence.success
+
+
+def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
+    """What makes scenes alike: geometry class, relation, relative state of the BV (m, rad, m/s), the ego's driver."""
+    target = situation.targets[bv]
+    x, y, heading = situation.frame.to_local(target.state.x, target.state.y, target.state.heading)
+    scene = (x, y, heading, target.state.speed, situation.ego.speed)
+    kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
+    geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
+    relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}
+    return SceneSignature(geometry, target.relation, relative, driver)
+
+
+def _evidence(episode: Episode, best: Attempt) -> Evidence:
+    assert episode.found is not None
+    p = best.proposal
+    scene = signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver)
+    return evidence_of(
+        best.verdict, label=p.label, planner_hash=p.planner.hash, scene=scene, attempts=best.index + 1,
+        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
+        acceleration=p.acceleration, delay=p.delay,
+    )  # fmt: skip

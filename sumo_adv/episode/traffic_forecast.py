@@ -1,0 +1,173 @@
+"""What will happen if nobody attacks, from the states up to now alone: for simulations that cannot be forked.
+
+Everybody goes on along the way of his route (straight on where it is not known). The acceleration of the last second
+dies away within about a second (that of somebody who gains speed within five); then the speed holds, but for leaders
+(Krauss's safe speed), the speed limits of the lanes ahead and red lights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Track, VehicleState
+from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.encounter import REACH
+from sumo_adv.episode.situation_builder import HISTORY
+from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
+from sumo_adv.simulation.network import RoadMap
+
+SEEN = 250.0  # m around the ego: who is foreseen
+FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
+GAINS = 1.0  # m/s2
+CENTRING = 1.5  # s, time constant of the way back to the lane's centre
+COMFORT = 3.0  # m/s2, braking for what is ahead
+TAU, BRAKING, MIN_GAP = 1.0, 4.5, 2.0  # s, m/s2, m: of the safe speed behind a leader
+IN_LINE, SAME_WAY = 1.5, 0.6  # m, rad: who is a leader
+AHEAD, TURNED = 150.0, 2.2  # m, rad: who is looked at for that
+
+
+@dataclass(frozen=True, slots=True)
+class ForecastPath:
+    """The way on of one vehicle: path, its place on it, the speed it may have at each sample, its lanes by station."""
+
+    state: VehicleState
+    path: Path
+    station: float
+    offset: float
+    cap: Floats
+    lanes: tuple[str, ...]
+    ends: Floats  # station at which each lane ends [m]
+
+
+def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, Track]:
+    """Tracks of the ego and all within ``SEEN`` of it: the last second and ``duration`` s foreseen; the ego first."""
+    assert drive.ego is not None
+    ego, dt = drive.state(drive.ego), drive.recording.step_length
+    near = [
+        name for name, raw in drive.snapshot.raw.items()
+        if name != ego.id and math.hypot(raw[0] - ego.x, raw[1] - ego.y) < SEEN
+    ]  # fmt: skip
+    courses = [course(road, drive, ego, duration)] + [course(road, drive, drive.state(n), duration) for n in near]
+    steps = round(HISTORY / dt) + 1
+    recorded = {t.id: t for t in drive.tracks(start=max(0, len(drive.recording.snapshots) - steps))}
+    gains = np.array([_acceleration(recorded[c.state.id]) for c in courses])
+    travelled, speed = _advance(courses, gains, round(duration / dt), dt)
+    return {c.state.id: _track(c, travelled[k], speed[k], recorded[c.state.id], dt) for k, c in enumerate(courses)}
+
+
+def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) -> ForecastPath:
+    """The way on of a vehicle, straight on where it is off the road."""
+    reach = min(REACH, max(60.0, (state.speed + 2.0) * duration))
+    if state.lane not in road.lanes:
+        c, s = math.cos(state.heading), math.sin(state.heading)
+        path = make_path(np.array([[state.x, state.y], [state.x + reach * c, state.y + reach * s]]))
+        return ForecastPath(state, path, 0.0, 0.0, np.full(len(path.x), math.inf), ("",), np.array([math.inf]))
+    edges, at = drive.simulation.route(state.id)
+    position = max(0.0, drive.simulation.lane_position(state.id) - state.length / 2)
+    way = road.ways(state.lane, position, reach, edges[max(at, 0) :])[0]
+    station, offset = way.path.project(state.x, state.y, near=0.0)
+    lengths = [float(np.hypot(*np.diff(road.lanes[n].shape, axis=0).T).sum()) for n in way.lanes]
+    ends = np.cumsum(lengths) - position
+    cap = _caps(road, way.path, way.lanes, ends, state)
+    stop = min((d for _, d, light in drive.simulation.signals(state.id) if light in "rRyY"), default=math.inf)
+    if stop < reach:
+        cap = np.minimum(cap, _towards(way.path, np.where(_stations(way.path) > stop - 1.0, 0.0, 1e4)))
+    return ForecastPath(state, way.path, station, offset, cap, way.lanes, ends)
+
+
+def _stations(path: Path) -> Floats:
+    return np.asarray(PATH_STEP * np.arange(len(path.x)), float)
+
+
+def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
+    """The speed [m/s] at each sample, for the limits ahead (those of junctions too); as much over them as now."""
+    here = road.lanes[lanes[0]].speed
+    over = max(1.0, state.speed / max(here, 0.1))
+    place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
+    limits = np.array([over * road.lanes[n].speed for n in lanes])[place]
+    return _towards(path, limits**2)
+
+
+def _towards(path: Path, square: Floats) -> Floats:
+    """Speeds from which comfortable braking reaches the squared speeds ahead."""
+    gained = 2 * COMFORT * _stations(path)
+    least = np.minimum.accumulate((square + gained)[::-1])[::-1]
+    return np.asarray(np.sqrt(np.maximum(least - gained, 0.0)))
+
+
+def _acceleration(recorded: Track) -> float:
+    """The mean of the last second [m/s2]: a single step's is mostly a driver's noise (sigma)."""
+    since = recorded.time[-1] - recorded.time[0]
+    return 0.0 if since <= 0 else float(recorded.speed[-1] - recorded.speed[0]) / float(since)
+
+
+def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) -> tuple[Floats, Floats]:
+    """Metres travelled and speeds, ``(n, steps + 1)``, all at once with their leaders; ``a``: present accelerations."""
+    n = len(courses)
+    leader, gap = _leaders(courses)
+    follows = leader >= 0
+    v = np.array([c.state.speed for c in courses])
+    cap = np.full((n, max(len(c.cap) for c in courses)), math.inf)
+    for k, c in enumerate(courses):
+        cap[k, : len(c.cap)] = c.cap
+    start = np.array([c.station for c in courses])
+    rows, travelled, speed = np.arange(n), np.zeros((n, steps + 1)), np.empty((n, steps + 1))
+    speed[:, 0] = v
+    went, fade = np.zeros(n), np.exp(-dt / np.where(a > GAINS, GAINING, FADING))
+    for k in range(1, steps + 1):
+        room = np.maximum(gap + np.where(follows, went[leader], 0.0) - went, 0.0)
+        ahead = np.where(follows, v[leader], 0.0)
+        safe = -BRAKING * TAU + np.sqrt((BRAKING * TAU) ** 2 + ahead**2 + 2 * BRAKING * room)
+        place = np.minimum(((start + went) / PATH_STEP).astype(np.intp), cap.shape[1] - 1)
+        wish = np.minimum(v + a * dt, np.where(follows, safe, math.inf))
+        v = np.clip(np.minimum(wish, cap[rows, place]), np.maximum(v - 2 * BRAKING * dt, 0.0), 60.0)
+        a, went = a * fade, went + v * dt
+        travelled[:, k], speed[:, k] = went, v
+    return travelled, speed
+
+
+def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
+    """For each vehicle who is next ahead of it on its way (-1: nobody), and the room to it [m]."""
+    x, y, h = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading"))
+    half = np.array([c.state.length / 2 for c in courses])
+    leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
+    for k, c in enumerate(courses):
+        forth = np.cos(c.state.heading) * (x - c.state.x) + np.sin(c.state.heading) * (y - c.state.y)
+        near = (forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < AHEAD)
+        for j in np.flatnonzero(near & (np.abs(wrap_all(h - c.state.heading)) < TURNED)):
+            s, d = c.path.project(float(x[j]), float(y[j]))
+            free = s - c.station - half[k] - half[j] - MIN_GAP
+            turned = abs(wrap_all(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
+            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k]:
+                leader[k], room[k] = j, free
+    return leader, room
+
+
+def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, dt: float) -> Track:
+    """What was recorded up to now and what is foreseen, on one grid."""
+    after = dt * np.arange(1, len(travelled))
+    s = c.station + travelled[1:]
+    x, y, heading = c.path.at(s, c.offset * np.exp(-after / CENTRING))
+    lanes = np.minimum(np.searchsorted(c.ends, s), len(c.lanes) - 1)
+
+    def both(name: str, foreseen: Floats) -> Floats:
+        return np.concatenate([getattr(recorded, name), foreseen])
+
+    return Track(
+        recorded.id, recorded.role, both("time", recorded.time[-1] + after), both("x", x), both("y", y),
+        both("heading", wrap_all(heading)), both("speed", speed[1:]), both("acceleration", np.diff(speed) / dt),
+        recorded.length, recorded.width, (*recorded.lane, *(c.lanes[i] for i in lanes)),
+    )  # fmt: skip
+
+
+def apart(tracks: Mapping[str, Track], state: VehicleState, time: float) -> tuple[float, float]:
+    """How far [m] and by how much speed [m/s] a vehicle is from where it was foreseen to be; inf where it was not."""
+    track = tracks.get(state.id)
+    if track is None or time > track.time[-1] + 1e-3:
+        return math.inf, math.inf
+    i = int(np.argmin(np.abs(track.time - time)))
+    return math.hypot(track.x[i] - state.x, track.y[i] - state.y), abs(float(track.speed[i]) - state.speed)

@@ -1,0 +1,1 @@
+"""Language models: client, wire format, budget ledger, recordings and presets."""

@@ -1,0 +1,146 @@
+"""What a run spends on language models, and what it may spend."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sumo_adv.config_model import ModelSettings
+from sumo_adv.errors import BudgetError, ModelError
+from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest, estimate_tokens
+
+COUNTS = (
+    "calls", "prompt_tokens", "completion_tokens", "cached_tokens", "milliseconds", "retries", "re_asks", "dropped",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Limits of one run; None = no limit. ``seconds``: time spent on questions, added up over those asked at once."""
+
+    calls: int | None = None
+    tokens: int | None = None
+    seconds: float | None = None
+
+
+class Ledger:
+    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Safe to use from several threads.
+
+    Times are added up in whole milliseconds, so the order of parallel answers does not show. ``waited`` [s]: how long
+    some question was open by ``clock``, those asked at once counted once; a repeated recording is hardly waited for.
+    """
+
+    def __init__(self, budget: Budget | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.budget = budget or Budget()
+        self.waited = 0.0
+        self._clock, self._open, self._since = clock, 0, 0.0
+        self._lock = threading.Lock()
+        self._agents: dict[str, dict[str, int]] = {}
+
+    @classmethod
+    def for_settings(cls, settings: ModelSettings) -> Ledger:
+        """An empty ledger with the budget of the settings."""
+        return cls(Budget(settings.llm_max_calls, settings.llm_max_tokens, settings.llm_max_seconds))
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """While a question is open."""
+        with self._lock:
+            self._since = self._since if self._open else self._clock()
+            self._open += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._open -= 1
+                self.waited += 0.0 if self._open else self._clock() - self._since
+
+    def admit(self, request: ChatRequest) -> None:
+        """Count a call, or raise BudgetError if it would exceed the budget (its prompt's tokens are estimated)."""
+        asked = estimate_tokens(request.messages)
+        with self._lock:
+            spent, allowed = self._totals(), self.budget
+            tokens = spent["prompt_tokens"] + spent["completion_tokens"]
+            if allowed.calls is not None and spent["calls"] >= allowed.calls:
+                raise BudgetError(f"The {allowed.calls} calls of language models that a run may make are spent.")
+            if allowed.tokens is not None and tokens + asked > allowed.tokens:
+                raise BudgetError(
+                    f"The next question would exceed the {allowed.tokens} tokens that a run may use ({tokens} are)."
+                )
+            if allowed.seconds is not None and spent["milliseconds"] >= 1000 * allowed.seconds:
+                raise BudgetError(f"The {allowed.seconds:g} s that a run may spend on language models are spent.")
+            self._add(request.agent, "calls", 1)
+
+    def count(self, agent: str, reply: ChatReply) -> None:
+        """Count what an answer took."""
+        with self._lock:
+            for name in ("prompt_tokens", "completion_tokens", "cached_tokens", "retries"):
+                self._add(agent, name, getattr(reply, name))
+            self._add(agent, "milliseconds", round(1000 * reply.seconds))
+
+    def count_failure(self, agent: str, error: ModelError) -> None:
+        """Count what a question took that got no answer."""
+        with self._lock:
+            self._add(agent, "retries", error.retries)
+            self._add(agent, "milliseconds", round(1000 * error.seconds))
+
+    def count_re_ask(self, agent: str) -> None:
+        """Count a question that had to be asked again because of what was answered."""
+        with self._lock:
+            self._add(agent, "re_asks", 1)
+
+    def count_dropped(self, agent: str) -> None:
+        """Count an answer that was not used."""
+        with self._lock:
+            self._add(agent, "dropped", 1)
+
+    def seconds_left(self) -> float | None:
+        """What is left of the budget's time [s]; None = no limit."""
+        with self._lock:
+            if self.budget.seconds is None:
+                return None
+            return max(0.0, self.budget.seconds - self._totals()["milliseconds"] / 1000)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Totals, and per agent under ``agents``; seconds to the ms."""
+        with self._lock:
+            agents = {agent: _said(counts) for agent, counts in sorted(self._agents.items())}
+            return {**_said(self._totals()), "agents": agents}
+
+    def _add(self, agent: str, name: str, number: int) -> None:
+        counts = self._agents.setdefault(agent, dict.fromkeys(COUNTS, 0))
+        counts[name] += number
+
+    def _totals(self) -> dict[str, int]:
+        return {name: sum(counts[name] for counts in self._agents.values()) for name in COUNTS}
+
+
+def _said(counts: dict[str, int]) -> dict[str, Any]:
+    return {
+        ("seconds" if k == "milliseconds" else k): (v / 1000 if k == "milliseconds" else v) for k, v in counts.items()
+    }
+
+
+class Counted:
+    """A model whose questions go through a ledger: the budget before, the counts after."""
+
+    def __init__(self, model: ChatModel, ledger: Ledger) -> None:
+        self._model = model
+        self._ledger = ledger
+        self.name = model.name
+
+    def complete(self, request: ChatRequest) -> ChatReply:
+        """As the model answers. Raises BudgetError before a call that would exceed the budget, and ModelError."""
+        self._ledger.admit(request)
+        try:
+            with self._ledger.waiting():
+                reply = self._model.complete(request)
+        except ModelError as error:
+            self._ledger.count_failure(request.agent, error)
+            raise
+        self._ledger.count(request.agent, reply)
+        return reply

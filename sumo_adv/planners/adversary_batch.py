@@ -1,0 +1,294 @@
+"""Adversaries on their ways, ``n`` of them at once (one inside an attempt, many in a prediction).
+
+``AdversaryBatch`` knows which way each vehicle is on, turns endpoints into goals along it, and writes down what a
+planner is told at every step: the dictionaries ``bv`` and ``ego`` in the frame of the ego's pose at the trigger.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Endpoint, Floats
+from sumo_adv.drivers.junctions import Blocked
+from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planners.follower import Follower, Line, aligned
+from sumo_adv.planners.forecast import LOOK, arrivals, stations
+from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
+from sumo_adv.situation import ReferencePath, Situation, Target
+
+TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
+LOYALTY = 0.5  # m: how much better another way must be
+SAME_PLACE = 0.4  # m: two ways still coincide
+LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
+COARSE = 12  # a way's points by which the nearest one is looked for first, then between these
+AROUND = np.arange(1 - COARSE, COARSE)
+TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
+AFTER = 10.0  # m behind where ways meet
+BESIDE = np.arange(-12, 13)
+ONE = 0.78  # of a lane's width: ways that merge so far apart are one (SUMO; measured)
+FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
+
+
+class AdversaryBatch:
+    """``n`` vehicles (``names``: BV ids, repeats allowed) on their ways, each in a situation of one encounter."""
+
+    def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
+        self.scenes, self.names = Scenes(situations), list(names)
+        self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
+        unique = list({id(t): t for t in self.targets}.values())
+        first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))
+        self.lines = lines = [w for t in unique for w in t.ways]
+        self._base = np.array([first[id(t)] for t in self.targets])
+        self._count = np.array([len(t.ways) for t in self.targets])
+        self.rows = PathRows([w.path for w in lines], self._base.copy())
+        longest = max(len(w.path.x) for w in lines)
+        self._ego = np.stack(
+            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
+        )
+        at = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
+        most = int(self._count.max())
+        self._conflicts = np.array([at[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
+        self._roads: dict[int, PathRow] = {}
+        self._junctions = np.array([_junction(w, situations[0].lane_width) for w in lines])
+        self._first = np.array([w.before_ego for w in lines])
+        self._bays = np.array([w.bay for w in lines])
+        own = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
+        self._own = np.where(own < 0, -1, self._base + own)
+        self._taken: Any = None  # the ways that SUMO takes them to be on
+        self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
+        self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
+        self._lane = self.scenes.each(lambda s: s.lane_width)
+        self.length = np.array([t.state.length for t in self.targets])
+        self.cap = np.array([t.fastest for t in self.targets])
+
+    def begin(self) -> Motion:
+        """Everybody as at the trigger."""
+        columns = [(t.station, t.offset, math.sin(t.turn), t.state.speed, t.state.acceleration) for t in self.targets]
+        s, d, slope, v, a = np.array(columns, float).T
+        return start(Batch, s, d, slope, v, a)
+
+    def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
+        """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""
+        row = self.rows.row
+        u = np.minimum(np.maximum(motion.s / PATH_STEP, 0.0), self._ego.shape[2] - 1.0)
+        i = np.minimum(u.astype(np.intp), self._ego.shape[2] - 2)
+        w = u - i
+        s0, d0, h0 = self._ego[row, :, i].T
+        s1, d1, _ = self._ego[row, :, i + 1].T
+        h = h0 + np.arcsin(motion.slope)
+        near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
+        s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
+        return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
+
+    def blocked(self, motion: Motion) -> Blocked | None:
+        """How the vehicles stand in the ego's way at the junction where their ways meet its path; None where no way
+        meets it at one. Asked once a step: which ways they are on hangs on where they were.
+
+        Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
+        """
+        if not np.isfinite(self._junctions[:, 2]).any():
+            return None
+        row = self._taken_ways(motion)
+        entry, meets, ego, merging, wide, joins = self._junctions[row].T
+        bay = self._bays[row]
+        entry = np.where(np.isfinite(bay), bay, entry)
+        half, merges = self.length / 2, merging > 0
+        zone = np.where(merges, 0.0, wide * self._lane / 2)
+        front, rear = motion.s + half, motion.s - half
+        return Blocked(
+            entered=front > entry,
+            on=(front > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
+            turns=np.isfinite(bay), yields=self._yields, first=self._first[row], merging=merges, meets=ego,
+            zone=zone, joins=joins,
+            before=meets - zone - front, back=meets - zone - rear,
+            behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
+        )  # fmt: skip
+
+    def _taken_ways(self, motion: Motion) -> Any:
+        """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose
+        lines their fronts are nearest to, where the one that they were on counts as nearer (``moveToXY``)."""
+        on = (motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1)
+        if self._taken is None:
+            self._taken = np.where(self._own < 0, self.rows.row, self._own)
+        self._taken = np.where(on | ((self._own >= 0) & (motion.s < self._leaves)), self._taken, self.rows.row)
+        rows = np.flatnonzero(on)
+        if not len(rows):
+            return self._taken
+        x, y, h = (q[rows] for q in pose(Batch, motion, self.rows))
+        half = self.length[rows] / 2
+        x, y = x + half * np.cos(h), y + half * np.sin(h)
+        least, found = np.full(len(rows), np.inf), self._taken[rows]
+        here = ((motion.s[rows] + half) / PATH_STEP).astype(np.intp)
+        near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
+        for k in range(int(self._count[rows].max())):
+            mine = self._count[rows] > k
+            way = np.where(mine, self._base[rows] + k, self._base[rows])
+            px, py, ph = (self.rows.table[way[:, None], c, near] for c in range(3))
+            square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
+            at = square.argmin(axis=1)
+            each = np.arange(len(rows))
+            turned = np.abs(wrap_all(h - ph[each, at]))
+            cost = np.sqrt(square[each, at]) + TURNED * turned - STAYS * (way == self._taken[rows])
+            better = mine & (cost < least - 1e-6)
+            least, found = np.where(better, cost, least), np.where(better, way, found)
+        self._taken[rows] = found
+        return self._taken
+
+    def road(self, k: int) -> PathRow:
+        """The way vehicle ``k`` is on, for floats."""
+        row = int(self.rows.row[k])
+        if row not in self._roads:
+            self._roads[row] = PathRow(self.lines[row].path)
+        return self._roads[row]
+
+    # -- endpoints ----------------------------------------------------------------------------------------------
+
+    def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: Goal) -> Goal:
+        """Goals on the ways for endpoints in the world; vehicles without one keep the goal ``before``."""
+        have = np.array([e is not None for e in ends])
+        values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
+        x, y, h, v, time = np.array(values, float).T
+        least = np.full(len(ends), np.inf)
+        best, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
+        here = pose(Batch, motion, self.rows) if int(self._count.max()) > 1 else None
+        for k in range(int(self._count.max())):
+            mine = np.flatnonzero(have & (self._count > k))
+            row = self._base[mine] + k
+            s, d, turned = self._project(row, x[mine], y[mine], h[mine])
+            same = row == self.rows.row[mine]
+            cost = np.abs(d) + TURN_COST * turned - LOYALTY * same
+            better = cost < least[mine]
+            if here is not None:
+                part = motion._replace(s=motion.s[mine], d=motion.d[mine], slope=motion.slope[mine])
+                there = pose(Batch, part, self._on(row))
+                better &= (np.hypot(there[0] - here[0][mine], there[1] - here[1][mine]) < SAME_PLACE) | same
+            which = mine[better]
+            least[which], best[which], best_s[which], best_d[which] = cost[better], row[better], s[better], d[better]
+        self.rows.row = best
+        return Goal(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
+
+    def _on(self, row: Any) -> PathRows:
+        other = object.__new__(PathRows)
+        other.__dict__.update(self.rows.__dict__)
+        other.row = row
+        return other
+
+    def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
+        table, last = self.rows.table, self.rows.last[row]
+        i = np.empty(len(x), np.intp)
+        for k in np.unique(row):
+            mine = np.flatnonzero(row == k)
+            coarse = np.arange(0, self.rows.last[k] + 1, COARSE)
+            first = _nearest(table[k, :2, coarse].T[:, None, :], x[mine], y[mine]) * COARSE
+            near = np.minimum(np.maximum(first[:, None] + AROUND, 0), self.rows.last[k])
+            i[mine] = near[np.arange(len(mine)), _nearest(table[k, :2][:, near], x[mine], y[mine])]
+        px, py, heading = table[row, :3, i].T
+        dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
+        along, aside = c * dx + s * dy, -s * dx + c * dy
+        along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
+        return i * PATH_STEP + along, aside, np.abs(wrap_all(h - heading))
+
+    def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
+        """What leads vehicle ``k`` after a planner's states (n, 4) on the way it is on.
+
+        Raises:
+            PlannerResultError: too few states, or they go where this way does not.
+        """
+        x, y, h = pose(Batch, motion, self.rows)
+        dt = self.scenes.dt
+        line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
+        return Follower(line, self.lines[int(self.rows.row[k])].path)
+
+    # -- what planners are told ---------------------------------------------------------------------------------
+
+    def tell(
+        self,
+        motion: Motion,
+        now: float,
+        ego: tuple[Floats, Floats, Floats, Floats],
+        last: Sequence[Mapping[str, float] | None],
+        rows: Sequence[int] | None = None,
+    ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+        """``(bv, ego)`` for each vehicle (of ``rows``: empty for others). ``ego``: station, offset [m], speed,
+        acceleration of the egos, each (n,)."""
+        scenes = self.scenes
+        es, ed, ev, ea = ego
+        x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
+        rs, rd, rh = self.relative(motion)
+        ahead_s, ahead_v = stations(scenes, now, es, ev, ea, LOOK)
+        px, py, ph = scenes.to_local(*scenes.ego_at(ahead_s, ed[:, None]))
+        table = np.empty((*px.shape, 5))
+        for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
+            table[:, :, column] = values
+        road_h = wrap_all(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
+        meet = self._arrivals(now, es, ev, ea)
+        target_left = rd + (motion.target - motion.d) * np.cos(rh)
+        busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
+        columns = np.array(
+            [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
+             motion.v * np.cos(rh), ev, ea],
+        ).T  # fmt: skip
+        asked = range(len(self.targets)) if rows is None else rows
+        told: list[tuple[dict[str, Any], dict[str, Any]]] = [({}, {})] * len(self.targets)
+        for k, (*of_bv, speed, acceleration), path in zip(
+            asked, columns[asked].tolist(), table[asked].tolist(), strict=True
+        ):
+            bv = dict(zip(BV_FIELDS, of_bv, strict=True))
+            state = self.targets[k].state
+            bv |= {"length": state.length, "width": state.width, "time": now, "last": last[k]}
+            _, ego_x, ego_y, heading, _ = path[0]
+            told[k] = bv, {
+                "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
+                "length": scenes.ego.length, "width": scenes.ego.width, "path": path, "arrivals": meet[k],
+            }  # fmt: skip
+        return told
+
+    def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
+        """Per vehicle and way: seconds until the ego is at the conflict."""
+        times = arrivals(self.scenes, now, s, v, a, self._conflicts)
+        return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
+
+
+def _nearest(places: Floats, x: Floats, y: Floats) -> Any:
+    """Which of the places (x and y, ``(2, n or 1, k)``) is nearest to each point, ``(n,)``."""
+    dx, dy = x[:, None] - places[0], y[:, None] - places[1]
+    return np.argmin(dx * dx + dy * dy, axis=1)
+
+
+def _inside(target: Target) -> tuple[float, float]:
+    """Stations [m] of a BV's ways between which it is on the junction where they part."""
+    begins = min(w.junction for w in target.ways)
+    meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
+    return begins, max(meets, default=begins) + AFTER
+
+
+def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, float, float, float]:
+    """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; 1 if
+    they merge, 0 if they cross; what part of a lane's width each takes up of the other (SUMO's ``conflictSize``); the
+    station of the ego's path at which ways that merge become one."""
+    c = way.conflict
+    if c is None:
+        return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
+    wide = 2.0 / max(abs(math.sin(c.angle)), FLATTEST) - 1.0
+    at = int(c.bv_s / PATH_STEP)
+    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > ONE * lane)
+    joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
+    return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins
+
+
+def _yields(situation: Situation, target: Target) -> bool:
+    """Whether it has red where the ego has green, as the lights are at the trigger."""
+    mine, other = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
+    return bool(mine) and mine[0][2] in "Gg" and bool(other) and other[0][2] not in "Gg"
+
+
+BV_FIELDS = (
+    "x", "y", "heading", "speed", "acceleration", "travelled", "offset", "ahead", "left", "relative_heading",
+    "road_heading", "target_left", "lateral_time", "speed_along",
+)  # fmt: skip

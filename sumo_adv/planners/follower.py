@@ -1,0 +1,220 @@
+"""A planner's own f_traj: its states are a line with a timetable, and a feasible vehicle drives after them.
+
+Sideways the vehicle goes back to the nearest place of the line, along it keeps to the timetable, both as a critically
+damped spring.  Limits bind what it does, not what it is asked for: too fast a timetable makes it late, too sharp a line
+makes it leave the line.  One vehicle at a time, on floats, in attempts and predictions alike.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Limits
+from sumo_adv.errors import PlannerResultError
+from sumo_adv.geometry import Path, wrap, wrap_all
+from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
+
+LEAST_STATES = 4  # fewer are no motion
+HALF_WINDOW = 3  # states on either side over which speeds and accelerations are fitted
+SIDEWAYS_RATE, ALONG_RATE = 2.0, 1.5  # 1/s, of the two springs
+LATE = 5.0  # m: more than this it does not try to catch up at once
+SHARE = 0.95  # of the limits on lateral acceleration and curvature that is used
+LEAST_LATERAL = 0.5  # m/s2: what corrections may use where the planner's own line is straight
+LATERAL_JERK = 10.0  # m/s3
+TURNED, TIGHT = 0.7, 0.3  # rad, share: where a line is too far from the way to be told as a place beside it
+CRAWL, SLOW = 0.3, 2.0  # m/s: below the first, headings are the planner's; below the second, curvature is not judged
+ROAD_AHEAD = 3.0  # s of a trajectory that must be on the road
+CORNER = 0.3  # m by which the box is drawn in for that
+
+
+class Line:
+    """Planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
+
+    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion where it moves; p, metres along; v [m/s];
+    a, lateral [m/s2]; curvature [1/m].
+    """
+
+    def __init__(self, states: Floats, dt: float) -> None:
+        self.dt = dt
+        x, y, heading = states[:, 0], states[:, 1], states[:, 2]
+        vx, ax = _slopes(x, dt)
+        vy, ay = _slopes(y, dt)
+        self.x, self.y = x, y
+        self.v = np.hypot(vx, vy)
+        self.p = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        moving = self.v > CRAWL
+        self.heading = np.where(moving, np.arctan2(vy, vx), heading)
+        speed = np.maximum(self.v, CRAWL)
+        self.a = np.where(moving, (vx * ax + vy * ay) / speed, 0.0)
+        self.lateral = np.where(moving, (vx * ay - vy * ax) / speed, 0.0)
+        self.curvature = np.where(moving, self.lateral / speed**2, 0.0)
+
+    def beyond(self, limits: Limits, cap: float) -> str:
+        """What of it no vehicle within the limits can do, as words; empty where it can."""
+        found = []
+        for what, value, most, unit in (
+            ("sideways", np.abs(self.lateral).max(), limits.lateral, "m/s2"),
+            ("braking", -self.a.min(), limits.braking, "m/s2"),
+            ("acceleration", self.a.max(), limits.acceleration, "m/s2"),
+            ("curvature", np.abs(self.curvature[self.v > SLOW]).max(initial=0.0), limits.curvature, "1/m"),
+            ("speed", self.v.max(), cap, "m/s"),
+        ):
+            if value > 1.05 * most:
+                found.append(f"{what} {value:.2g} {unit} (at most {most:.2g})")
+        return ", ".join(found)
+
+
+def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
+    """First and second derivatives of values ``dt`` apart, by a parabola fitted to those around each."""
+    n = len(values)
+    width = min(2 * HALF_WINDOW + 1, n)
+    first = np.clip(np.arange(n) - width // 2, 0, n - width)
+    fit = np.linalg.pinv(np.vander(np.arange(width) * dt, 3, increasing=True))
+    c = np.lib.stride_tricks.sliding_window_view(values, width)[first] @ fit.T
+    return c[:, 1] + 2 * c[:, 2] * (np.arange(n) - first) * dt, 2 * c[:, 2]
+
+
+def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Floats:
+    """The states with the present pose before them where the first is nearer to one ``dt`` from now than to now."""
+    step = math.hypot(*(states[1, :2] - states[0, :2])) if len(states) > 1 else 0.0
+    ahead = math.cos(heading) * (states[0, 0] - x) + math.sin(heading) * (states[0, 1] - y)
+    if step > CRAWL * dt and ahead > step / 2:
+        return np.vstack([[x, y, heading, states[0, 3]], states])
+    return states
+
+
+def off_road(
+    states: Floats, length: float, width: float, dt: float, on_road: Callable[[Floats, Floats], Bools]
+) -> float | None:
+    """Seconds from now at which a corner of the box leaves the road, None if it does not in ``ROAD_AHEAD`` s."""
+    x, y, h, _ = states[: round(ROAD_AHEAD / dt)].T
+    out = np.zeros(len(x), bool)
+    for a, b in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
+        along, aside = a * (length - CORNER), b * (width - CORNER)
+        c, s = np.cos(h), np.sin(h)
+        out |= ~on_road(x + along * c - aside * s, y + along * s + aside * c)
+    return float((np.argmax(out) + 1) * dt) if out.any() else None
+
+
+class Follower:
+    """One vehicle on its way after one trajectory.
+
+    Raises:
+        PlannerResultError: it has too few states, or goes where this way does not.
+    """
+
+    def __init__(self, line: Line, way: Path) -> None:
+        if len(line.x) < LEAST_STATES:
+            raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {LEAST_STATES} are needed")
+        d, turned, curvature = _beside(line, way)
+        astray = (turned > TURNED) | (1.0 - curvature * d < TIGHT)
+        if astray.any():
+            k = int(np.argmax(astray))
+            raise PlannerResultError(
+                f"trajectory() does not go the endpoint's way after {k * line.dt:.1f} s: there it is turned by "
+                f"{turned[k]:.1f} rad and {abs(d[k]):.1f} m aside of it"
+            )
+        self.line = line
+        heading = np.unwrap(line.heading).tolist()
+        self._rows = list(zip(line.x.tolist(), line.y.tolist(), heading, line.curvature.tolist(), strict=True))
+        self._p, self._v, self._a = line.p.tolist(), line.v.tolist(), line.a.tolist()
+        self._own = max(LEAST_LATERAL, 1.02 * float(np.abs(line.lateral).max()))
+        self._k, self._here = 0, 0.0
+        settled = np.flatnonzero(np.abs(d - d[-1]) > 0.05)
+        self._end = float(d[-1]), (float(settled[-1] + 1) * line.dt if len(settled) else 0.0)
+        self.farthest = 0.0  # m it was from the place the planner wanted it at, so far
+
+    @property
+    def over(self) -> bool:
+        """Whether the states are used up."""
+        return self._k >= len(self._p) - 1
+
+    def begin(self, motion: Motion) -> Motion:
+        """The motion as planners are told it: it is on its way to the offset at the trajectory's end."""
+        target, seconds = self._end
+        return motion._replace(target=target, clock=0.0, span=max(seconds, 1e-3))
+
+    def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float) -> Motion:
+        """One step on."""
+        dt, v = self.line.dt, motion.v
+        x, y, h = pose(Scalar, motion, road)
+        bend = road.at(motion.s)[3]
+        before = motion.ddd + v * v * bend
+        aside, turn, curvature = self._place(x, y, h)
+        speed, a = faster(Scalar, v, motion.a, self._along(v, limits), abs(before) + LATERAL_RESERVE, limits, cap, dt)
+        lateral = v * v * curvature + SIDEWAYS_RATE**2 * aside + 2 * SIDEWAYS_RATE * v * math.sin(turn)
+        most = min(SHARE * limits.lateral, self._own)
+        lateral = min(max(lateral, before - LATERAL_JERK * dt), before + LATERAL_JERK * dt)
+        lateral = min(max(lateral, -most), most)
+        mean = (v + speed) / 2
+        sharpest = SHARE * limits.curvature * mean
+        rate = min(max(lateral / max(mean, CRAWL), -sharpest), sharpest)
+        self._k += 1
+        middle = h + rate * dt / 2
+        return _on_way(
+            motion, road, x + mean * dt * math.cos(middle), y + mean * dt * math.sin(middle), h + rate * dt,
+            speed, a, rate * mean, dt,
+        )  # fmt: skip
+
+    def _place(self, x: float, y: float, h: float) -> tuple[float, float, float]:
+        """Metres the line is to the left, the angle to turn to go along it, and its curvature, where it is nearest."""
+        for _ in range(2):
+            rx, ry, rh, curvature = self._at(self._here)
+            c, s = math.cos(rh), math.sin(rh)
+            self._here = max(self._here + c * (x - rx) + s * (y - ry), 0.0)
+        rx, ry, rh, curvature = self._at(self._here)
+        aside = -math.sin(rh) * (rx - x) + math.cos(rh) * (ry - y)
+        self.farthest = max(self.farthest, math.hypot(aside, self._p[self._k] - self._here))
+        return aside, wrap(rh - h), curvature
+
+    def _at(self, p: float) -> tuple[float, float, float, float]:
+        last = len(self._p) - 1
+        i = min(max(bisect.bisect_right(self._p, p) - 1, 0), last - 1)
+        step = self._p[i + 1] - self._p[i]
+        w = (p - self._p[i]) / step if step > 1e-6 else 0.0
+        a, b = self._rows[i], self._rows[i + 1]
+        if w > 1.0:
+            return b[0] + (p - self._p[last]) * math.cos(b[2]), b[1] + (p - self._p[last]) * math.sin(b[2]), b[2], 0.0
+        e = 1.0 - w
+        return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
+
+    def _along(self, v: float, limits: Limits) -> float:
+        """The acceleration the timetable asks for, less where the line bends too sharply for it ahead."""
+        k = self._k
+        late = min(max(self._p[k] - self._here, -LATE), LATE)
+        want = (self._a[k] + self._a[k + 1]) / 2 + 2 * ALONG_RATE * (self._v[k] - v) + ALONG_RATE**2 * late
+        for t in LOOK_AHEAD:
+            ahead = max(v * t, 0.5)
+            sharp = abs(self._at(self._here + ahead)[3])
+            square = SHARE * limits.lateral / max(sharp, 1e-6)
+            want = min(want, (square - v * v) / (2.0 * ahead) + (0.5 if square > v * v else 0.0))
+        return want
+
+
+def _on_way(
+    motion: Motion, road: PathRow, x: float, y: float, h: float, v: float, a: float, lateral: float, dt: float
+) -> Motion:
+    """A pose in the world as a motion on the way, near where it was."""
+    s, d = motion.s, motion.d
+    for _ in range(3):
+        px, py, ph, bend = road.at(s)
+        c, t = math.cos(ph), math.sin(ph)
+        d = -t * (x - px) + c * (y - py)
+        s += (c * (x - px) + t * (y - py)) / max(1.0 - bend * d, 0.2)
+    px, py, ph, bend = road.at(s)
+    d = -math.sin(ph) * (x - px) + math.cos(ph) * (y - py)
+    slope = min(max(math.sin(wrap(h - ph)), -0.95), 0.95)
+    clock = min(motion.clock + dt, motion.span)
+    return motion._replace(s=s, d=d, dd=v * slope, ddd=lateral - v * v * bend, v=v, a=a, slope=slope, clock=clock)
+
+
+def _beside(line: Line, way: Path) -> tuple[Floats, Floats, Floats]:
+    """Offsets of a line from a way [m], how far it is turned from it [rad], and the way's curvature there [1/m]."""
+    i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
+    h = way.heading[i]
+    d = -np.sin(h) * (line.x - way.x[i]) + np.cos(h) * (line.y - way.y[i])
+    return d, np.abs(wrap_all(line.heading - h)), way.curvature[i]

@@ -1,0 +1,212 @@
+"""Planner code runs here: an interpreter for model-written Python (monty), in a process of its own, inside limits.
+
+Three walls: monty itself (nothing of the host, no files, no network, limits on time, memory and recursion), its process
+(bubblewrap where there is one, see ``jail``), and our own checks, which believe nothing that comes back (``results``).
+
+Clock frozen, sleep zero, random seeded, prints counted and dropped.  State in globals lasts as long as a session, so a
+planner sees what earlier calls of its own session left, and, in one batch, what it changed in objects shared by the
+calls.  It never sees another planner's data: each session starts from an empty interpreter.
+
+Measured on two slow cores, in bubblewrap or not: 0.7 ms a session (2 ms with a road of 1000 points), 0.15 ms a call
+(0.25 ms with an ego path of 80 states), 20 us a call in a batch of 100, 16 ms a type check.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from sumo_adv.datatypes import Planner
+from sumo_adv.errors import SandboxError
+from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
+from sumo_adv.planners.results import clean
+from sumo_adv.planners.session import Call, PlannerSession
+from sumo_adv.planners.source import HELPERS_STUBS
+
+if TYPE_CHECKING:
+    from pydantic_monty import Monty, MontySession
+
+__all__ = ["Call", "PlannerSession", "Sandbox", "SandboxLimits"]
+
+_INSTANT = datetime(2025, 1, 1, tzinfo=UTC)
+
+
+@dataclass(frozen=True, slots=True)
+class SandboxLimits:
+    """What planner code may use. ``memory`` in bytes of heap, ``output_bytes`` of print a feed."""
+
+    call_seconds: float = 0.25  # a call, or the module level
+    batch_seconds: float = 5.0  # a batch, all its calls together
+    memory: int = 64 * 1024 * 1024
+    recursion: int = 200
+    output_bytes: int = 64 * 1024
+    suspensions: int = 100  # failed name look-ups and refused system calls a session
+    grace_seconds: float = 0.5  # then a worker that cannot stop itself is killed
+
+
+class Sandbox:
+    """Owns the pool of workers; opened at the first use; a context manager.
+
+    Use it in the process that made it (a pool does not survive a fork).  Sessions may live in different threads.
+
+    Args:
+        limits: what planner code may use.
+        bubblewrap: False turns bubblewrap off, None asks the variable ``SUMO_ADV_BUBBLEWRAP``.
+        workers: how many sessions may be open at once.
+    """
+
+    def __init__(
+        self, limits: SandboxLimits | None = None, *, bubblewrap: bool | None = None, workers: int = 16
+    ) -> None:
+        self.limits = limits or SandboxLimits()
+        self._bubblewrap = bubblewrap
+        self._workers = workers
+        self._lock = threading.Lock()
+        self._jail: Jail | None = None
+        self._pool: Monty | None = None
+        self._owner: ThreadPoolExecutor | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._process = os.getpid()
+        self._closed = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    @property
+    def isolation(self) -> str:
+        """``bubblewrap`` or ``process``."""
+        return self._open().isolation
+
+    @property
+    def note(self) -> str:
+        """One sentence on the isolation, for ``doctor`` and outcomes."""
+        return self._open().note
+
+    def session(
+        self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], *, seed: int = 0, type_check: bool = False
+    ) -> PlannerSession:
+        """A fresh interpreter with the planner loaded.
+
+        Args:
+            planner: what to run.
+            roads: by a key of the calls, what those with it get as ``road``; plain data, sent once.
+            seed: of the planner's ``random``.
+            type_check: have the text type checked before it is run.
+
+        Raises:
+            PlannerSyntaxError: the text is not in the subset, or the type check failed.
+            PlannerRuntimeError, PlannerLimitError: its module level failed.
+            SandboxError: no worker can be had.
+        """
+        self._open()
+        return PlannerSession(self, planner, roads, seed, type_check)
+
+    def close(self) -> None:
+        """Stop the workers. May be called twice."""
+        with self._lock:
+            self._closed = True
+            pool, owner, folder = self._pool, self._owner, self._folder
+            self._pool = self._owner = self._folder = None
+        if os.getpid() != self._process:
+            return
+        if pool is not None and owner is not None:
+            owner.submit(pool.__exit__, None, None, None).result()
+            owner.shutdown()
+        if folder is not None:
+            folder.cleanup()
+
+    def _open(self) -> Jail:
+        """Start the pool, once."""
+        with self._lock:
+            self.check_usable()
+            if self._jail is not None:
+                return self._jail
+            jail = make_jail(self._bubblewrap)
+            program = jail.command[0]
+            if os.name == "posix":
+                self._folder = tempfile.TemporaryDirectory(prefix="sumo-adv-")
+                script = Path(self._folder.name) / "worker"
+                script.write_text(wrapper_script(jail, self.limits.memory))
+                script.chmod(0o700)
+                if not os.access(script, os.X_OK):
+                    raise SandboxError(
+                        f"No program can be started in {Path(self._folder.name).parent}, which is mounted noexec: set "
+                        "TMPDIR to a folder where one can (a container's tmpfs wants the option exec)."
+                    )
+                program = str(script)
+            self._start(program)
+            self._jail = jail
+            return jail
+
+    def _start(self, program: str) -> None:
+        """Workers die with the thread that started them (bubblewrap), so one lasting thread starts them all."""
+        from pydantic_monty import Monty
+
+        _spare_look_ups()
+        self._pool = Monty(
+            binary_path=program,
+            min_processes=0,
+            max_processes=self._workers,
+            checkout_timeout=10.0,
+            request_timeout=self.limits.batch_seconds + 10.0,
+            feed_duration_limit_grace=self.limits.grace_seconds,
+        )
+        self._owner = ThreadPoolExecutor(1, thread_name_prefix="sandbox")
+        self._owner.submit(self._pool.__enter__).result()
+
+    def check_usable(self) -> None:
+        """Raise ``SandboxError`` where it is closed or not this process's."""
+        if self._closed:
+            raise SandboxError("The sandbox is closed: make a new one.")
+        if os.getpid() != self._process:
+            raise SandboxError("The sandbox was opened in another process: ask that process.")
+
+    def checkout(self, seed: int, type_check: bool) -> MontySession:
+        """A worker for one session."""
+        from pydantic_monty import MontyError
+
+        with self._lock:
+            self.check_usable()
+            pool, owner = self._pool, self._owner
+        assert pool is not None and owner is not None  # _open came first
+        session = pool.checkout(
+            script_name="planner.py",
+            limits={
+                "max_feed_duration_secs": self.limits.call_seconds,
+                "max_memory": self.limits.memory,
+                "max_recursion_depth": self.limits.recursion,
+                "max_suspensions": self.limits.suspensions,
+                "max_total_sleep_secs": 0.0,
+            },
+            type_check=type_check,
+            type_check_stubs=HELPERS_STUBS if type_check else None,
+            type_check_format="concise" if type_check else None,
+            os_policy={"datetime": _INSTANT, "timezone": "utc", "sleep": "zero", "random_start": {"seed": seed}},
+        )
+        try:
+            owner.submit(session.__enter__).result()
+        except TimeoutError:
+            raise SandboxError(f"All {self._workers} sandbox workers are busy: close planner sessions.") from None
+        except (MontyError, OSError, RuntimeError) as error:
+            raise SandboxError(f"The sandbox's worker does not start ({clean(str(error))}): run doctor.") from None
+        return session
+
+
+def _spare_look_ups() -> None:
+    """Monty imports opentelemetry at every feed; where there is none, Python then looks through all its folders, which
+    takes as long as the feed itself (48 us of 92). A None among the modules says at once that there is none."""
+    if "opentelemetry" not in sys.modules and importlib.util.find_spec("opentelemetry") is None:
+        sys.modules["opentelemetry"] = None  # type: ignore[assignment]

@@ -1,0 +1,143 @@
+"""Many attacks at once against a predicted ego: numpy rollouts on the planners' own answers.
+
+A prediction is not an attempt: it is never counted, and only orders what is tried. The egos are those of ``drivers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Limits, ObservedMotion, Proposal
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.errors import PlannerResultError
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.answers import Answer, Told, local_endpoint
+from sumo_adv.planners.follower import Follower
+from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
+from sumo_adv.search.early_termination import EarlyTermination
+from sumo_adv.situation import Situation
+
+Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
+Touch = Callable[[Floats, Floats, Bools], Bools]
+"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of those that are asked about, ``(n,)``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rollouts:
+    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k."""
+
+    time: Floats
+    ego: tuple[Floats, Floats, Floats, Floats]
+    adversary: tuple[Floats, Floats, Floats, Floats]
+    disturbed: Bools
+
+
+def part(rollouts: Rollouts, rows: Any) -> Rollouts:
+    """Some of the rows."""
+    ego, adversary = (tuple(q[rows] for q in motion) for motion in (rollouts.ego, rollouts.adversary))
+    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows])
+
+
+def predict(
+    situations: Mapping[float, Situation],
+    proposals: Sequence[Proposal],
+    ask: Ask,
+    *,
+    limits: Limits,
+    steps: int,
+    replan: int,
+    seen: Sequence[ObservedMotion] | None = None,
+    touch: Touch | None = None,
+    to_the_end: bool = False,
+) -> Rollouts:
+    """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
+
+    ``situations``: by delay [s], the moment at which a proposal's attack begins.
+
+    ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
+    egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted;
+    once that is all of them, the egos go on at even speeds, but ``to_the_end`` as their drivers.
+    """
+    ground = AdversaryBatch([situations[p.delay] for p in proposals], [p.bv for p in proposals])
+    n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
+    width = np.array([t.state.width for t in ground.targets])
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, seen)
+    goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
+    last: list[Mapping[str, float] | None] = [None] * n
+    adversary, ego = np.empty((2, steps, 4, n))
+    followers: dict[int, Follower] = {}
+    over, parting, driven, asked = np.zeros(n, bool), EarlyTermination(ground), -1, egos.v
+    for k in range(steps):
+        now = k * dt
+        if k % replan == 0:
+            over |= parting.gone(motion, egos.s)
+        if k % replan == 0 and not over.all():
+            rows = np.flatnonzero(~over).tolist()
+            mean = egos.a if k == 0 else (egos.v - asked) / (replan * dt)  # as in an attempt
+            goal, motion = _replan(
+                ground, motion, (egos.s, egos.d, egos.v, mean), goal, last, followers, now, rows, ask
+            )
+            asked = egos.v
+        adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
+        if to_the_end or not over.all():
+            ego[k] = egos.pose()
+            driven = k
+            if touch is not None:
+                over |= touch(ego[k], adversary[k], ~over)
+            egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
+        motion = _advance(ground, motion, goal, followers, limits)
+        goal = goal._replace(time=goal.time - dt)
+    ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
+    mine, others = (tuple(np.ascontiguousarray(q.transpose(1, 2, 0))) for q in (ego, adversary))
+    return Rollouts(np.arange(steps) * dt, mine, others, egos.disturbed)  # type: ignore[arg-type]
+
+
+def _replan(
+    ground: AdversaryBatch, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: Goal,
+    last: list[Mapping[str, float] | None], followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
+) -> tuple[Goal, Motion]:  # fmt: skip
+    told = ground.tell(motion, now, ego, last, rows)
+    answers = ask(rows, told)
+    for k in rows:
+        answer = answers[k]
+        last[k] = None if answer is None else local_endpoint(ground.scenes.of[k], answer.endpoint)
+    goal = ground.aim(motion, [None if a is None else a.endpoint for a in answers], goal)
+    before = motion
+    motion = _steer(ground, motion, goal, [k for k in followers if answers[k] is not None])
+    for k, answer in enumerate(answers):
+        if answer is not None:
+            followers.pop(k, None)
+        if answer is not None and answer.trajectory is not None:
+            try:
+                followers[k] = ground.follower(k, before, answer.trajectory)
+            except PlannerResultError:  # said in the attempt; here as there the built-in f_traj leads it
+                continue
+            motion = put_back(motion, [k], [followers[k].begin(one_of(motion, k))])
+    return goal, motion
+
+
+def _steer(ground: AdversaryBatch, motion: Motion, goal: Goal, released: Sequence[int]) -> Motion:
+    """Aim all at their goals; those of ``released`` were led by a trajectory until now."""
+    if released:
+        motion = put_back(motion, released, [release(one_of(motion, k)) for k in released])
+    return steer(Batch, motion, goal, ground.rows.at(motion.s)[3])
+
+
+def _advance(
+    ground: AdversaryBatch, motion: Motion, goal: Goal, followers: dict[int, Follower], limits: Limits
+) -> Motion:
+    """One step on, by the built-in f_traj or after the planner's own trajectory."""
+    over = [k for k, f in followers.items() if f.over]
+    if over:
+        motion = _steer(ground, motion, goal, over)
+        for k in over:
+            del followers[k]
+    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.scenes.dt)
+    if not followers:
+        return moved
+    ones = [f.advance(one_of(motion, k), ground.road(k), limits, float(ground.cap[k])) for k, f in followers.items()]
+    return put_back(moved, list(followers), ones)

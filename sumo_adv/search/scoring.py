@@ -1,0 +1,326 @@
+"""Predicted rollouts judged by the verdicts' own functions, and what they score.
+
+Score, lower is better (ALGORITHM, "How it was built"): a feasible collision that is not rear-end scores by who could
+have avoided it, and with what to spare; no hit, an infeasible one, a third party hit first and a rear-end follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal, Role
+from sumo_adv.drivers.third_parties import braking
+from sumo_adv.geometry import wrap_all
+from sumo_adv.metrics.avoidance import avoidance, careful_after
+from sumo_adv.metrics.boxes import axis_separations, gap, half_diagonal, on_grid, overlaps, pick, touching
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.feasibility import (
+    CRAWL,
+    CURVATURE_SLACK,
+    JERK_SLACK,
+    LATERAL_SLACK,
+    REST,
+    SIDEWAYS,
+    STEP_SHARE,
+    STEP_SLACK,
+)
+from sumo_adv.metrics.hazard import SAME, hazard_index
+from sumo_adv.search.rollouts import Rollouts, Touch
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.situation import Situation
+
+NONE, MISS, OFF_ROAD, BEYOND, THIRD, REAR = 1.3, 1.5, 3.0, 3.0, 4.0, 5.0
+WARNED, ENOUGH = 0.3, 2.0  # taken off ``NONE`` for so many s of warning: what nearly could have been avoided
+DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
+BY_MANOEUVRE = (1.0, 0.6, 0.47, 0.34)  # score by the last of them at which one still helps
+SOONER = (0.25, 0.5, 0.75, 1.0)  # s: where the careful driver would have avoided it, so much sooner,
+NEARLY = (0.24, 0.18, 0.12, 0.06)  # so much is taken off: the search is drawn to what a brake avoids
+BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
+SLOWER = 0.4  # s
+UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
+GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
+GENTLY = 1.0  # m/s2: so much braking is nothing
+INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
+LEAST_STEPS = 3
+
+
+def judge_all(
+    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
+) -> list[dict[str, Any]]:
+    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
+    comes, the share of the steps up to it in which the adversary brakes, and the score."""
+    n, steps = rollouts.ego[0].shape
+    brakes = _brakes(rollouts.adversary[3], situation.dt)
+    lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
+    widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
+    ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
+    adversary = Boxes(*rollouts.adversary, lengths, widths)
+    contact = _first(touching(ego, adversary))
+    hit = contact < min(steps, situation.left + 1)
+    firm = np.asarray(touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
+    end = int(min(steps - 1, situation.left))
+    last = np.minimum(contact, end)
+    third = _third_party(situation, proposals, adversary, last)
+    off_road = _off_road(adversary, last, drivable)
+    beyond = _beyond(adversary, last, limits, situation.dt)
+    rear = hit & _rear(ego, adversary, last)
+    least, nearest = _least(ego, adversary, last)
+    good = np.flatnonzero(hit & ~third & ~off_road & ~beyond & ~rear & (contact >= LEAST_STEPS))
+    score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
+    score = np.where(off_road, OFF_ROAD, np.where(beyond, BEYOND, score))
+    score = np.where(third, THIRD, np.where(rear, REAR, score))
+    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
+    if len(good):
+        found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
+        careful[good], late, nearly, manoeuvre[good], hazard[good] = found
+        warning = (last[good] - hazard[good]) * situation.dt
+        score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning)
+        score[good] += np.where(firm[good], 0.0, GRAZES)
+    return [
+        {
+            "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
+            "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
+            "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
+            "beyond": bool(beyond[k]),
+            "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
+            "warning": float((last[k] - hazard[k]) * situation.dt),
+            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()),
+        }
+        for k in range(n)
+    ]  # fmt: skip
+
+
+def _brakes(speed: Floats, dt: float) -> Bools:
+    """Whether it brakes by more than ``GENTLY``, step by step."""
+    return np.asarray(np.diff(speed, axis=1) / dt < -GENTLY)
+
+
+def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
+    """Whether the ego and the BVs of these proposals touch."""
+    states = [situations[p.delay].targets[p.bv].state for p in proposals]
+    length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
+    mine = next(iter(situations.values())).ego
+    reach = (np.hypot(length, width) + np.hypot(mine.length, mine.width)) / 2
+
+    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
+        found = np.asarray(asked & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
+        k = np.flatnonzero(found)
+        if len(k):
+            (ax, ay, ah, av), (bx, by, bh, bv) = ego[:, k], adversary[:, k]
+            one = Boxes(ax, ay, ah, av, mine.length, mine.width)
+            found[k] = overlaps(one, Boxes(bx, by, bh, bv, length[k], width[k]))
+        return found
+
+    return touch
+
+
+def _first(holds: Bools) -> Any:
+    return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
+
+
+def _score(careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warning: Floats) -> Floats:
+    """By who avoids it and with what to spare: winners at the verdict's very edge do not survive a little noise."""
+    score = NONE - WARNED * np.clip(warning / ENOUGH, 0.0, 1.0)
+    for k, value in enumerate(BY_MANOEUVRE):
+        score = np.where(manoeuvre[:, k], value, score)
+    score = score - nearly
+    return np.where(careful, np.where(late, BY_LATE_CAREFUL, BY_CAREFUL), score)
+
+
+def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
+    """Whether the adversary runs into the ego's back, as the judge has it (``metrics.contact.rear_end``); the faces
+    that meet are those of the axis along which the boxes are apart last, from the step before the contact on."""
+    rows = np.arange(len(at))
+    now, before = ((rows, k) for k in (at, np.maximum(at - 1, 0)))
+    a, b = pick(ego, now), pick(adversary, now)
+    was = np.array(axis_separations(pick(ego, before), pick(adversary, before)))
+    closed = was - np.array(axis_separations(a, b))
+    when = np.maximum(was, 0.0) / np.maximum(np.maximum(closed, was), 1e-9)  # share of the step, at which each closes
+    last = when.argmax(axis=0)
+    turn, dx, dy = b.heading - a.heading, b.x - a.x, b.y - a.y
+    behind = np.cos(a.heading) * dx + np.sin(a.heading) * dy < 0.0
+    front = np.cos(b.heading) * dx + np.sin(b.heading) * dy <= 0.0
+    same = np.abs(wrap_all(turn)) <= SAME
+    lengthwise = (last == 0) | (last == 2)
+    return np.asarray(same & lengthwise & behind & front & (b.speed * np.cos(turn) > a.speed))
+
+
+def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
+    """Least TTC [s] and least box distance [m] up to the contact, every third step."""
+    steps = np.arange(0, ego.x.shape[1], 3)
+    shown = (np.arange(len(last))[:, None], steps[None, :])
+    a, b = pick(ego, shown), pick(adversary, shown)
+    before = steps[None, :] <= last[:, None]
+    centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
+    at = (np.arange(len(last)), centres.argmin(axis=1))
+    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(pick(a, at), pick(b, at)))
+
+
+def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
+    """Whether the adversary touches another vehicle before the ego, also one that brakes for it."""
+    tracks = situation.others
+    found = np.zeros(len(proposals), bool)
+    if not tracks:
+        return found
+    steps = adversary.x.shape[1]
+    grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
+    names = np.array([t.id for t in tracks])
+    pairs: list[tuple[int, int]] = []
+    for k, proposal in enumerate(proposals):
+        until = slice(0, int(last[k]) + 1)
+        apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
+        near = apart < half_diagonal(grid) + half_diagonal(adversary)[k]
+        near &= (names != proposal.bv)[:, None]
+        i, j = np.nonzero(near)
+        if len(i):
+            rows = np.full(len(i), k)
+            touched = overlaps(pick(grid, (i, j)), pick(adversary, (rows, j)))
+            pairs += [(k, m) for m in np.unique(i[touched])]
+    if not pairs:
+        return found
+    rows, others = np.array(pairs).T
+    driven = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
+    found[rows[~driven]] = True
+    rows, others = rows[driven], others[driven]
+    if not len(rows):
+        return found
+    mine = _steps(_rows(adversary, rows), slice(0, int(last[rows].max()) + 1))
+    reacted = braking(_rows(grid, others), mine, situation.lane_width, situation.dt)
+    hit = _first(touching(reacted, mine)) <= last[rows]
+    found[rows[hit]] = True
+    return found
+
+
+def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
+    """Whether a corner (``INSET`` within the box) leaves the carriageway, every fourth step."""
+    steps = np.arange(0, adversary.x.shape[1], 4)
+    x, y, h = adversary.x[:, steps], adversary.y[:, steps], adversary.heading[:, steps]
+    out = np.zeros(x.shape, bool)
+    for along in (-0.5, 0.5):
+        for aside in (-0.5, 0.5):
+            a = along * (np.asarray(adversary.length) - 2 * INSET)
+            b = aside * (np.asarray(adversary.width) - 2 * INSET)
+            out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
+    return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
+
+
+def _beyond(adversary: Boxes, last: Any, limits: Limits, dt: float) -> Bools:
+    """Whether it turns or jerks harder than the gates allow, or leaps from one way to another."""
+    yaw_rate = np.abs(np.gradient(np.unwrap(adversary.heading, axis=1), dt, axis=1))
+    lateral, curvature = adversary.speed * yaw_rate, yaw_rate / np.maximum(adversary.speed, CRAWL)
+    total = np.hypot(np.gradient(adversary.speed, dt, axis=1), lateral)
+    bad = lateral > limits.lateral + LATERAL_SLACK
+    bad |= curvature > limits.curvature + CURVATURE_SLACK
+    bad |= total > max(limits.braking, limits.acceleration, limits.lateral) + LATERAL_SLACK
+    bad[:, 1:] |= _leaps(adversary, limits, dt)
+    jerk = np.abs(np.diff(adversary.speed, n=2, axis=1)) / dt**2
+    bad[:, 2:] |= (jerk > limits.jerk + JERK_SLACK) & (adversary.speed[:, 2:] >= REST)
+    return np.asarray((bad & (np.arange(bad.shape[1]) <= np.asarray(last)[:, None])).any(axis=1))
+
+
+def _leaps(b: Boxes, limits: Limits, dt: float) -> Bools:
+    """Whether each step is not what its speeds and headings say (the gate ``continuity``), ``(n, steps - 1)``."""
+    dx, dy = np.diff(b.x, axis=1), np.diff(b.y, axis=1)
+    middle = b.heading[:, :-1] + wrap_all(np.diff(b.heading, axis=1)) / 2
+    speed = (b.speed[:, 1:] + b.speed[:, :-1]) / 2
+    c, s = np.cos(middle), np.sin(middle)
+    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, CRAWL) ** 2)
+    slip = speed * (curve * np.asarray(b.length) / 2 + 0.05) + SIDEWAYS
+    along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
+    return np.asarray((np.abs(along - speed * dt) > STEP_SLACK + STEP_SHARE * speed * dt) | (across > slip * dt + 0.02))
+
+
+def _avoidable(
+    situation: Situation, proposals: Sequence[Proposal], ego: Boxes, adversary: Boxes, good: Any, last: Any,
+    drivable: Drivable,
+) -> tuple[Bools, Bools, Floats, Bools, Any]:  # fmt: skip
+    """Whether the careful driver avoids it, also if slower; what it is worth how nearly he does; whether some manoeuvre
+    does, by ``DELAYS`` (asked only where he does not); the hazard."""
+    a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
+    start, dt = np.zeros(len(good), np.intp), situation.dt
+    half = situation.lane_width / 2
+    path, until = _held(_rows(ego, good), last), slice(0, int(last.max()) + 1)
+    hazard, _ = hazard_index(_steps(path, until), _steps(b, until), start, last, dt, lane_half_width=half)
+    careful, late, *sooner = careful_after(a, b, hazard, dt, (0.0, SLOWER, *(-t for t in SOONER)))
+    careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half)
+    nearly = np.where(sooner, np.array(NEARLY)[:, None], 0.0).max(axis=0)
+    manoeuvre = np.zeros((len(good), len(DELAYS)), bool)
+    time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
+    names = np.array([proposals[k].bv for k in good])
+
+    def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
+        return _rows(a, rows), _rows(b, rows), hazard[rows], dt
+
+    others_of = {bv: [t for t in situation.others if t.id != bv] for bv in np.unique(names)}
+    around = {bv: on_grid(tracks, time) for bv, tracks in others_of.items() if tracks}
+    for bv, others in around.items():  # they may leave no room
+        rows = np.flatnonzero((names == bv) & careful)
+        if len(rows):
+            careful[rows] = careful_after(*where(rows), (0.0,), others=others)[0]
+    for bv in np.unique(names[~careful]):
+        rows = np.flatnonzero((names == bv) & ~careful)
+        manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around.get(bv))
+    return careful, careful & late, nearly, manoeuvre, hazard
+
+
+def _surely(
+    careful: Bools, ego: Boxes, adversary: Boxes, path: Boxes, hazard: Any, last: Any, dt: float, half: float
+) -> tuple[Bools, Any]:
+    """Which of those whom the careful driver avoids he avoids as well where an ego that turns has turned a little more
+    or less: for one that is far away that is metres beside its path, and the hazard may show seconds later. And the
+    hazards, later where that matters."""
+    unsure = np.minimum(np.abs(wrap_all(path.heading[:, -1] - path.heading[:, 0])), UNSURE)
+    rows = np.flatnonzero(careful & (unsure > 0.1 * UNSURE))
+    if not len(rows):
+        return careful, hazard
+    lasts = last[rows]
+    until = slice(0, int(lasts.max()) + 1)
+    mine, other = _steps(_rows(path, rows), until), _steps(_rows(adversary, rows), until)
+    latest = hazard[rows]
+    for turn in (-unsure[rows, None], unsure[rows, None]):
+        turned = replace(mine, heading=mine.heading + turn)
+        shows, _ = hazard_index(turned, other, lasts * 0, lasts, dt, lane_half_width=half)
+        latest = np.maximum(latest, shows)
+    later = latest > hazard[rows]
+    late, found, hazard = rows[later], careful.copy(), hazard.copy()
+    if len(late):
+        found[late] = careful_after(_rows(ego, late), _rows(adversary, late), latest[later], dt, (0.0,))[0]
+    lost = ~found[late]
+    hazard[late[lost]] = latest[later][lost]
+    return found, hazard
+
+
+def _manoeuvre(ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None) -> Bools:
+    """Whether some manoeuvre avoids it, by ``DELAYS``."""
+    return avoidance(
+        ego, adversary, hazard, dt, delays=DELAYS, careful=False, on_road=drivable, others=others
+    )["manoeuvre"]  # fmt: skip
+
+
+def _cut(b: Boxes, last: Any, dt: float) -> Boxes:
+    """Motions that go straight on at an even speed after the step ``last``, as the judge has them."""
+    steps = np.arange(b.x.shape[1])[None, :]
+    k = (np.arange(len(last))[:, None], np.minimum(steps, last[:, None]))
+    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
+    heading = b.heading[k]
+    x, y = b.x[k] + over * np.cos(heading), b.y[k] + over * np.sin(heading)
+    return Boxes(x, y, heading, b.speed[k], b.length, b.width)
+
+
+def _held(b: Boxes, last: Any) -> Boxes:
+    """Motions that end at the step ``last``, as the path has them that the judge measures offsets from."""
+    k = (np.arange(len(last))[:, None], np.minimum(np.arange(b.x.shape[1])[None, :], last[:, None]))
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], b.length, b.width)
+
+
+def _rows(b: Boxes, rows: Any) -> Boxes:
+    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
+
+
+def _steps(b: Boxes, steps: slice) -> Boxes:
+    return Boxes(b.x[:, steps], b.y[:, steps], b.heading[:, steps], b.speed[:, steps], b.length, b.width)

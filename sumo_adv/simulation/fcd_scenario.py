@@ -1,0 +1,172 @@
+"""Recorded floating car data (SUMO's ``--fcd-output``) as a scenario: the recording, and the routes that were driven.
+
+``x``, ``y`` are front bumpers, ``angle`` degrees clockwise from north; a ``person`` stands at its middle.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.network import RoadMap, read_network
+from sumo_adv.simulation.scan import parse
+from sumo_adv.simulation.scenario import DEFAULT_WARM_UP
+from sumo_adv.simulation.simulation import heading_of
+from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
+
+SCENARIO, TRACKS, ROUTES = "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
+CAR, PERSON = (5.0, 1.8), (0.215, 0.478)  # m, length and width: SUMO's defaults
+Size = tuple[float, float]
+Seen = dict[str, dict[float, dict[str, str]]]
+
+
+def write_scenario(
+    folder: Path, recording: Path, network: Path, ego: str, types: Sequence[Path] = (), warm_up: float = DEFAULT_WARM_UP
+) -> int:
+    """Network, tracks, routes and scenario into ``folder``; gives the number of objects.
+
+    ``types``: files whose vTypes say how long and wide vehicles are (else SUMO's 5 by 1.8 m). ``warm_up`` [s]: how long
+    the recording moves everybody after the ego came.
+
+    Raises UsageError: a file that is damaged or no FCD, an ego that is not in it or never on a lane.
+    """
+    seen, persons = _read(recording)
+    road = read_network(network)
+    if ego not in seen:
+        known = ", ".join(sorted(seen)[:5])
+        raise UsageError(f"There is no vehicle '{ego}' in {recording}; it has {known}{' ..' if len(seen) > 5 else ''}.")
+    log = _log(recording, seen, persons, _sizes(types))
+    routes = {name: _edges(states, road) for name, states in seen.items() if name not in persons}
+    if not routes[ego]:
+        raise UsageError(f"The vehicle '{ego}' is on no lane of {network.name} in {recording}; is it that network's?")
+    copy = "network.net.xml.gz" if network.name.lower().endswith(".gz") else "network.net.xml"
+    shutil.copyfile(network, folder / copy)
+    write_tracks(folder / TRACKS, log)
+    lines = [f'    <route id={quoteattr(n)} edges="{" ".join(edges)}"/>\n' for n, edges in routes.items() if edges]
+    (folder / ROUTES).write_text("<routes>\n" + "".join(lines) + "</routes>\n", encoding="utf-8")
+    (folder / SCENARIO).write_text(_scenario(copy, ego, float(log.time[0]), warm_up), encoding="utf-8")
+    return len(log.tracks)
+
+
+def _read(recording: Path) -> tuple[Seen, set[str]]:
+    """Attributes by id and time [s], and which ids are persons'."""
+    seen: Seen = {}
+    persons: set[str] = set()
+    now = math.nan
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal now
+        if tag == "timestep":
+            now = float(attributes["time"])
+        elif tag in ("vehicle", "person"):
+            seen.setdefault(attributes["id"], {})[now] = attributes
+            if tag == "person":
+                persons.add(attributes["id"])
+
+    try:
+        parse(recording, start)
+    except (KeyError, ValueError) as error:
+        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
+    if not seen:
+        raise UsageError(f"{recording} has no vehicle in a timestep; write it with sumo --fcd-output.")
+    return seen, persons
+
+
+def _sizes(types: Sequence[Path]) -> dict[str, Size]:
+    """Length and width [m] by vType."""
+    found: dict[str, Size] = {}
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if tag == "vType":
+            length, width = (attributes.get(k, d) for k, d in (("length", CAR[0]), ("width", CAR[1])))
+            found[attributes["id"]] = float(length), float(width)
+
+    for file in types:
+        try:
+            parse(file, start)
+        except (KeyError, ValueError) as error:
+            raise UsageError(f"{file} has a vType that cannot be used ({error}).") from error
+    return found
+
+
+def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Size]) -> TrackLog:
+    times = np.array(sorted({time for states in seen.values() for time in states}))
+    step = float(np.diff(times).min()) if len(times) > 1 else 0.1
+    count = round((times[-1] - times[0]) / step) + 1
+    grid = times[0] + step * np.arange(count)
+    try:
+        tracks = {n: _track(n, states, n in persons, sizes, grid, step) for n, states in seen.items()}
+    except (KeyError, ValueError) as error:
+        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
+    return TrackLog(np.round(grid, 3), tracks)
+
+
+def _track(
+    name: str,
+    states: Mapping[float, Mapping[str, str]],
+    person: bool,
+    sizes: Mapping[str, Size],
+    grid: Floats,
+    step: float,
+) -> LoggedTrack:
+    first = next(iter(states.values()))
+    length, width = sizes.get(first.get("type", ""), PERSON if person else CAR)
+    x, y, heading, speed = np.zeros((4, len(grid)))
+    valid = np.zeros(len(grid), dtype=bool)
+    for time, state in states.items():
+        k = round((time - float(grid[0])) / step)
+        heading[k] = heading_of(float(state["angle"]))
+        back = 0.0 if person else length / 2
+        x[k] = float(state["x"]) - back * math.cos(heading[k])
+        y[k] = float(state["y"]) - back * math.sin(heading[k])
+        speed[k] = float(state["speed"])
+        valid[k] = True
+    if not np.isfinite([x, y, heading, speed]).all():
+        raise ValueError(f"'{name}' has a number that is not finite")
+    return LoggedTrack(name, "pedestrian" if person else "vehicle", valid, x, y, heading, speed, length, width)
+
+
+def _edges(states: Mapping[float, Mapping[str, str]], road: RoadMap) -> tuple[str, ...]:
+    """The edges driven on outside junctions, as long as each leads to the next."""
+    route: list[str] = []
+    for state in states.values():
+        lane = road.lanes.get(state.get("lane", ""))
+        if lane is None or lane.internal or (route and lane.edge == route[-1]):
+            continue
+        onward = (
+            {road.lanes[c.to].edge for n in road.edges[route[-1]] for c in road.lanes[n].connections} if route else ()
+        )
+        if route and lane.edge not in onward:
+            break
+        route.append(lane.edge)
+    return tuple(route)
+
+
+def _onward(edge: str, road: RoadMap) -> set[str]:
+    return {road.lanes[c.to].edge for name in road.edges[edge] for c in road.lanes[name].connections}
+
+
+def _scenario(network: str, ego: str, begin: float, warm_up: float) -> str:
+    return f"""\
+schema = 1
+network = "{network}"
+tracks = "{TRACKS}"
+
+[demand]
+files = ["{ROUTES}"]
+begin = {begin:.3f}
+
+[ego]
+id = {json.dumps(ego, ensure_ascii=False)}
+
+[window]
+warm_up = {warm_up:.3f}
+"""

@@ -1,0 +1,261 @@
+"""What a run may start from: a network, a SUMO configuration, a scenario, or the name of a shipped one.
+
+``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. What is
+wrong with the files it names is found by ``scan.py``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
+from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
+from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
+
+_OPTIONS = {
+    "net-file": "net", "net": "net", "n": "net",
+    "route-files": "routes", "route": "routes", "r": "routes",
+    "additional-files": "additional", "additional": "additional", "a": "additional",
+    "begin": "begin", "b": "begin", "end": "end", "e": "end",
+}  # fmt: skip
+_NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
+_SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
+
+
+@dataclass(frozen=True, slots=True)
+class EgoRoute:
+    """An ego of the scenario's own: edges from first to last, departure [s], and SUMO's departLane, departPos [m] and
+    departSpeed [m/s] values."""
+
+    edges: tuple[str, ...]
+    depart: float
+    lane: int | str = "best"
+    position: float | str = "base"
+    speed: float | str = "max"
+
+
+@dataclass(frozen=True, slots=True)
+class RunInput:
+    """Everything a run needs to know about its input. Times are simulation times [s]; paths exist.
+
+    density: departures per minute over the whole network, None = the default if ``routes`` is empty.
+    ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
+    warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
+    candidates, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log moves.
+    """
+
+    name: str
+    source: Path
+    network: Path
+    routes: tuple[Path, ...] = ()
+    additional: tuple[Path, ...] = ()
+    begin: float | None = None
+    end: float | None = None
+    density: float | None = None
+    demand_seed: int | None = None
+    ego: str | EgoRoute | None = None
+    ego_type: str | None = None
+    ego_controller: str | None = None
+    ego_parameters: Mapping[str, bool | int | float | str] = field(default_factory=dict)
+    trigger: float | Literal["auto"] = "auto"
+    warm_up: float = DEFAULT_WARM_UP
+    horizon: float | None = None
+    candidates: tuple[str, ...] = ()
+    intents: tuple[str, ...] = ()
+    label: Label | None = None
+    files: tuple[Path, ...] = ()
+    playback: PlaybackSpec | None = None
+
+    def driver(self, named: str | None) -> str | None:
+        """The ego's driver: ``named`` by the user, else by the input; None if neither says.
+
+        Raises UsageError if only the input names a class, because a class runs as the user.
+        """
+        return trusted_driver(named, self.ego_controller, str(self.source))
+
+
+def trusted_driver(named: str | None, recorded: str | None, source: str) -> str | None:
+    """The driver ``named`` by the user, else the driver in the file ``source``.
+
+    Raises:
+        UsageError: the file names a ``module:Class``, and the user names no driver.
+    """
+    if named is None and recorded is not None and ":" in recorded:
+        raise UsageError(
+            f"{source} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "
+            f"if you trust it, name it yourself with --ego {recorded}."
+        )
+    return named or recorded
+
+
+def load_input(path: Path) -> RunInput:
+    """The input at ``path``, or the shipped scenario or network of that name, checked.
+
+    Raises UsageError for anything missing, damaged, undrivable or mismatched.
+    """
+    found = resolve(path)
+    lower = found.name.lower()
+    if ".tfrecord" in lower:
+        raise UsageError(f"{found} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
+    if lower.endswith(".toml"):
+        return _from_scenario(found)
+    if lower.endswith((".sumocfg", ".sumo.cfg")):
+        return _from_configuration(found)
+    if lower.endswith(_NETWORK_SUFFIXES):
+        scan_network(found)
+        return RunInput(name=input_name(found), source=found, network=found, files=(found,))
+    raise UsageError(f"{found} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+
+
+def input_name(path: Path) -> str:
+    """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``; its folder's if the file is
+    just a ``scenario.toml``."""
+    if path.name == "scenario.toml" and path.resolve().parent.name:
+        return path.resolve().parent.name
+    for suffix in _SUFFIXES:
+        if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
+            return path.name[: -len(suffix)]
+    return path.stem
+
+
+def data_folder(name: str) -> Path:
+    """The shipped folder or file ``name`` (networks, memory_bank.sqlite, ...): of the package, else of the checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "data" / name, package.parent / name):
+        if folder.exists():
+            return folder
+    raise UsageError(f"The shipped '{name}' is missing: reinstall the package or run from a full checkout.")
+
+
+def shipped_names() -> tuple[str, ...]:
+    """The names that ``load_input`` takes instead of a path: scenarios, then networks."""
+    scenarios = sorted(data_folder("scenarios").glob("*.toml"))
+    networks = sorted(data_folder("networks").glob("*.net.xml"))
+    return tuple(input_name(path) for path in (*scenarios, *networks))
+
+
+def resolve(path: Path) -> Path:
+    """``path`` itself if it is a file, else the shipped scenario or network it names."""
+    if path.is_file():
+        return path
+    shipped = _shipped(path)
+    if shipped is not None:
+        return shipped
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder: give a .net.xml, .sumocfg or scenario file in it.")
+    raise UsageError(f"There is no file {path}, nor a shipped scenario or network of that name.")
+
+
+def _shipped(path: Path) -> Path | None:
+    """The shipped file for a bare name, ``networks/x.net.xml`` or ``scenarios/x.toml``; None if there is none."""
+    parts = path.parts
+    for folder, ending in (("scenarios", ".toml"), ("networks", ".net.xml")):
+        if len(parts) == 1 or (len(parts) == 2 and parts[0] == folder):
+            for name in (parts[-1], f"{parts[-1]}{ending}"):
+                if name.endswith(ending) and (data_folder(folder) / name).is_file():
+                    return data_folder(folder) / name
+    return None
+
+
+def _from_configuration(path: Path) -> RunInput:
+    """A run from a .sumocfg: its network, demand, additionals, begin and end; our own flags replace the rest."""
+    options = _configuration_options(path)
+    networks = _paths(path, options.get("net", ""))
+    if not networks:
+        raise UsageError(f"{path} names no network: it needs a net-file.")
+    network = networks[0]
+    routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
+    _scan_all(path, network, (*routes, *additional))
+    begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
+    if end is not None and end <= (begin or 0.0):
+        raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
+    return RunInput(
+        name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
+        end=end, files=(path, network, *routes, *additional),
+    )  # fmt: skip
+
+
+def _configuration_options(path: Path) -> dict[str, str]:
+    """The options we keep from a .sumocfg, by our own short names."""
+    found: dict[str, str] = {}
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        value = (attributes.get("value") or attributes.get("v") or "").strip()
+        if tag in _OPTIONS and value:
+            found[_OPTIONS[tag]] = value
+
+    parse(path, start)
+    return found
+
+
+def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
+    """SUMO's file list (commas, semicolons or blanks between), counted from the configuration's folder."""
+    found: list[Path] = []
+    for name in value.replace(";", ",").split(","):
+        whole = configuration.parent / name.strip()
+        found += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
+    return tuple(found)
+
+
+def _from_scenario(path: Path) -> RunInput:
+    """A run from a scenario file, its demand and ids checked against one another."""
+    scenario = load_scenario(path)
+    routes, additional = scenario.demand.files, (*scenario.signals.files, *scenario.additional)
+    edges, scans = _scan_all(path, scenario.network, (*routes, *additional))
+    playback = scenario_playback(scenario)
+    recorded = frozenset() if playback is None else playback.vehicles
+    if routes or recorded:
+        _check_ids(path, scenario, scans, recorded)
+    for edge in scenario.ego.route:
+        if edge not in edges.edges:
+            raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {scenario.network} does not have.")
+    return RunInput(
+        name=input_name(path), source=path, network=scenario.network, routes=routes, additional=additional,
+        begin=_or(scenario.demand.begin, playback.begin if recorded and playback else None),
+        end=_or(scenario.demand.end, playback.end if recorded and playback else None), density=scenario.demand.density,
+        demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
+        ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
+        trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
+        candidates=scenario.adversary.candidates, intents=scenario.adversary.intents, label=scenario.label,
+        files=(path, scenario.network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
+    )  # fmt: skip
+
+
+def _or(value: float | None, default: float | None) -> float | None:
+    return default if value is None else value
+
+
+def _ego(ego: Ego) -> str | EgoRoute | None:
+    """The ego as the run needs it: an id, a route with SUMO's defaults filled in, or None."""
+    if not ego.route:
+        return ego.id
+    chosen = {"lane": ego.lane, "position": ego.position, "speed": ego.speed}
+    given = {key: value for key, value in chosen.items() if value is not None}
+    return EgoRoute(edges=ego.route, depart=ego.depart or 0.0, **given)  # type: ignore[arg-type]
+
+
+def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[NetworkScan, tuple[DemandScan, ...]]:
+    """Scans the files that ``source`` names; a missing one or a demand for another network is a UsageError."""
+    for file in (network, *demand):
+        if not file.is_file():
+            trouble = "is a folder" if file.is_dir() else "is missing"
+            raise UsageError(f"{source} names the file {file}, which {trouble}.")
+    roads, scans = scan_network(network), tuple(scan_demand(file) for file in demand)
+    for file, scan in zip(demand, scans, strict=True):
+        for edge in scan.edges:
+            if edge not in roads.edges and not edge.startswith(":"):
+                raise UsageError(f"The demand {file} is for another network: {network} has no edge '{edge}'.")
+    return roads, scans
+
+
+def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
+    """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
+    for role, ids in (("ego", (scenario.ego.id,)), ("adversary candidate", scenario.adversary.candidates)):
+        for vehicle in ids:
+            if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):
+                continue
+            raise UsageError(f"The scenario {path} names the {role} '{vehicle}', which is not in its demand files.")

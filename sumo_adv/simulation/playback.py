@@ -1,0 +1,199 @@
+"""A log played back beside SUMO's traffic: who is moved by it, when, and who is handed over to whom.
+
+Up to the hand-over (the ego's first recorded step and the scenario's warm-up) the log moves every recorded vehicle.
+Then the ego gets its driver, and each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo") or
+goes on as recorded ("log") until the log says no more of it.  A vehicle that comes later is inserted as it comes; to be
+handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever somebody else drives,
+the ego's driver or an attack, the log leaves alone for good.
+
+What is no vehicle is a box beside SUMO, except a parked one whose centre is in a lane: that is a standing SUMO vehicle,
+so that SUMO's drivers see it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Track
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.playback_spec import PlaybackSpec
+from sumo_adv.simulation.props import Prop, Recorded
+from sumo_adv.simulation.signals import SignalLog, read_signals
+from sumo_adv.simulation.simulation import Pose, RawState, Simulation, heading_of, raw_of
+from sumo_adv.simulation.stage import Stage
+from sumo_adv.simulation.tracks import TrackLog, read_tracks
+
+ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
+
+
+class Playback:
+    """Plays one spec back in one simulation; ``start`` makes it ready for one that was just loaded."""
+
+    def __init__(
+        self, spec: PlaybackSpec, road: RoadMap, *, begin: float, step: float, ego: str | None, warm_up: float
+    ):
+        log = read_tracks(spec.tracks) if spec.tracks is not None else None
+        self.spec = spec
+        self.log: TrackLog | None = None if log is None else log.resampled(begin, step)
+        known = log is not None and ego is not None and ego in log.tracks
+        self.hand_over = (log.first(ego) if known and log and ego else begin) + (warm_up if log is not None else 0.0)
+        tracks = {} if self.log is None else self.log.tracks
+        recorded = {name: Recorded(track, begin, step) for name, track in tracks.items()}
+        self._vehicles = {name: r for name, r in recorded.items() if r.track.kind == "vehicle"}
+        props: dict[str, Prop | Recorded] = {p.id: p for p in spec.props}
+        under = {p.id: road.lane_at(p.x, p.y, p.heading) for p in spec.props if p.speed == 0.0}
+        self._standing = {p.id: (p, road.lanes[at[0]].edge) for p in spec.props if (at := under.get(p.id))}
+        others = {name: r for name, r in recorded.items() if name not in self._vehicles}
+        self._boxes = {n: p for n, p in {**props, **others}.items() if n not in self._standing}
+        self._lanes = road.lanes
+        self._signals: SignalLog | None = read_signals(spec.signals) if spec.signals is not None else None
+        self._step = step
+
+    def start(self, simulation: Simulation) -> None:
+        """Nothing has been played back yet in ``simulation``."""
+        self._stage = Stage(simulation)
+        self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
+        self._kept: set[str] = set()  # never handed over: a replayed ego
+        self._moved: dict[str, Pose] = {}  # by the log, in the present step
+        self._shown: dict[str, str | None] = {}
+        self._fleet = simulation.fleet
+        for box in self._boxes.values():
+            simulation.fleet.sizes[box.id] = (box.length, box.width)
+
+    @property
+    def obstacles(self) -> frozenset[str]:
+        """Ids of all that is no vehicle."""
+        return self.spec.obstacles
+
+    # -- who drives -------------------------------------------------------------------------------------------------
+
+    def may_take(self, vehicle: str, raw: Mapping[str, RawState], now: float, *, replayed: bool) -> bool:
+        """Whether the ego's driver can have a vehicle now: from the hand-over on, and on a lane unless ``replayed``."""
+        if vehicle not in self._vehicles:
+            return True
+        return now >= self.hand_over - 1e-6 and (replayed or raw[vehicle][4] in self._lanes)
+
+    def take(self, vehicle: str, speed: float, factor: float, *, replayed: bool) -> None:
+        """The vehicle, going at ``speed`` [m/s], is the ego now: its driver goes for ``factor`` times the limit, or it
+        is ``replayed`` by the log."""
+        if vehicle not in self._vehicles:
+            return
+        if replayed:
+            self._kept.add(vehicle)
+        elif vehicle not in self._free:
+            self._free.add(vehicle)
+            self._stage.hand_over(vehicle, speed, self.spec.routes.get(vehicle, ()), factor)
+
+    def replays(self, vehicle: str) -> bool:
+        """Whether the log moves the ego ``vehicle`` on."""
+        return vehicle in self._kept
+
+    def last(self, ego: str | None) -> float:
+        """The last time [s] that means anything: the log's end where it moves the background or the ego."""
+        ends = self.spec.background == "log" or (ego is not None and ego in self._kept)
+        return self.spec.end if ends else math.inf
+
+    # -- one step ---------------------------------------------------------------------------------------------------
+
+    def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
+        """Add to ``driven`` whom the log moves in the step that begins ``now``; insert, remove and hand over.
+
+        ``raw``: SUMO's present states; ``driven``: who is put where by others in this step.
+        """
+        then = round(now + self._step, 6)
+        self._moved = {}
+        handing = self.spec.background == "sumo" and now >= self.hand_over - 1e-6
+        for name, vehicle in self._vehicles.items():
+            if name in self._free:
+                continue
+            if name in driven:
+                self._free.add(name)
+                continue
+            pose, here = vehicle.pose(then), name in raw
+            if pose is None:
+                if here:
+                    self._stage.remove(name)
+                continue
+            pose = Pose(pose.x, pose.y, pose.heading, max(0.0, pose.speed))
+            mine = handing and name not in self._kept and name in self.spec.routes
+            if not here:
+                if mine and not self._room(vehicle, pose, raw):
+                    continue
+                self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
+            elif mine and raw[name][4] in self._lanes:
+                self._free.add(name)
+                self._stage.hand_over(name, raw[name][3], self.spec.routes[name])
+                continue
+            driven[name] = self._moved[name] = pose
+        self._stand(raw, then, driven)
+        if self._signals is not None:
+            self._show(self._signals, then)
+
+    def _show(self, signals: SignalLog, then: float) -> None:
+        """Recorded lights, until the log ends."""
+        states: Mapping[str, str | None] = signals.states(then)
+        if then > self.spec.end + 1e-6:
+            states = dict.fromkeys(states)
+        for light, state in states.items():
+            if self._shown.get(light) != state:
+                self._stage.set_signal(light, state)
+                self._shown[light] = state
+
+    def _stand(self, raw: Mapping[str, RawState], then: float, driven: dict[str, Pose]) -> None:
+        for name, (prop, edge) in self._standing.items():
+            pose = prop.pose(then)
+            if pose is None:
+                if name in raw:
+                    self._stage.remove(name)
+                continue
+            if name not in raw:
+                self._spawn(prop, (edge,), pose)
+            driven[name] = self._moved[name] = pose
+
+    def _spawn(self, vehicle: Prop | Recorded, edges: tuple[str, ...], pose: Pose) -> None:
+        self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
+
+    def _room(self, vehicle: Recorded, pose: Pose, raw: Mapping[str, RawState]) -> bool:
+        """Whether nothing will be where a vehicle is to be inserted, or just before or behind it."""
+        c, s = math.cos(pose.heading), math.sin(pose.heading)
+        for name, (x, y, angle_deg, speed, _) in raw.items():
+            length, width = self._fleet.sizes[name]
+            h, ahead = heading_of(angle_deg), speed * self._step - length / 2
+            dx, dy = x + ahead * math.cos(h) - pose.x, y + ahead * math.sin(h) - pose.y
+            along = (vehicle.length + length) / 2 + ROOM
+            if abs(c * dx + s * dy) < along and abs(c * dy - s * dx) < (vehicle.width + width) / 2:
+                return False
+        return True
+
+    def after_step(self, raw: Mapping[str, RawState], time: float) -> dict[str, RawState]:
+        """SUMO's states at ``time`` [s] with the log's speeds, and all that is there and no SUMO vehicle.
+
+        SUMO clips the speed of a moved vehicle in some steps in which it comes onto another lane.
+        """
+        found = dict(raw)
+        for name, pose in self._moved.items():
+            if name in raw:
+                x, y, angle_deg, _, lane = raw[name]
+                found[name] = (x, y, angle_deg, pose.speed, lane)
+        for name, box in self._boxes.items():
+            there = box.pose(time)
+            if there is not None:
+                found[name] = raw_of(there.x, there.y, there.heading, there.speed, box.length)
+        return found
+
+    # -- what the log says --------------------------------------------------------------------------------------------
+
+    def ahead(self, vehicle: str, now: float) -> Floats:
+        """Where the log takes a vehicle from ``now`` on, ``(n, 2)`` box centres [m]."""
+        if self.log is None or vehicle not in self.log.tracks:
+            return np.empty((0, 2))
+        track = self.log.track(vehicle)
+        keep = track.time >= now - 1e-6
+        return np.column_stack([track.x[keep], track.y[keep]])
+
+    def logged(self) -> list[Track]:
+        """The tracks of the log."""
+        return [] if self.log is None else [self.log.track(name) for name in self.log.tracks]

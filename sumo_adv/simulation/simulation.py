@@ -1,0 +1,360 @@
+"""The one adapter over SUMO: libsumo in this process, or a SUMO of its own over TraCI (the functions are the same).
+
+SUMO's poses (front bumper, degrees clockwise from north) exist in this file alone; everybody else sees box centres and
+headings in rad counter-clockwise from +x.  Facts about SUMO that shape the calls are measured ones: a moved vehicle
+needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this order and in every step, or its speed is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.errors import SimulationError
+from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.moved_speed import MovedSpeeds
+from sumo_adv.simulation.remote import RawState, Remote
+
+BASE_FLAGS = (
+    "--time-to-teleport", "-1", "--collision.action", "warn", "--collision.mingap-factor", "0",
+    "--collision.check-junctions", "--lateral-resolution", "0.8", "--xml-validation", "never", "--no-step-log",
+    "--no-warnings", "--duration-log.disable", "--default.speeddev", "0",
+)  # fmt: skip
+KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
+FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
+HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
+LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
+INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
+
+
+def heading_of(angle_deg: float) -> float:
+    """SUMO's angle as a heading in (-pi, pi]."""
+    h = math.radians(90.0 - angle_deg)
+    return math.pi - (math.pi - h) % (2 * math.pi)
+
+
+def angle_deg_of(heading: float) -> float:
+    """A heading as SUMO's angle in [0, 360)."""
+    return (90.0 - math.degrees(heading)) % 360.0
+
+
+def raw_of(x: float, y: float, heading: float, speed: float, length: float) -> RawState:
+    """A box that SUMO does not know, as SUMO would say it: off every lane."""
+    front = length / 2
+    return (x + front * math.cos(heading), y + front * math.sin(heading), angle_deg_of(heading), speed, "")
+
+
+@dataclass(frozen=True, slots=True)
+class SimulationSpec:
+    """What SUMO is started with. Times in s."""
+
+    network: Path
+    routes: tuple[Path, ...]
+    additional: tuple[Path, ...]
+    begin: float
+    seed: int
+    step_length: float = 0.1
+
+    def arguments(self) -> list[str]:
+        """The command line without the program's name."""
+        args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
+        args += ["--seed", str(self.seed), *BASE_FLAGS]
+        if self.routes:
+            args += ["-r", ",".join(map(str, self.routes))]
+        if self.additional:
+            args += ["-a", ",".join(map(str, self.additional))]
+        return args
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a driven vehicle is put: box centre [m], heading [rad], speed [m/s]."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane."""
+
+    time: float
+    raw: Mapping[str, RawState]
+
+
+@dataclass(slots=True)
+class Fleet:
+    """Sizes (length, width in m) and vClasses of the vehicles seen, asked of SUMO once each."""
+
+    sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
+    classes: dict[str, str] = field(default_factory=dict)
+
+    def forget(self, keep: Collection[str]) -> None:
+        """Drop all vehicles but these: what a simulation that goes on for hours needs."""
+        self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
+        self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+
+
+class Simulation:
+    """Holds the only libsumo of this process (a second one at the same time is refused), or one end of a ``remote``
+    SUMO, which was started from ``spec``."""
+
+    _running: Simulation | None = None
+
+    def __init__(self, spec: SimulationSpec, remote: Remote | None = None) -> None:
+        self.spec = spec
+        self.fleet = Fleet()
+        self.unrouted: frozenset[str] = frozenset()  # vehicles that somebody else moves as he likes
+        self._remote = remote
+        self._moved = MovedSpeeds()
+        self._errors: tuple[type[Exception], ...]
+        self._sumo: Any
+        if remote is not None:
+            import traci
+
+            self._sumo = remote.connection
+            self._errors = (traci.TraCIException, traci.FatalTraCIError, OSError)
+        else:
+            self._start()
+
+    def _start(self) -> None:
+        """Start libsumo."""
+        if Simulation._running is not None:
+            raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
+        libsumo = load_libsumo()
+        self._sumo = libsumo
+        self._errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
+        try:
+            libsumo.start(["sumo", *self.spec.arguments()])
+        except libsumo.TraCIException as error:
+            raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
+        Simulation._running = self
+        self._list = libsumo.vehicle.getIDList
+        self._position = libsumo.vehicle.getPosition
+        self._angle = libsumo.vehicle.getAngle
+        self._speed = libsumo.vehicle.getSpeed
+        self._lane = libsumo.vehicle.getLaneID
+
+    def reload(self) -> None:
+        """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
+        if self._remote is not None:
+            raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
+        self.fleet.forget(())
+        self._moved = MovedSpeeds()
+        try:
+            self._sumo.load(self.spec.arguments())
+        except self._errors as error:
+            raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
+
+    def close(self) -> None:
+        """End the simulation; the process may start another."""
+        if self._remote is not None:
+            self._remote.close()
+        if Simulation._running is self:
+            Simulation._running = None
+            self._sumo.close()
+
+    @property
+    def remote(self) -> Remote | None:
+        """The other end, where SUMO is a program of its own."""
+        return self._remote
+
+    @property
+    def api(self) -> Any:
+        """libsumo or the connection itself, for what only ``stage.py`` asks of it."""
+        return self._sumo
+
+    @property
+    def errors(self) -> tuple[type[Exception], ...]:
+        """What ``api`` raises."""
+        return self._errors
+
+    # -- reading ------------------------------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        if self._remote is not None:
+            return self._remote.time
+        return round(float(self._sumo.simulation.getTime()), 6)
+
+    def step(self) -> None:
+        """One step of ``step_length``.
+
+        Raises:
+            SimulationError: SUMO failed.
+        """
+        self._moved.next()
+        if self._remote is not None:
+            self._remote.step()
+            return
+        try:
+            self._sumo.simulationStep()
+        except self._errors as error:
+            raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
+
+    def read(self) -> Snapshot:
+        """The present states of all vehicles."""
+        if self._remote is not None:
+            return self._read_remote(self._remote)
+        position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
+        sizes = self.fleet.sizes
+        raw: dict[str, RawState] = {}
+        for v in self._list():
+            if v not in sizes:
+                self._measure(v)
+            x, y = position(v)
+            if x > INVALID:
+                raw[v] = (x, y, angle(v), speed(v), lane(v))
+        self._moved.correct(raw)
+        return Snapshot(self.time, raw)
+
+    def _read_remote(self, remote: Remote) -> Snapshot:
+        raw = {name: state for name, state in remote.read().items() if state[0] > INVALID}
+        for name in raw.keys() - self.fleet.sizes.keys():
+            self._measure(name)
+        self._moved.correct(raw)
+        return Snapshot(remote.time, raw)
+
+    def _measure(self, vehicle: str) -> None:
+        """Ask for a vehicle's size."""
+        self.fleet.sizes[vehicle] = (self._sumo.vehicle.getLength(vehicle), self._sumo.vehicle.getWidth(vehicle))
+
+    def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
+        """One vehicle of a snapshot as a box (KeyError if it is not there)."""
+        x, y, angle_deg, speed, lane = snapshot.raw[vehicle]
+        length, width = self.fleet.sizes[vehicle]
+        h = heading_of(angle_deg)
+        back = length / 2
+        return VehicleState(
+            vehicle, x - back * math.cos(h), y - back * math.sin(h), h, speed, acceleration, length, width, lane
+        )
+
+    def expected(self) -> int:
+        """Vehicles that are on the road or still to come."""
+        return int(self._sumo.simulation.getMinExpectedNumber())
+
+    def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
+        """A vehicle's edges and the index of the present one; nothing where nobody knows its way (``unrouted``)."""
+        if vehicle in self.unrouted:
+            return (), 0
+        return tuple(self._sumo.vehicle.getRoute(vehicle)), int(self._sumo.vehicle.getRouteIndex(vehicle))
+
+    def lane_position(self, vehicle: str) -> float:
+        """Metres from the start of the present lane to the front bumper."""
+        if self._remote is not None and vehicle in self._remote.lane_positions:
+            return self._remote.lane_positions[vehicle]
+        return float(self._sumo.vehicle.getLanePosition(vehicle))
+
+    def vehicle_class(self, vehicle: str) -> str:
+        """SUMO's vClass; asked once a vehicle."""
+        known = self.fleet.classes.get(vehicle)
+        if known is None:
+            known = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
+        return known
+
+    def model(self, vehicle: str) -> dict[str, float]:
+        """Car-following numbers as SUMO has them: acceleration, deceleration [m/s2], tau [s], gap [m], speed [m/s]."""
+        v = self._sumo.vehicle
+        return {
+            "acceleration": v.getAccel(vehicle), "deceleration": self._deceleration(vehicle), "tau": v.getTau(vehicle),
+            "min_gap": v.getMinGap(vehicle), "speed": v.getAllowedSpeed(vehicle),
+        }  # fmt: skip
+
+    def signals(self, vehicle: str) -> list[tuple[str, float, str]]:
+        """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
+        return [(t[0], t[2], t[3]) for t in self._sumo.vehicle.getNextTLS(vehicle)]
+
+    def limit(self, vehicle: str) -> float:
+        """The fastest its driver goes where it is [m/s]."""
+        return float(self._sumo.vehicle.getAllowedSpeed(vehicle))
+
+    def advised(self, vehicle: str) -> float:
+        """The speed [m/s] that SUMO's driver would have had after the last step, at most the one it was asked for."""
+        return float(self._sumo.vehicle.getSpeedWithoutTraCI(vehicle))
+
+    def may_go(self, vehicle: str) -> bool:
+        """Whether lights and right of way would let a vehicle at the end of its lane go on now."""
+        links = self._sumo.vehicle.getNextLinks(vehicle)
+        return not links or bool(links[0][2])
+
+    # -- driving ------------------------------------------------------------------------------------------------
+
+    def inject(self, poses: Mapping[str, Pose], heeding: str | None = None) -> None:
+        """Put vehicles at poses; visible after the next step, and for that step alone.
+
+        heeding: the vehicle whose ``advised`` speed is to heed lights and right of way.
+
+        Raises:
+            SimulationError: SUMO does not know the vehicle, or could not place it.
+        """
+        vehicle = self._sumo.vehicle
+        for name, pose in poses.items():
+            try:
+                if name not in self.fleet.sizes:
+                    self._measure(name)
+                ahead = self.fleet.sizes[name][0] / 2
+                x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
+                vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
+                vehicle.setSpeed(name, pose.speed)
+                self._moved.ask(name, pose.speed)
+                vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
+            except self._errors as error:
+                raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
+
+    def set_speed(self, vehicle: str, speed: float | None) -> None:
+        """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.
+
+        It brakes at most as hard as in an emergency: SUMO clips at the ``decel``, which is the emergency's as long as a
+        speed is asked for (also for what SUMO holds for safe); without clipping, its safe speed stops within a step.
+        """
+        v = self._sumo.vehicle
+        braking = self._deceleration(vehicle) if speed is None else v.getEmergencyDecel(vehicle)
+        if v.getDecel(vehicle) != braking:
+            v.setDecel(vehicle, braking)
+        v.setSpeedMode(vehicle, SUMO_SPEED_MODE)
+        v.setSpeed(vehicle, -1.0 if speed is None else max(0.0, speed))
+
+    def _deceleration(self, vehicle: str) -> float:
+        """Its ``decel`` [m/s2] while no speed is asked for."""
+        v = self._sumo.vehicle
+        now = float(v.getDecel(vehicle))
+        if now != v.getEmergencyDecel(vehicle):
+            return now
+        return float(self._sumo.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
+
+    def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:
+        """Ask SUMO's driver to change to the lane of that index."""
+        self._sumo.vehicle.changeLane(vehicle, lane, duration)
+
+    def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
+        """Give a vehicle the edges that are left of its way, the present one first."""
+        self._sumo.vehicle.setRoute(vehicle, list(edges))
+
+    def set_type(self, vehicle: str, type_id: str) -> None:
+        """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""
+        length, width = self.fleet.sizes[vehicle]
+        fastest = self._sumo.vehicle.getMaxSpeed(vehicle)
+        habits = {n: self._sumo.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
+        self._sumo.vehicle.setType(vehicle, type_id)
+        for name, value in habits.items():
+            self._sumo.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
+        self._sumo.vehicle.setLength(vehicle, length)
+        self._sumo.vehicle.setWidth(vehicle, width)
+        self._sumo.vehicle.setMaxSpeed(vehicle, fastest)
+
+    def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = "") -> None:
+        """Insert a vehicle with a route of its own, under a new name if it departs again."""
+        name = route or f"{vehicle}.route"
+        try:
+            self._sumo.route.add(name, list(edges))
+            self._sumo.vehicle.add(vehicle, name, type_id, **depart)
+        except self._errors as error:
+            raise SimulationError(f"SUMO could not insert vehicle '{vehicle}' ({error}).") from error

@@ -1,0 +1,100 @@
+"""Vehicles that a log moves: put into SUMO at a pose, taken out again, handed over to SUMO's drivers.
+
+Measured with SUMO 1.28: a vehicle that is added and moved in one step is where it was put after that step, on a lane,
+off the road and beyond its end alike, also without a route; its first speed is right only if it departs with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.simulation.simulation import SUMO_SPEED_MODE, Pose, Simulation
+
+LOGGED_TYPE = "sumo_adv_logged"
+LOGGED_TYPE_XML = f'<vType id="{LOGGED_TYPE}" vClass="passenger" speedFactor="10" speedDev="0"/>'
+"""SUMO's default driver; the factor lets it depart at any recorded speed, and a hand-over takes it back."""
+
+
+class Stage:
+    """What playback asks of one loaded simulation."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._sumo = simulation.api
+        self._routes: set[str] = set()
+        self._programs: dict[str, str] = {}
+
+    def spawn(self, name: str, edges: Sequence[str], pose: Pose, size: tuple[float, float]) -> None:
+        """Insert a vehicle of ``size`` (length, width) [m]; it is to be injected at ``pose`` in the same step.
+
+        Raises:
+            SimulationError: SUMO does not take it.
+        """
+        route = f"{name}.log" if edges else ""
+        try:
+            if route and route not in self._routes:
+                self._sumo.route.add(route, list(edges))
+                self._routes.add(route)
+            self._sumo.vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed=f"{max(0.0, pose.speed):.6f}")
+            self._sumo.vehicle.setLength(name, size[0])
+            self._sumo.vehicle.setWidth(name, size[1])
+        except self._simulation.errors as error:
+            raise SimulationError(f"SUMO could not insert the recorded vehicle '{name}' ({error}).") from error
+        self._simulation.fleet.sizes[name] = size
+
+    def remove(self, name: str) -> None:
+        """Take a vehicle out."""
+        self._sumo.vehicle.remove(name)
+
+    def hand_over(self, name: str, speed: float, edges: Sequence[str], factor: float | None = None) -> None:
+        """From the next step on SUMO drives, from ``speed`` [m/s], along ``edges`` from where the vehicle is on them.
+
+        factor: of the speed limit that its driver goes for; None = 1, or what it goes at if that is more.
+        """
+        vehicle = self._sumo.vehicle
+        vehicle.setPreviousSpeed(name, speed)
+        vehicle.setSpeed(name, -1.0)
+        vehicle.setSpeedMode(name, SUMO_SPEED_MODE)
+        vehicle.setSpeedFactor(name, factor or 1.0)
+        allowed = vehicle.getAllowedSpeed(name)
+        if factor is None and 0.0 < allowed < speed:
+            vehicle.setSpeedFactor(name, speed / allowed)
+        self.direct(name, tuple(edges))
+
+    def direct(self, name: str, edges: tuple[str, ...]) -> None:
+        """Give a vehicle its route; where moveToXY took it off that, the way to the route's end, or what SUMO chose."""
+        vehicle = self._sumo.vehicle
+        route, at = tuple(vehicle.getRoute(name)), max(0, int(vehicle.getRouteIndex(name)))
+        if not edges or not route:
+            return
+        here, lane = route[at], vehicle.getLaneID(name)
+        into = (
+            {link[0].rpartition("_")[0] for link in self._sumo.lane.getLinks(lane)} if lane.startswith(":") else set()
+        )
+        onward = edges[edges.index(here) :] if here in edges else ()
+        try:
+            if onward and (not into or (len(onward) > 1 and onward[1] in into)):
+                vehicle.setRoute(name, list(onward))
+            elif edges[-1] != here:
+                vehicle.changeTarget(name, edges[-1])
+        except self._simulation.errors:  # no way leads there from here: SUMO's own route stays
+            return
+
+    def set_signal(self, name: str, state: str | None) -> None:
+        """Show a traffic light's state, None = what its own program says.
+
+        Raises:
+            UsageError: there is no such light, or the state does not fit it.
+        """
+        lights = self._sumo.trafficlight
+        try:
+            self._programs.setdefault(name, lights.getProgram(name))
+            if state is None:
+                lights.setProgram(name, self._programs[name])
+            else:
+                lights.setRedYellowGreenState(name, state)
+        except self._simulation.errors as error:
+            raise UsageError(
+                f"The recorded signal '{name}' cannot show '{state}' in this network ({error})."
+            ) from error
