@@ -33,8 +33,9 @@ from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Told
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.search.expert import Expert
 from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
@@ -77,9 +78,9 @@ def search(
 ) -> tuple[Proposal, int, float]:
     """The best proposal of a prediction search, how many were predicted, seconds."""
     predictor = Predictor(sandbox, settings, found.drivable, found.situations)
-    expert = Expert(predictor, proposals=settings.proposals, seed=settings.seed)
-    took = seconds(lambda: expert.analyze(found.situations, entries))
-    return min(expert.pool, key=lambda p: p.score), predictor.count, took
+    weights, made = SearchSettings(proposals=settings.proposals, share=settings.per_planner), list[AttackSearch]()
+    took = seconds(lambda: made.append(AttackSearch(predictor, found.situations, entries, weights, seed=settings.seed)))
+    return min(made[0].pool, key=lambda p: p.score), predictor.count, took
 
 
 def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:

@@ -31,9 +31,9 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.expert import AVOIDABLE
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import Rollouts
+from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.templates import templates_of
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
@@ -92,9 +92,10 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         course = observed_motion(result, found, proposal.delay, settings)
         if course is None or result.verdict is None:
             continue
-        said, path = proposal.predicted or {}, found.situations[proposal.delay].ego_path
+        path = found.situations[proposal.delay].ego_path
         near = seconds_near(rollouts, k, course, path, settings.step_length)
-        collides, counts = bool(said.get("hit")), proposal.score < AVOIDABLE
+        collides = proposal.prediction is not None and proposal.prediction.hit
+        counts = proposal.score < SearchSettings().avoidable
         rows.append(Compared(collides == result.verdict.collided, counts == bool(result.verdict.valid), near))
     print(line(source.name, rows), flush=True)
     return rows

@@ -7,8 +7,9 @@ value.  Arrays inside a noun are never written to after it was made.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import IntEnum, StrEnum
 from functools import lru_cache
 from typing import Any
@@ -340,10 +341,45 @@ class ObservedMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class Proposal:
-    """One way to attack: which vehicle, with which planner and parameters, how long after the trigger.
+class Prediction:
+    """What the rollout of a candidate comes to. Times in s, distances in m.
 
-    ``course``: driven as it stands instead of by the planner, which then only names who made it.
+    failure: why the planner failed; the other fields then mean nothing. hit: whether ego and adversary touch.
+    min_ttc, gap: least time to collision and least distance of the boxes up to the contact. time: until the contact, or
+    until the end; spare: from then to the end; warning: from the hazard to the contact. braking: share of the steps up
+    to the contact in which the adversary brakes. careful, manoeuvre: whether this reference driver avoids it.
+    rear_end, third_party, off_road, beyond_limits: why the contact does not count.
+    """
+
+    failure: str = ""
+    hit: bool = False
+    min_ttc: float = math.inf
+    gap: float = math.inf
+    time: float = 0.0
+    spare: float = math.inf
+    warning: float = 0.0
+    braking: float = 0.0
+    careful: bool = False
+    manoeuvre: bool = False
+    rear_end: bool = False
+    third_party: bool = False
+    off_road: bool = False
+    beyond_limits: bool = False
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether the candidate fails whatever the ego does."""
+        return bool(self.failure) or self.third_party or self.off_road or self.beyond_limits
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
+
+    ``course``: driven as it stands instead of by the planner, which then only names who made it. ``score``: what the
+    search goes by, lower is better. ``nominal``: the score before its neighbours counted, None if they were not
+    predicted. ``uncorrected``: the score before observed motions of the ego counted, None if none did.
+    ``is_neighbour``: predicted only to tell how robust another candidate is.
     """
 
     bv: str
@@ -354,8 +390,20 @@ class Proposal:
     delay: float  # s after the trigger
     by: str = "tuner"
     score: float = float("nan")
-    predicted: Mapping[str, Any] = field(default_factory=dict)
+    prediction: Prediction | None = None
     course: PrescribedMotion | None = None
+    nominal: float | None = None
+    uncorrected: float | None = None
+    is_neighbour: bool = False
+
+    def unscored(self) -> Proposal:
+        """The same candidate without what was predicted of it; ``score`` then means nothing."""
+        return replace(self, prediction=None, nominal=None, uncorrected=None)
+
+    @property
+    def nominal_score(self) -> float:
+        """The score of its very parameters, whatever its neighbours come to."""
+        return self.score if self.nominal is None else self.nominal
 
     @property
     def family(self) -> tuple[str, str, str]:

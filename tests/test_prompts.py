@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,18 @@ from sumo_adv.agents.generator import bare, mode_word
 from sumo_adv.agents.modifier import feedback
 from sumo_adv.agents.prompts import MOST_TEXT, NAMES, Prompts, tame
 from sumo_adv.agents.scene_text import Names, driver_words, relative_words, road_words, state_words
-from sumo_adv.datatypes import Attempt, Diagnosis, LibraryEntry, Limits, Planner, Proposal, Role, Track, Verdict
+from sumo_adv.datatypes import (
+    Attempt,
+    Diagnosis,
+    LibraryEntry,
+    Limits,
+    Planner,
+    Prediction,
+    Proposal,
+    Role,
+    Track,
+    Verdict,
+)
 from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
@@ -120,8 +132,9 @@ def test_the_driver_is_told_of_as_far_as_he_is_known() -> None:
     assert "unknown driver" in driver_words(unknown)
 
 
-def proposal(score: float, **predicted: object) -> Proposal:
-    return Proposal("bv", "Straight Lane Shift", PLANNER, {}, 0.0, 0.0, score=score, predicted=predicted)
+def proposal(score: float, **predicted: Any) -> Proposal:
+    made = Prediction(**predicted)
+    return Proposal("bv", "Straight Lane Shift", PLANNER, {}, 0.0, 0.0, score=score, prediction=made)
 
 
 def test_evidence_counts_what_can_be_avoided() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -15,12 +15,6 @@ from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, T
 from sumo_adv.geometry import make_path
 from sumo_adv.search.rollouts import Rollouts
 from sumo_adv.search.scoring import (
-    BEYOND,
-    GRAZES,
-    NONE,
-    OFF_ROAD,
-    REAR,
-    THIRD,
     _brakes,
     _cut,
     _held,
@@ -28,10 +22,14 @@ from sumo_adv.search.scoring import (
     _surely,
     judge_all,
 )
+from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
 STEPS, DT = 60, 0.1
+WEIGHTS = ScoreSettings()
+NONE, OFF_ROAD, BEYOND = WEIGHTS.unavoidable, WEIGHTS.off_road, WEIGHTS.beyond_limits
+THIRD, REAR, GRAZES = WEIGHTS.third_party, WEIGHTS.rear_end, WEIGHTS.grazes
 TIME: Floats = DT * np.arange(float(STEPS))
 PLANNER = Planner("any", "plain", "", (), "seed")
 PROPOSAL = Proposal("bv", "any", PLANNER, {}, 0.0, 0.0)
@@ -63,8 +61,8 @@ def judged(
     """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits())
-    return found
+    (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits(), WEIGHTS)
+    return {"score": found[0], **asdict(found[1])}
 
 
 def vehicle(name: str, state: State) -> Track:
@@ -93,7 +91,9 @@ def vehicle(name: str, state: State) -> Track:
 def test_the_score_goes_by_who_avoids_it_and_with_what_to_spare(
     careful: bool, late: bool, manoeuvre: tuple[int, ...], score: float
 ) -> None:
-    found = _score(np.array([careful]), np.array([late]), np.zeros(1), np.array([manoeuvre], bool), np.zeros(1))
+    found = _score(
+        np.array([careful]), np.array([late]), np.zeros(1), np.array([manoeuvre], bool), np.zeros(1), WEIGHTS
+    )
     assert found.tolist() == [score]
 
 
@@ -101,15 +101,15 @@ def test_the_nearer_a_brake_comes_to_avoiding_it_the_better_but_never_as_good_as
     """At most 0.24 less: what nobody avoids does not come to be avoidable (0.75), nor that what a brake avoids."""
     no, most = np.zeros(3, bool), np.full(3, 0.24)
     manoeuvre = np.array([(0, 0, 0, 0), (1, 0, 0, 0), (1, 1, 1, 1)], bool)
-    found = _score(no, no, most, manoeuvre, np.full(3, 5.0))
+    found = _score(no, no, most, manoeuvre, np.full(3, 5.0), WEIGHTS)
     assert found == pytest.approx([0.76, 0.76, 0.10])
-    assert _score(~no, no, most, manoeuvre, np.zeros(3)).tolist() == [0.08] * 3
+    assert _score(~no, no, most, manoeuvre, np.zeros(3), WEIGHTS).tolist() == [0.08] * 3
 
 
 def test_of_those_that_nobody_avoids_one_with_more_warning_scores_better() -> None:
     """0.3 less for two seconds of it or more, in proportion for less."""
     nobody = np.zeros(4, bool)
-    found = _score(nobody, nobody, np.zeros(4), np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]))
+    found = _score(nobody, nobody, np.zeros(4), np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]), WEIGHTS)
     assert found == pytest.approx([1.3, 1.15, 1.0, 1.0])
 
 
@@ -184,7 +184,7 @@ def test_who_turns_may_have_turned_otherwise_and_see_the_hazard_late(turned: flo
     ego = Boxes(x, y, np.where(TIME > 4.0, turned, h), v, 5.0, 2.0)
     other = Boxes(160.0 - 20.0 * TIME[None, :], y + 1.0, h + np.pi, v * 0.0 + 20.0, 5.0, 2.0)
     last, yes, first = np.array([52]), np.array([True]), np.array([0])
-    careful, hazard = _surely(yes, ego, other, _held(ego, last), first, last, DT, 1.6)
+    careful, hazard = _surely(yes, ego, other, _held(ego, last), first, last, DT, 1.6, WEIGHTS.turn_error)
     assert careful[0] == sure
     assert hazard[0] == (0 if sure else pytest.approx(34, abs=1))
 
@@ -219,7 +219,7 @@ def test_who_drives_into_the_ego_s_back_does_not_count_also_with_a_corner(
     drift = np.maximum(TIME - 4.0, 0.0) if aside > 2.0 else 0.0 * TIME
     ego = motion(0.0, 0.0, 20.0)
     bv = motion(-15.0 if closing > 0 else 15.0, aside - drift, 20.0 + closing)
-    assert (judged(ego, bv)["score"] == REAR) == judged(ego, bv)["rear"] == rear
+    assert (judged(ego, bv)["score"] == REAR) == judged(ego, bv)["rear_end"] == rear
     assert judged(ego, bv)["hit"]
 
 
@@ -252,7 +252,7 @@ def test_a_motion_that_leaps_is_no_hit_that_counts() -> None:
     """Half a metre to the side within a step of 0.1 s; at 10 m/s 0.2 m are a slip."""
     ego, (x, y, h, v) = motion(0.0, 0.0, 20.0), motion(40.0, 0.0, 10.0)
     for leap, beyond in ((0.5, True), (0.1, False)):
-        assert judged(ego, (x, y + np.where(TIME >= 1.0, leap, 0.0), h, v))["beyond"] is beyond
+        assert judged(ego, (x, y + np.where(TIME >= 1.0, leap, 0.0), h, v))["beyond_limits"] is beyond
 
 
 def test_a_motion_that_jerks_is_no_hit_that_counts() -> None:
@@ -263,7 +263,7 @@ def test_a_motion_that_jerks_is_no_hit_that_counts() -> None:
         a = np.concatenate([np.zeros(9), brakes, np.full(STEPS - 9 - len(brakes), 3.0)])
         speed = np.maximum(v - 0.1 * np.cumsum(a), 0.0)
         along = x[0] + 0.1 * np.cumsum(speed)
-        assert judged(ego, (along, y, h, speed))["beyond"] is beyond
+        assert judged(ego, (along, y, h, speed))["beyond_limits"] is beyond
 
 
 def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts() -> None:
@@ -273,7 +273,7 @@ def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts()
         heading = heading + rate * np.minimum(TIME, 0.5)
         found = judged(motion(0.0, 0.0, 30.0), (x, y, heading, speed))
         assert found["hit"]
-        assert found["beyond"] == beyond
+        assert found["beyond_limits"] == beyond
         assert (found["score"] == BEYOND) == beyond
 
 
@@ -291,6 +291,7 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
     now = replace(scene(bv, [follower]), reacting=reacting)
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    (found,) = judge_all(now, [PROPOSAL], rollouts, Drivable(box(-100.0, -4.8, 500.0, 2.3)), Limits())
-    assert found["third_party"] is third
-    assert (found["score"] == THIRD) is third
+    road = Drivable(box(-100.0, -4.8, 500.0, 2.3))
+    ((score, found),) = judge_all(now, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)
+    assert found.third_party is third
+    assert (score == THIRD) is third

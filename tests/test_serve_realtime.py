@@ -20,7 +20,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.expert import Expert
+from sumo_adv.search.search import AttackSearch
 from sumo_adv.serve.clerk import ResultWriter
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
@@ -42,7 +42,7 @@ class Slow(Agents):
 
     def analyze(
         self,
-        expert: Expert,
+        search: AttackSearch,
         situations: Mapping[float, Situation],
         library: Sequence[LibraryEntry],
         *,
@@ -51,7 +51,7 @@ class Slow(Agents):
     ) -> list[Intent]:
         """The expert's ranking, late."""
         time.sleep(self.seconds)
-        return super().analyze(expert, situations, library, allowed=allowed, remembered=remembered)
+        return super().analyze(search, situations, library, allowed=allowed, remembered=remembered)
 
 
 @dataclass

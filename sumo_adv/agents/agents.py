@@ -19,7 +19,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import HELPERS_TEXT, make_planner
 from sumo_adv.planners.trial import trial
 from sumo_adv.search.composed_intents import NAME
-from sumo_adv.search.expert import Expert
+from sumo_adv.search.search import AttackSearch
 from sumo_adv.situation import Situation
 
 if TYPE_CHECKING:
@@ -72,23 +72,23 @@ class Agents:
 
     def analyze(
         self,
-        expert: Expert,
+        search: AttackSearch,
         situations: Mapping[float, Situation],
         library: Sequence[LibraryEntry],
         *,
         allowed: Sequence[str],
         remembered: Mapping[str, str],
     ) -> list[Intent]:
-        """Intents, most dangerous first. The ``expert`` has predicted before: its pool is a model's evidence, its
-        ranking its own answer. ``remembered``: label -> what the bank knows, in words. Raises ModelError."""
+        """Intents, most dangerous first. The ``search`` has predicted before: its pool is a model's evidence, its
+        ranking the expert's answer. ``remembered``: label -> what the bank knows, in words. Raises ModelError."""
 
         def ask() -> list[Intent]:
-            analyzer = self._analyzer(expert, library, allowed, remembered)
+            analyzer = self._analyzer(search, library, allowed, remembered)
             intents = analyzer.analyze(situations, library)
             self._keep(analyzer)
             return intents
 
-        return self._played("analyzer", ask, lambda: expert.ranking(situations, library))
+        return self._played("analyzer", ask, lambda: search.ranking(library))
 
     def confirm(self, intent: Intent, nearest: Sequence[LibraryEntry]) -> str | None:
         """In the uncertain band of retrieval: the label that a new intent is the same as, or None for novel; the
@@ -102,12 +102,13 @@ class Agents:
         return self._played("analyzer", ask, lambda: nearest[0].label)
 
     def _analyzer(
-        self, expert: Expert, library: Sequence[LibraryEntry], allowed: Sequence[str], remembered: Mapping[str, str]
-    ) -> ModelAnalyzer:
+        self, search: AttackSearch, library: Sequence[LibraryEntry], allowed: Sequence[str],
+        remembered: Mapping[str, str],
+    ) -> ModelAnalyzer:  # fmt: skip
         from sumo_adv.agents.analyzer import ModelAnalyzer
         from sumo_adv.agents.evidence import evidence_words
 
-        evidence = partial(evidence_words, expert.pool, library=library, remembered=remembered)
+        evidence = partial(evidence_words, search.pool, library=library, remembered=remembered)
         return ModelAnalyzer(
             self._line("analyzer"), self.prompts, self.settings.limits.limits(), samples=self.settings.samples,
             allowed=allowed, evidence=evidence if self.settings.evidence == "on" else None,

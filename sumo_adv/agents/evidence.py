@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from sumo_adv.agents.prompts import tame
 from sumo_adv.agents.scene_text import Names
 from sumo_adv.datatypes import LibraryEntry, Proposal
-from sumo_adv.search.expert import REACHES
-from sumo_adv.search.robustness import alone, drawn
+from sumo_adv.search.robustness import drawn
+from sumo_adv.search.settings import SearchSettings
 
+REACHES = SearchSettings().reaches
 HEADING = "EVIDENCE (predictions of the library's planners against a simple model of EGO's driver)"
 
 
@@ -35,23 +36,23 @@ def evidence_words(
 
 
 def _line(alias: str, label: str, members: Sequence[Proposal]) -> str:
-    told = [p.predicted for p in members if "hit" in p.predicted]
-    hits = [p for p in members if p.predicted.get("hit") and alone(p) < REACHES]
-    if not told:
+    made = [(p, p.prediction) for p in members if p.prediction is not None and not p.prediction.failure]
+    hits = [prediction for p, prediction in made if prediction.hit and p.nominal_score < REACHES]
+    if not made:
         return f"- {alias}, {tame(label)}: its planners failed."
     if not hits:
-        least = min(told, key=lambda r: (r["min_ttc"], r["gap"]))
-        spoilt = sum(bool(r["hit"]) for r in told)
+        least = min((prediction for _, prediction in made), key=lambda r: (r.min_ttc, r.gap))
+        spoilt = sum(prediction.hit for _, prediction in made)
         why = (
             f", {spoilt} hit but spoilt (from behind, a third vehicle, off the road or turning too hard)"
             if spoilt
             else ""
         )
-        near = f"least TTC {least['min_ttc']:.1f} s" if least["min_ttc"] < 10 else f"nearest {least['gap']:.1f} m"
+        near = f"least TTC {least.min_ttc:.1f} s" if least.min_ttc < 10 else f"nearest {least.gap:.1f} m"
         return f"- {alias}, {tame(label)}: none of {len(members)} candidates collides properly{why}; {near}."
-    careful = sum(bool(p.predicted["careful"]) for p in hits)
-    manoeuvre = sum(bool(p.predicted["manoeuvre"] or p.predicted["careful"]) for p in hits)
-    warning = sorted(float(p.predicted["warning"]) for p in hits)[len(hits) // 2]
+    careful = sum(prediction.careful for prediction in hits)
+    manoeuvre = sum(prediction.manoeuvre or prediction.careful for prediction in hits)
+    warning = sorted(prediction.warning for prediction in hits)[len(hits) // 2]
     return (
         f"- {alias}, {tame(label)}: {len(hits) / len(members):.0%} of {len(members)} candidates collide;"
         f" {manoeuvre} of these {len(hits)} could be avoided by braking or steering, {careful} by a careful driver"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
     """Print the analyzer's prompt, the generator's as if the first intent were new, and the modifier's after one
-    attempt of the expert's."""
+    attempt of the search's."""
     prompts = _prompts(given, settings)
     if as_json:
         told = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
@@ -50,7 +50,7 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
             Engine(body) as engine,
         ):
             met = meet(episode, engine, sandbox, bank, lambda *_: None)
-            if met is None or not met.expert.pool:
+            if met is None or not met.search.pool:
                 raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
             return [_analyzer(episode, met, bank), *_writers(met, settings, Agents(settings, sandbox), engine)]
 
@@ -63,7 +63,7 @@ def _analyzer(episode: Any, met: PlannedEncounter, bank: Any) -> Prompt:
 
     settings, allowed = episode.settings, episode.source.intents
     known = remembered(bank, met.library, met.scene)
-    evidence = partial(evidence_words, met.expert.pool, library=met.library, remembered=known)
+    evidence = partial(evidence_words, met.search.pool, library=met.library, remembered=known)
     library = [e for e in met.library if not allowed or e.label in allowed]
     return analyzer_prompt(
         shipped_prompts(), met.found.first, library, settings.limits.limits(),
@@ -80,13 +80,13 @@ def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Eng
     from sumo_adv.planners.source import HELPERS_TEXT
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
-    intent = met.expert.ranking(met.found.situations, met.library)[0]
+    intent = met.search.ranking(met.library)[0]
     near = sorted(met.library, key=lambda e: e.label != intent.label)
     generator = generator_prompt(prompts, intent, met.found.first, near, limits, HELPERS_TEXT, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
     brain = AttemptRunner(engine, agents.sandbox, met.found, settings.seed)
-    Refiner(brain, met.found, met.expert, agents, met.library, once, lambda _: None).run([intent], found)
+    Refiner(brain, met.found, met.search, agents, met.library, once, lambda _: None).run([intent], found)
     if not found.attempts:
         return [generator]
     planner = found.attempts[0].proposal.planner

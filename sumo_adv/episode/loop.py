@@ -33,8 +33,9 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.composed_intents import composed
-from sumo_adv.search.expert import REACHES, Expert
 from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
@@ -141,7 +142,7 @@ def decide(episode: Episode, met: PlannedEncounter, agents: Agents, bank: Memory
         episode.intents = [met.known]
     else:
         entries = analyze(episode, met, agents, bank)
-    if met.expert.pool:
+    if met.search.pool:
         return entries
     episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
     return None
@@ -153,7 +154,7 @@ def pursue(
 ) -> None:  # fmt: skip
     """Attempts until success or until all is used up, and what is learnt from them."""
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(brain, met.found, met.expert, agents, entries, settings, lambda a: tell("attempt", a))
+    refiner = Refiner(brain, met.found, met.search, agents, entries, settings, lambda a: tell("attempt", a))
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
@@ -176,13 +177,13 @@ class PlannedEncounter:
     predictor: Predictor
     library: Sequence[LibraryEntry]
     scene: SceneSignature
-    expert: Expert
+    search: AttackSearch
     known: Intent | None
 
     @property
     def reaches(self) -> bool:
         """Whether some intent reaches the ego, by prediction or by what worked before."""
-        return self.known is not None or any(p.score < REACHES for p in self.expert.pool)
+        return self.known is not None or self.search.reaches
 
 
 def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> PlannedEncounter | None:
@@ -203,25 +204,24 @@ def predicted(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: M
     predictor = Predictor(sandbox, settings, found.drivable, found.situations)
     now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, now, settings.seed)
-    expert, known = foresee(episode, found, predictor, library, bank)
-    return PlannedEncounter(found, predictor, library, now, expert, known)
+    search, known = searched(episode, found, predictor, library, bank)
+    return PlannedEncounter(found, predictor, library, now, search, known)
 
 
-def foresee(
+def searched(
     episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> tuple[Expert, Intent | None]:
-    """The expert with its predictions of an encounter; or, with ``recall = scene``, what worked in a like scene."""
+) -> tuple[AttackSearch, Intent | None]:
+    """The search with its predictions of an encounter; or, with ``recall = scene``, with what succeeded in a similar
+    scene and its intent."""
     settings, driver = episode.settings, found.first.ego_model
-    expert = Expert(
-        predictor, proposals=settings.proposals, seed=settings.seed, allowed=episode.source.intents,
-        unsure=bool(driver.get("unknown", False)), known=exact(driver),
-    )  # fmt: skip
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
-    if known is not None:
-        expert.recall(found.situations, known[1])
-        return expert, known[0]
-    expert.predict(found.situations, library)
-    return expert, None
+    search = AttackSearch(
+        predictor, found.situations, library,
+        SearchSettings(proposals=settings.proposals, share=settings.per_planner), seed=settings.seed,
+        allowed=episode.source.intents, unknown_driver=bool(driver.get("unknown", False)), exact_driver=exact(driver),
+        recalled=None if known is None else known[1],
+    )  # fmt: skip
+    return search, None if known is None else known[0]
 
 
 def analyze(episode: Episode, met: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
@@ -234,7 +234,7 @@ def analyze(episode: Episode, met: PlannedEncounter, agents: Agents, bank: Memor
     situations, library = met.found.situations, met.library
     try:
         episode.intents = agents.analyze(
-            met.expert, situations, library, allowed=episode.source.intents,
+            met.search, situations, library, allowed=episode.source.intents,
             remembered=remembered(bank, library, met.scene),
         )  # fmt: skip
         entries = retrieve(episode, agents, met.found.first, library, bank)
@@ -242,7 +242,7 @@ def analyze(episode: Episode, met: PlannedEncounter, agents: Agents, bank: Memor
         episode.timing["analyzer"] = time.perf_counter() - began
     wanted = {i.label for i in episode.intents}
     if entries != library or any(composed(e) and e.label in wanted for e in entries):
-        met.expert.widen(situations, [e for e in entries if not composed(e) or e.label in wanted])
+        met.search.extend([e for e in entries if not composed(e) or e.label in wanted])
     return entries
 
 

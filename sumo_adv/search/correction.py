@@ -1,11 +1,10 @@
-"""Proposals weighed anew by how the ego really went: what a prediction got wrong once it gets wrong again.
+"""Scores corrected by how the ego really drove in an attempt that came out otherwise than predicted.
 
-After an attempt that came otherwise than predicted, the proposals of that vehicle and moment are also predicted against
-an ego that drives as it was seen to in the most similar attempt; their score becomes a mean of both predictions, with
-a weight that grows with every such surprise (in CAT, too, real rollouts take the place of predicted ones; Zhang et al.
-2023, CoRL).  This is how an ego whose driver is unknown is learnt within an encounter.  Of a driver that is known what
-was seen only makes predictions worse: an ego that drives as in another attempt does not see this one's adversary, and
-of 78 attempts that were predicted to miss, and to hit such an ego, none did.
+The candidates of the same vehicle and start are then predicted once more, against an ego that drives as it did in the
+most similar attempt. Their score becomes a mean of both predictions, and the observation's weight grows with every
+such surprise (CAT, too, replaces predictions by real rollouts; Zhang et al. 2023, CoRL). This is how an unknown driver
+is learnt within an encounter. Against a known driver a correction only makes scores worse: an ego that drives as in
+another attempt does not react to this adversary, and of 78 attempts predicted to hit only such an ego, none did.
 """
 
 from __future__ import annotations
@@ -14,66 +13,60 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from sumo_adv.datatypes import ObservedMotion, Proposal
-from sumo_adv.search.robustness import ALONE
-from sumo_adv.search.scorer import Scorer
+from sumo_adv.search.protocols import Scorer
+from sumo_adv.search.settings import CorrectionSettings
 
-Key = tuple[str, float]  # BV, delay
-
-SURPRISE = 0.5  # share of what is left of a prediction's weight that goes to what was seen, each time
-WORST = 2.5  # a score above it (a miss by far, a rear-end) counts as this
-WEIGHED = 300  # of those that a surprise concerns so many are weighed anew at most, the best ones
-HOPELESS = ("off_road", "beyond", "third_party", "failed")
+Key = tuple[str, float]
+"""Vehicle and delay [s]: what a surprise concerns."""
 
 
 class PredictionCorrection:
-    """What was seen of the ego, by the vehicle that attacked and when."""
+    """The motions of the ego that were observed, by vehicle and start."""
 
-    def __init__(self, scorer: Scorer, known: bool = False) -> None:
-        """``known``: the ego's driver is."""
-        self._scorer, self._known = scorer, known
-        self._seen: dict[Key, list[tuple[Proposal, ObservedMotion]]] = {}
+    def __init__(self, scorer: Scorer, settings: CorrectionSettings, *, known_driver: bool = False) -> None:
+        self._scorer, self._settings, self._known_driver = scorer, settings, known_driver
+        self._observed: dict[Key, list[tuple[Proposal, ObservedMotion]]] = {}
 
-    def surprised(self, tried: Proposal, course: ObservedMotion) -> Key:
-        """Keep how the ego went in an attempt that was predicted otherwise; the key whose proposals that changes."""
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> Key:
+        """Keep the ego's motion in an attempt that surprised; the key of the candidates that it changes."""
         key = (tried.bv, tried.delay)
-        self._seen.setdefault(key, []).append((tried, course))
+        self._observed.setdefault(key, []).append((tried, motion))
         return key
 
-    def weigh(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
-        """The proposals; those that something was seen for (of a key ``only`` the ``WEIGHED`` best) have new scores."""
-        found = list(proposals)
+    def corrected(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
+        """The candidates, with new scores where a motion was observed (of the key ``only``: of its best ones)."""
+        settings, found = self._settings, list(proposals)
         rows = [k for k, p in enumerate(found) if self._concerns(p, only)]
         if only is not None:
-            rows = sorted(rows, key=lambda k: found[k].score)[:WEIGHED]
+            rows = sorted(rows, key=lambda k: found[k].score)[: settings.at_once]
         if not rows:
             return found
-        courses = [_nearest(found[k], self._seen[found[k].bv, found[k].delay]) for k in rows]
-        for k, again in zip(rows, self._scorer.score([found[k] for k in rows], courses), strict=True):
-            weight = 1.0 - (1.0 - SURPRISE) ** len(self._seen[again.bv, again.delay])
-            before = dict(found[k].predicted)
-            first = float(before.get("before", before.pop(ALONE, found[k].score)))
-            before.pop(ALONE, None)  # its neighbours are to be asked again
-            score = (1.0 - weight) * min(first, WORST) + weight * min(again.score, WORST)
-            score = max(score, first) if self._known else score
-            found[k] = replace(found[k], score=score, predicted={**before, "before": first, "seen": again.score})
+        motions = [_most_similar(found[k], self._observed[found[k].bv, found[k].delay]) for k in rows]
+        for k, again in zip(rows, self._scorer.score([found[k] for k in rows], motions), strict=True):
+            weight = 1.0 - (1.0 - settings.share) ** len(self._observed[again.bv, again.delay])
+            before = found[k]
+            first = before.nominal_score if before.uncorrected is None else before.uncorrected
+            score = (1.0 - weight) * min(first, settings.worst) + weight * min(again.score, settings.worst)
+            score = max(score, first) if self._known_driver else score
+            found[k] = replace(before, score=score, nominal=None, uncorrected=first)  # its neighbours are outdated
         return found
 
     def _concerns(self, p: Proposal, only: Key | None) -> bool:
-        key = (p.bv, p.delay)
-        return key in self._seen and only in (None, key) and not any(p.predicted.get(w) for w in HOPELESS)
+        key, hopeless = (p.bv, p.delay), p.prediction is not None and p.prediction.hopeless
+        return key in self._observed and only in (None, key) and not hopeless
 
 
-def _nearest(p: Proposal, seen: Sequence[tuple[Proposal, ObservedMotion]]) -> ObservedMotion:
-    """How the ego went in the attempt most like a proposal: of the same mode, with the nearest numbers, the later of
-    equals; the last one where none was of its mode."""
-    alike = [(tried, course) for tried, course in seen if tried.family == p.family]
-    if not alike:
-        return seen[-1][1]
-    return min(reversed(alike), key=lambda each: _apart(p, each[0]))[1]
+def _most_similar(p: Proposal, observed: Sequence[tuple[Proposal, ObservedMotion]]) -> ObservedMotion:
+    """The ego's motion in the attempt most like a candidate: of the same mode, with the nearest parameters, the later
+    of equals; without an attempt of its mode, the last one."""
+    same = [(tried, motion) for tried, motion in observed if tried.family == p.family]
+    if not same:
+        return observed[-1][1]
+    return min(reversed(same), key=lambda each: _apart(p, each[0]))[1]
 
 
 def _apart(p: Proposal, tried: Proposal) -> float:
-    """Squared distance of the numbers of two proposals, each in parts of its range."""
+    """Squared distance of the parameters of two candidates, each as a share of its range."""
     ranges = {q.name: max(q.high - q.low, 1e-9) for q in p.planner.parameters}
-    known = ranges.keys() & p.parameters.keys() & tried.parameters.keys()
-    return sum(((p.parameters[name] - tried.parameters[name]) / ranges[name]) ** 2 for name in sorted(known))
+    both = ranges.keys() & p.parameters.keys() & tried.parameters.keys()
+    return sum(((p.parameters[name] - tried.parameters[name]) / ranges[name]) ** 2 for name in sorted(both))

@@ -1,6 +1,6 @@
-"""Many attacks at once against a predicted ego: numpy rollouts on the planners' own answers.
+"""Rollouts of many candidates at once: predicted adversaries and egos on the planners' own answers, in numpy.
 
-A prediction is not an attempt: it is never counted, and only orders what is tried. The egos are those of ``drivers``.
+A rollout is not an attempt: it never counts, and only decides what is tried. The egos are those of ``drivers``.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
 Touch = Callable[[Floats, Floats, Bools], Bools]
-"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of those that are asked about, ``(n,)``."""
+"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of the rows given, ``(n,)``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rollouts:
-    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is proposal k."""
+    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is candidate k."""
 
     time: Floats
     ego: tuple[Floats, Floats, Floats, Floats]
@@ -50,22 +50,21 @@ def predict(
     limits: Limits,
     steps: int,
     replan: int,
-    seen: Sequence[ObservedMotion] | None = None,
+    motions: Sequence[ObservedMotion] | None = None,
     touch: Touch | None = None,
     to_the_end: bool = False,
 ) -> Rollouts:
-    """Roll all proposals out for ``steps`` steps, asking the planners every ``replan`` steps.
+    """Roll all candidates out for ``steps`` steps; their planners are asked every ``replan`` steps.
 
-    ``situations``: by delay [s], the moment at which a proposal's attack begins.
-
-    ``ask(rows, told)`` answers for the proposals ``rows``, None where a planner fails, and for others; ``seen``: the
-    egos drive so. Those that touched follow what they had planned, as in an attempt, and so do those that have parted;
-    once that is all of them, the egos go on at even speeds, but ``to_the_end`` as their drivers.
+    situations: by delay [s], the moment at which a candidate's attack begins. ask(rows, observations): the answers of
+    the planners of ``rows``, None where a planner fails, and for all other rows. motions: the egos drive so.
+    A candidate is asked no more once the two have touched or parted for good: the adversary then follows its last plan,
+    as in an attempt. Once that holds for all, the egos go on at constant speed; ``to_the_end``: by their drivers.
     """
     ground = AdversaryBatch([situations[p.delay] for p in proposals], [p.bv for p in proposals])
     n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, seen)
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, motions)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * n
     adversary, ego = np.empty((2, steps, 4, n))

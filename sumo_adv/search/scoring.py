@@ -1,7 +1,8 @@
-"""Predicted rollouts judged by the verdicts' own functions, and what they score.
+"""Predicted rollouts judged by the verdict's own functions, and their scores.
 
-Score, lower is better (ALGORITHM, "How it was built"): a feasible collision that is not rear-end scores by who could
-have avoided it, and with what to spare; no hit, an infeasible one, a third party hit first and a rear-end follow.
+The lower the score, the better. A feasible collision that is not a rear-end scores by which driver could have avoided
+it and with how much time to spare. Contacts that nobody avoids, misses, infeasible motions, contacts with a third party
+and rear-ends follow in this order.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Proposal, Role
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Prediction, Proposal, Role
 from sumo_adv.drivers.third_parties import braking
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import avoidance, careful_after
@@ -30,29 +31,21 @@ from sumo_adv.metrics.feasibility import (
 )
 from sumo_adv.metrics.hazard import SAME, hazard_index
 from sumo_adv.search.rollouts import Rollouts, Touch
+from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-NONE, MISS, OFF_ROAD, BEYOND, THIRD, REAR = 1.3, 1.5, 3.0, 3.0, 4.0, 5.0
-WARNED, ENOUGH = 0.3, 2.0  # taken off ``NONE`` for so many s of warning: what nearly could have been avoided
-DELAYS = (0.6, 0.8, 1.0, 1.4)  # s after the hazard shows at which a manoeuvre begins
-BY_MANOEUVRE = (1.0, 0.6, 0.47, 0.34)  # score by the last of them at which one still helps
-SOONER = (0.25, 0.5, 0.75, 1.0)  # s: where the careful driver would have avoided it, so much sooner,
-NEARLY = (0.24, 0.18, 0.12, 0.06)  # so much is taken off: the search is drawn to what a brake avoids
-BY_CAREFUL, BY_LATE_CAREFUL = 0.08, 0.0  # score where the careful driver avoids it, and where also one ``SLOWER`` does
-SLOWER = 0.4  # s
-UNSURE = 0.02  # rad that an ego that turns may have turned more or less than foreseen
-GRAZE, GRAZES = 0.3, 0.14  # m; score of a contact that one so much smaller would not have made: maybe a near miss
 GENTLY = 1.0  # m/s2: so much braking is nothing
 INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
-LEAST_STEPS = 3
+LEAST_STEPS = 3  # before a contact, for a hazard to show
+MANOEUVRE = 1  # the place of the verdict's delay among ``manoeuvre_delays``
 
 
 def judge_all(
-    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits
-) -> list[dict[str, Any]]:
-    """For each rollout: hit, min TTC, who could avoid it, s from the hazard to the contact, how many before the end it
-    comes, the share of the steps up to it in which the adversary brakes, and the score."""
+    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits,
+    weights: ScoreSettings,
+) -> list[tuple[float, Prediction]]:  # fmt: skip
+    """The score and the prediction of each rollout, row by row."""
     n, steps = rollouts.ego[0].shape
     brakes = _brakes(rollouts.adversary[3], situation.dt)
     lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
@@ -61,7 +54,8 @@ def judge_all(
     adversary = Boxes(*rollouts.adversary, lengths, widths)
     contact = _first(touching(ego, adversary))
     hit = contact < min(steps, situation.left + 1)
-    firm = np.asarray(touching(ego, Boxes(*rollouts.adversary, lengths - GRAZE, widths - GRAZE)).any(axis=1))
+    smaller = Boxes(*rollouts.adversary, lengths - weights.graze, widths - weights.graze)
+    firm = np.asarray(touching(ego, smaller).any(axis=1))
     end = int(min(steps - 1, situation.left))
     last = np.minimum(contact, end)
     third = _third_party(situation, proposals, adversary, last)
@@ -70,26 +64,28 @@ def judge_all(
     rear = hit & _rear(ego, adversary, last)
     least, nearest = _least(ego, adversary, last)
     good = np.flatnonzero(hit & ~third & ~off_road & ~beyond & ~rear & (contact >= LEAST_STEPS))
-    score = np.where(hit, NONE, MISS + 0.3 * np.minimum(least, 10.0) + 0.1 * np.minimum(nearest, 30.0))
-    score = np.where(off_road, OFF_ROAD, np.where(beyond, BEYOND, score))
-    score = np.where(third, THIRD, np.where(rear, REAR, score))
-    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(DELAYS)), bool), np.array(last)
+    missed = weights.miss_by_ttc * np.minimum(least, 10.0) + weights.miss_by_gap * np.minimum(nearest, 30.0)
+    score = np.where(hit, weights.unavoidable, weights.miss + missed)
+    score = np.where(off_road, weights.off_road, np.where(beyond, weights.beyond_limits, score))
+    score = np.where(third, weights.third_party, np.where(rear, weights.rear_end, score))
+    delays = weights.manoeuvre_delays
+    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(delays)), bool), np.array(last)
     if len(good):
-        found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable)
+        found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable, weights)
         careful[good], late, nearly, manoeuvre[good], hazard[good] = found
         warning = (last[good] - hazard[good]) * situation.dt
-        score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning)
-        score[good] += np.where(firm[good], 0.0, GRAZES)
+        score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning, weights)
+        score[good] += np.where(firm[good], 0.0, weights.grazes)
+    by_manoeuvre = manoeuvre[:, MANOEUVRE]
     return [
-        {
-            "score": float(score[k]), "hit": bool(hit[k]), "min_ttc": 0.0 if hit[k] else float(least[k]),
-            "gap": float(nearest[k]), "careful": bool(careful[k]), "manoeuvre": bool(manoeuvre[k, 1]),
-            "rear": bool(rear[k]), "third_party": bool(third[k]), "off_road": bool(off_road[k]),
-            "beyond": bool(beyond[k]),
-            "time": float(last[k] * situation.dt), "spare": float((end - last[k]) * situation.dt),
-            "warning": float((last[k] - hazard[k]) * situation.dt),
-            "braking": float(brakes[k, : max(int(last[k]), 1)].mean()),
-        }
+        (float(score[k]), Prediction(
+            hit=bool(hit[k]), min_ttc=0.0 if hit[k] else float(least[k]), gap=float(nearest[k]),
+            time=float(last[k] * situation.dt), spare=float((end - last[k]) * situation.dt),
+            warning=float((last[k] - hazard[k]) * situation.dt),
+            braking=float(brakes[k, : max(int(last[k]), 1)].mean()), careful=bool(careful[k]),
+            manoeuvre=bool(by_manoeuvre[k]), rear_end=bool(rear[k]), third_party=bool(third[k]),
+            off_road=bool(off_road[k]), beyond_limits=bool(beyond[k]),
+        ))
         for k in range(n)
     ]  # fmt: skip
 
@@ -100,14 +96,14 @@ def _brakes(speed: Floats, dt: float) -> Bools:
 
 
 def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
-    """Whether the ego and the BVs of these proposals touch."""
+    """A function that tells whether the ego and the BVs of these candidates touch."""
     states = [situations[p.delay].targets[p.bv].state for p in proposals]
     length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
     mine = next(iter(situations.values())).ego
     reach = (np.hypot(length, width) + np.hypot(mine.length, mine.width)) / 2
 
-    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
-        found = np.asarray(asked & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
+    def touch(ego: Floats, adversary: Floats, rows: Bools) -> Bools:
+        found = np.asarray(rows & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
         k = np.flatnonzero(found)
         if len(k):
             (ax, ay, ah, av), (bx, by, bh, bv) = ego[:, k], adversary[:, k]
@@ -122,13 +118,15 @@ def _first(holds: Bools) -> Any:
     return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
 
 
-def _score(careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warning: Floats) -> Floats:
-    """By who avoids it and with what to spare: winners at the verdict's very edge do not survive a little noise."""
-    score = NONE - WARNED * np.clip(warning / ENOUGH, 0.0, 1.0)
-    for k, value in enumerate(BY_MANOEUVRE):
+def _score(
+    careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warning: Floats, weights: ScoreSettings
+) -> Floats:
+    """By which driver avoids it and with what to spare: winners at the verdict's very edge do not survive noise."""
+    score = weights.unavoidable - weights.warned * np.clip(warning / weights.warned_enough, 0.0, 1.0)
+    for k, value in enumerate(weights.by_manoeuvre):
         score = np.where(manoeuvre[:, k], value, score)
     score = score - nearly
-    return np.where(careful, np.where(late, BY_LATE_CAREFUL, BY_CAREFUL), score)
+    return np.where(careful, np.where(late, weights.by_late_careful, weights.by_careful), score)
 
 
 def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
@@ -236,19 +234,20 @@ def _leaps(b: Boxes, limits: Limits, dt: float) -> Bools:
 
 def _avoidable(
     situation: Situation, proposals: Sequence[Proposal], ego: Boxes, adversary: Boxes, good: Any, last: Any,
-    drivable: Drivable,
+    drivable: Drivable, weights: ScoreSettings,
 ) -> tuple[Bools, Bools, Floats, Bools, Any]:  # fmt: skip
-    """Whether the careful driver avoids it, also if slower; what it is worth how nearly he does; whether some manoeuvre
-    does, by ``DELAYS`` (asked only where he does not); the hazard."""
+    """Whether the careful driver avoids it, also if slower; what is taken off where it nearly does; whether some
+    manoeuvre does, by delay (evaluated only where the careful driver does not); the step of the hazard."""
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
     half = situation.lane_width / 2
     path, until = _held(_rows(ego, good), last), slice(0, int(last.max()) + 1)
     hazard, _ = hazard_index(_steps(path, until), _steps(b, until), start, last, dt, lane_half_width=half)
-    careful, late, *sooner = careful_after(a, b, hazard, dt, (0.0, SLOWER, *(-t for t in SOONER)))
-    careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half)
-    nearly = np.where(sooner, np.array(NEARLY)[:, None], 0.0).max(axis=0)
-    manoeuvre = np.zeros((len(good), len(DELAYS)), bool)
+    leads = (0.0, weights.slower, *(-t for t in weights.sooner))
+    careful, late, *sooner = careful_after(a, b, hazard, dt, leads)
+    careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half, weights.turn_error)
+    nearly = np.where(sooner, np.array(weights.nearly)[:, None], 0.0).max(axis=0)
+    manoeuvre = np.zeros((len(good), len(weights.manoeuvre_delays)), bool)
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
     names = np.array([proposals[k].bv for k in good])
 
@@ -263,18 +262,19 @@ def _avoidable(
             careful[rows] = careful_after(*where(rows), (0.0,), others=others)[0]
     for bv in np.unique(names[~careful]):
         rows = np.flatnonzero((names == bv) & ~careful)
-        manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around.get(bv))
+        manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around.get(bv), weights.manoeuvre_delays)
     return careful, careful & late, nearly, manoeuvre, hazard
 
 
 def _surely(
-    careful: Bools, ego: Boxes, adversary: Boxes, path: Boxes, hazard: Any, last: Any, dt: float, half: float
-) -> tuple[Bools, Any]:
-    """Which of those whom the careful driver avoids he avoids as well where an ego that turns has turned a little more
-    or less: for one that is far away that is metres beside its path, and the hazard may show seconds later. And the
-    hazards, later where that matters."""
-    unsure = np.minimum(np.abs(wrap_all(path.heading[:, -1] - path.heading[:, 0])), UNSURE)
-    rows = np.flatnonzero(careful & (unsure > 0.1 * UNSURE))
+    careful: Bools, ego: Boxes, adversary: Boxes, path: Boxes, hazard: Any, last: Any, dt: float, half: float,
+    turn_error: float,
+) -> tuple[Bools, Any]:  # fmt: skip
+    """Which contacts the careful driver avoids also if a turning ego has turned a little more or less than predicted:
+    that moves a far vehicle sideways by metres, and its hazard may show seconds later. And the steps of the hazards,
+    later where that matters."""
+    unsure = np.minimum(np.abs(wrap_all(path.heading[:, -1] - path.heading[:, 0])), turn_error)
+    rows = np.flatnonzero(careful & (unsure > 0.1 * turn_error))
     if not len(rows):
         return careful, hazard
     lasts = last[rows]
@@ -294,10 +294,13 @@ def _surely(
     return found, hazard
 
 
-def _manoeuvre(ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None) -> Bools:
-    """Whether some manoeuvre avoids it, by ``DELAYS``."""
+def _manoeuvre(
+    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None,
+    delays: Sequence[float],
+) -> Bools:  # fmt: skip
+    """Whether some manoeuvre avoids it, by delay."""
     return avoidance(
-        ego, adversary, hazard, dt, delays=DELAYS, careful=False, on_road=drivable, others=others
+        ego, adversary, hazard, dt, delays=tuple(delays), careful=False, on_road=drivable, others=others
     )["manoeuvre"]  # fmt: skip
 
 

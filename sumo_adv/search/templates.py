@@ -1,4 +1,4 @@
-"""Ways to attack whose numbers are still open: which vehicle, which intent, which planner, when."""
+"""Attack templates: candidates whose parameters are still open (which vehicle, which intent, which planner, when)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from sumo_adv.datatypes import LibraryEntry, Parameter, Planner, Proposal
 from sumo_adv.situation import Situation, Target
 
-VERSIONS = 2  # of a mode that are drawn from, and as many that were learnt, which are asked with their own numbers only
+VERSIONS = 2  # versions of a mode that are drawn from; the same number of learnt ones is tried with its own parameters
 BRAKING_LABEL = "Emergency Braking"
+DEFAULT_BRAKING, BRAKING_RANGE = 7.5, (5.0, 8.0)  # m/s2, the intent's acceleration with that label
 
 
 @dataclass(frozen=True, slots=True)
 class AttackTemplate:
-    """One way of attacking whose numbers are still open. ``learnt``: its planner is a version of one that is there."""
+    """One way to attack whose parameters are open. ``learnt``: its planner is a changed version of another one."""
 
     delay: float
     target: Target
@@ -25,12 +26,12 @@ class AttackTemplate:
     learnt: bool = False
 
     def proposal(self, draw: random.Random | None) -> Proposal:
-        """With the author's numbers (no ``draw``) or drawn ones, uniform within their bounds."""
+        """A candidate with the author's parameters (``draw`` None), or with uniform ones within their bounds."""
         if draw is None:
-            numbers, braking = self.planner.defaults(), 7.5
+            numbers, braking = self.planner.defaults(), DEFAULT_BRAKING
         else:
             numbers = {p.name: _drawn(p, draw) for p in self.planner.parameters}
-            braking = draw.uniform(5.0, 8.0)
+            braking = draw.uniform(*BRAKING_RANGE)
         acceleration = -braking if self.entry.label == BRAKING_LABEL else 0.0
         return Proposal(self.target.state.id, self.entry.label, self.planner, numbers, acceleration, self.delay)
 
@@ -42,8 +43,8 @@ def _drawn(parameter: Parameter, draw: random.Random) -> float:
 def templates_of(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
 ) -> list[AttackTemplate]:
-    """All that applies: by delay, most dangerous BV first, in the library's order; of each mode the ``VERSIONS`` that
-    come first there, and of those that were learnt."""
+    """All templates that apply: by delay, most dangerous vehicle first, in the library's order. Of each mode, the first
+    ``VERSIONS`` versions and the first ``VERSIONS`` learnt ones."""
     versions = [(entry, _first_versions(entry, library)) for entry in library if not allowed or entry.label in allowed]
     found = []
     for delay in sorted(situations):
@@ -56,8 +57,8 @@ def templates_of(
 
 
 def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
-    """At most ``VERSIONS`` planners of a mode, and as many that were learnt from others of the intent; of these one
-    stands for its mode where no other does."""
+    """The first versions of each mode, and whether each was learnt: it has a parent in the same intent. A learnt
+    version stands for its mode where the mode has no other."""
     elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
     first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
     count: Counter[tuple[str, bool]] = Counter()

@@ -320,7 +320,7 @@ class Decision:
     @property
     def best(self) -> Proposal:
         """What is predicted to be most dangerous."""
-        return min(self.met.expert.pool, key=lambda p: p.score)
+        return min(self.met.search.pool, key=lambda p: p.score)
 
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:

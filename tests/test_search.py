@@ -1,4 +1,4 @@
-"""The built-in expert: variations of a proposal, what evidence adds to its price, planners for new intents."""
+"""The search: variations of a candidate, its price, the library it draws from, and planners for new intents."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import pytest
 from situation_samples import crossing, neighbour, situation
 
 from sumo_adv.agents.expert_generator import ExpertGenerator
-from sumo_adv.datatypes import Intent, LibraryEntry, ObservedMotion, Planner, Proposal
+from sumo_adv.datatypes import Intent, LibraryEntry, ObservedMotion, Planner, Prediction, Proposal
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
-from sumo_adv.search.expert import Expert
-from sumo_adv.search.robustness import ALONE, SPREAD
+from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SamplingSettings, SearchSettings
 from sumo_adv.search.templates import templates_of
 from sumo_adv.situation import Target
 
@@ -30,20 +31,20 @@ SHIFT = make_planner("Shift", "side", TABLE + ENDPOINT, "seed")
 class Same:
     """Every proposal scores half a point."""
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
 
-    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         return False
 
 
 class Best:
     """A brake avoids every proposal: nothing more is drawn."""
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        return [replace(p, score=0.05, predicted={"alone": 0.05}) for p in proposals]
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+        return [replace(p, score=0.05, nominal=0.05) for p in proposals]
 
-    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         return False
 
 
@@ -60,8 +61,24 @@ def merging() -> Target:
     return replace(other, ways=(way,))
 
 
-def expert(seed: int = 1) -> Expert:
-    return Expert(Same(), proposals=10, seed=seed)
+def search_of(
+    scorer: Same | Best, library: Sequence[LibraryEntry] = (), *, at: Target | None = None, proposals: int = 10,
+    allowed: Sequence[str] = (), unknown_driver: bool = False,
+) -> AttackSearch:  # fmt: skip
+    """A search that has predicted its first candidates, for a neighbour if no target is given."""
+    situations = {0.0: situation([neighbour() if at is None else at])}
+    settings = SearchSettings(proposals=proposals)
+    return AttackSearch(
+        scorer, situations, library, settings, seed=1, allowed=allowed, unknown_driver=unknown_driver
+    )  # fmt: skip
+
+
+def price(p: Proposal) -> float:
+    return search_of(Same()).price(p)
+
+
+def sampler(seed: int = 1) -> Sampler:
+    return Sampler(SamplingSettings(), seed)
 
 
 # ---- variations
@@ -69,71 +86,71 @@ def expert(seed: int = 1) -> Expert:
 
 def test_a_variation_is_another_number_for_the_same_way_to_attack() -> None:
     near, far = proposal(gap=0.5), proposal(gap=3.0)
-    found = expert().vary([near, far], 5)
+    found = sampler().variations([near, far], 5)
     assert len(found) == 5
-    assert {(p.bv, p.label, p.planner, p.acceleration, p.delay, p.score) for p in found} == {
-        ("bv", "Shift", SHIFT, -6.0, 1.5, 0.5)
+    assert {(p.bv, p.label, p.planner, p.acceleration, p.delay, p.prediction) for p in found} == {
+        ("bv", "Shift", SHIFT, -6.0, 1.5, None)
     }
     assert all(p.parameters.keys() == {"gap", "drift"} for p in found)
     assert len({tuple(p.parameters.values()) for p in found}) == 5
     assert near.parameters["gap"] == 0.5  # as it was
-    assert expert().vary([], 5) == []
+    assert sampler().variations([], 5) == []
 
 
 def test_variations_stay_within_the_bounds_and_near() -> None:
     """gap: -3 to 4 m, drift: 2 to 6 s; of a range of 4 s 0.12 are 0.48 s, and 3.92 s are 4 of them from 2.0 s."""
-    found = expert().vary([proposal(gap=4.0, drift=3.92)], 400)
+    found = sampler().variations([proposal(gap=4.0, drift=3.92)], 400)
     gaps, drifts = (np.array([p.parameters[name] for p in found]) for name in ("gap", "drift"))
     assert gaps.max() == 4.0 and np.mean(gaps == 4.0) == pytest.approx(0.5, abs=0.1)  # half would be beyond it
     assert gaps.min() > -3.0
     assert drifts.min() >= 2.0 and drifts.max() <= 6.0
     assert drifts.mean() == pytest.approx(3.92, abs=0.1)
-    assert drifts.std() == pytest.approx(SPREAD * 4.0, rel=0.15)
+    assert drifts.std() == pytest.approx(SamplingSettings().spread * 4.0, rel=0.15)
 
 
 def test_they_are_varied_in_turn() -> None:
     first, second = proposal(gap=-3.0), proposal(gap=4.0)
-    found = expert().vary([first, second], 6)
+    found = sampler().variations([first, second], 6)
     assert [p.parameters["gap"] < 0.5 for p in found] == [True, False] * 3  # 3.5 m are four deviations
 
 
 def test_a_seed_gives_the_same_variations_and_another_one_others() -> None:
     def numbers(seed: int) -> list[dict[str, float]]:
-        return [dict(p.parameters) for p in expert(seed).vary([proposal()], 8)]
+        return [dict(p.parameters) for p in sampler(seed).variations([proposal()], 8)]
 
     assert numbers(1) == numbers(1)
     assert numbers(1) != numbers(2)
 
 
-# ---- evidence
+# ---- prices
 
 
 def test_a_later_contact_costs_a_little() -> None:
     """0.06 a second; where there is none until the prediction ends, so that a late one is no dearer than none."""
-    assert expert().price(replace(proposal(), predicted={"time": 5.0})) == pytest.approx(0.3 + 0.3)
-    late, none = (replace(proposal(), score=score, predicted={"time": 11.9}) for score in (1.1, 1.6))
-    assert expert().price(late) < expert().price(none) == pytest.approx(1.6 + 0.714)
+    assert price(replace(proposal(), prediction=Prediction(time=5.0))) == pytest.approx(0.3 + 0.3)
+    late, none = (replace(proposal(), score=score, prediction=Prediction(time=11.9)) for score in (1.1, 1.6))
+    assert price(late) < price(none) == pytest.approx(1.6 + 0.714)
 
 
 def test_who_brakes_all_the_time_costs_a_little() -> None:
     """0.4 times the share of the steps up to the contact."""
-    assert expert().price(replace(proposal(), predicted={"braking": 0.25})) == pytest.approx(0.3 + 0.1)
+    assert price(replace(proposal(), prediction=Prediction(braking=0.25))) == pytest.approx(0.3 + 0.1)
 
 
 def test_against_an_unknown_driver_a_contact_at_the_very_end_costs_more() -> None:
     """It comes later than foreseen, and then there is no time left: 0.3 at the end, half of it a second before."""
-    unsure = Expert(Same(), proposals=10, seed=1, unsure=True)
-    ends = [replace(proposal(), predicted={"spare": spare}) for spare in (0.0, 1.0, 2.0, 5.0)]
+    unsure = search_of(Same(), unknown_driver=True)
+    ends = [replace(proposal(), prediction=Prediction(spare=spare)) for spare in (0.0, 1.0, 2.0, 5.0)]
     assert [unsure.price(p) for p in ends] == pytest.approx([0.6, 0.45, 0.3, 0.3])
-    assert [expert().price(p) for p in ends] == pytest.approx([0.3] * 4)
+    assert [price(p) for p in ends] == pytest.approx([0.3] * 4)
 
 
 def test_what_a_brake_would_avoid_comes_before_what_is_a_little_firmer() -> None:
     """0.35 off where the proposal alone scores below 0.09, whatever its neighbours make of it: 0.4 before 0.12."""
-    braked = replace(proposal(), score=0.4, predicted={ALONE: 0.08})
-    steered = replace(proposal(), score=0.12, predicted={ALONE: 0.12})
-    assert expert().price(braked) == pytest.approx(0.05) and expert().price(steered) == 0.12
-    assert expert().price(replace(proposal(), score=0.08)) == pytest.approx(-0.27)
+    braked = replace(proposal(), score=0.4, nominal=0.08)
+    steered = replace(proposal(), score=0.12, nominal=0.12)
+    assert price(braked) == pytest.approx(0.05) and price(steered) == 0.12
+    assert price(replace(proposal(), score=0.08)) == pytest.approx(-0.27)
 
 
 class Changed(Same):
@@ -142,26 +159,29 @@ class Changed(Same):
     def __init__(self) -> None:
         self.attempts = 0
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        return [replace(p, score=0.9 if self.attempts else 0.5, predicted={"hit": True}) for p in proposals]
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+        return [replace(p, score=0.9 if self.attempts else 0.5, prediction=Prediction(hit=True)) for p in proposals]
 
-    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         self.attempts += 1
         return self.attempts == 1
 
 
 def test_where_the_ego_is_thought_to_be_another_driver_all_is_predicted_again_but_what_is_remembered() -> None:
-    some = Expert(Changed(), proposals=9, seed=1)
-    pool = [
+    some = search_of(Changed())
+    some.pool = [
         proposal(gap=1.0),
-        replace(proposal(gap=2.0), predicted={"neighbour": True, "alone": 0.1}),
+        replace(proposal(gap=2.0), nominal=0.1, is_neighbour=True),
         replace(proposal(gap=3.0), by="memory", score=0.0),
     ]
-    course = ObservedMotion(np.zeros(9), np.zeros(9), np.zeros(9), 9)
-    after = some.heard(pool, pool[0], course)
-    assert [p.score for p in after] == [0.9, 0.9, 0.0]
-    assert [p.predicted for p in after] == [{"hit": True}, {"hit": True, "neighbour": True}, {}]
-    assert some.heard(after, pool[0], course) == after  # nothing changed
+    motion = ObservedMotion(np.zeros(9), np.zeros(9), np.zeros(9), 9)
+    some.observe(some.pool[0], motion, avoidable=True)  # it was predicted so: nothing to correct
+    assert [(p.score, p.nominal, p.is_neighbour) for p in some.pool] == [
+        (0.9, None, False), (0.9, None, True), (0.0, None, False)
+    ]  # fmt: skip
+    before = list(some.pool)
+    some.observe(some.pool[0], motion, avoidable=False)
+    assert some.pool == before  # nothing changed
 
 
 # ---- ways to attack
@@ -200,49 +220,43 @@ def test_what_is_drawn_does_not_hang_on_the_library_s_order() -> None:
     sides = shifts(2)
     pools = []
     for planners in (sides, sides[::-1]):
-        some = Expert(Same(), proposals=9, seed=1)
-        some.predict({0.0: situation([neighbour()])}, [LibraryEntry("Shift", "", ("neighbour",), planners)])
-        pools.append(some.pool)
+        pools.append(search_of(Same(), [LibraryEntry("Shift", "", ("neighbour",), planners)], proposals=9).pool)
     assert pools[0] == pools[1]
 
 
 def test_a_library_that_has_grown_adds_to_the_pool() -> None:
     """A half of ten for what is new; what was predicted stays."""
-    at = {0.0: situation([neighbour()])}
     old = LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))
     new = LibraryEntry("New", "", ("neighbour",), (replace(SHIFT, label="New"),), "generated")
-    some = Expert(Best(), proposals=10, seed=1)
-    some.predict(at, [old])
+    some = search_of(Best(), [old])
     before = list(some.pool)
     assert len(before) == 10
-    some.widen(at, [old, new])
+    some.extend([old, new])
     assert some.pool[:10] == before
     assert [p.label for p in some.pool[10:]] == ["New"] * 5
-    some.widen(at, [old, new])
+    some.extend([old, new])
     assert len(some.pool) == 15
 
 
 def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_has_it() -> None:
     """A merging vehicle, and a bank that has learnt the rush from a ramp: it is ranked, and drawn only then."""
-    at = {0.0: situation([merging()])}
     learnt = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW, origin="expert"),), "generated")
-    some = Expert(Best(), proposals=10, seed=1)
-    some.predict(at, [learnt])
+    some = search_of(Best(), [learnt], at=merging())
     assert some.pool == []
-    ranked = some.ranking(at, [learnt])
+    ranked = some.ranking([learnt])
     assert [(i.label, i.source) for i in ranked] == [(NEW, "memory")]
-    assert [(i.label, i.source) for i in some.ranking(at, [])] == [(NEW, "generated")]
-    some.widen(at, [learnt])
+    assert [(i.label, i.source) for i in some.ranking([])] == [(NEW, "generated")]
+    some.extend([learnt])
     assert {p.label for p in some.pool} == {NEW}
-    asked = Expert(Best(), proposals=10, seed=1, allowed=(NEW,))  # a scenario that names it
-    assert [i.label for i in asked.analyze(at, [learnt])] == [NEW] and len(asked.pool) == 10
+    named = search_of(Best(), [learnt], at=merging(), allowed=(NEW,))  # a scenario that names it
+    assert [i.label for i in named.ranking([learnt])] == [NEW] and len(named.pool) == 10
 
 
 def test_an_intent_of_that_name_with_somebody_s_own_planner_is_drawn_from_at_once() -> None:
     at = {0.0: situation([merging()])}
     own = LibraryEntry(NEW, "", ("merging",), (replace(SHIFT, label=NEW, origin="person"),))
-    some = Expert(Best(), proposals=10, seed=1)
-    assert [(i.label, i.source) for i in some.analyze(at, [own])] == [(NEW, "memory")]
+    some = search_of(Best(), [own], at=merging())
+    assert [(i.label, i.source) for i in some.ranking([own])] == [(NEW, "memory")]
     assert len(some.pool) == 10 and compose(at, [own]) == []
 
 
@@ -253,24 +267,22 @@ def test_where_few_are_avoidable_intents_are_composed_and_where_none_collides_th
     good: int, else_: float, first: int | None
 ) -> None:
     """A score of 0.3 is an avoidable collision, of 1.2 an unavoidable one, of 2 a miss."""
-    at = {0.0: situation([merging()])}
-    some = expert()
+    some = search_of(Same(), at=merging())
     some.pool = [replace(proposal(gap=0.1 * k), score=0.3 if k < good else else_) for k in range(10)]
-    labels = [i.label for i in some.ranking(at, [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))])]
+    labels = [i.label for i in some.ranking([LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))])]
     assert labels == (["Shift"] if first is None else (["Shift", NEW] if first else [NEW, "Shift"]))
 
 
 def test_the_most_dangerous_intent_is_the_one_by_which_most_ways_collide_and_then_the_best() -> None:
     """Of Cut 1 of 4 is predicted to collide, and by that firmly; of Shift 3 of 4, none of them well; of Push as many,
     one of them a little better."""
-    some = expert()
+    some = search_of(Same(), at=crossing())
     scores = {"Cut": (0.0, 2.0, 3.0, 3.0), "Shift": (1.2, 1.2, 1.4, 2.0), "Push": (1.1, 1.2, 1.4, 2.0)}
     planners = {label: make_planner(label, "side", TABLE + ENDPOINT, "seed") for label in scores}
     some.pool = [replace(proposal(planners[name]), score=s) for name, many in scores.items() for s in many]
     library = [LibraryEntry(name, "", ("neighbour",), (planner,)) for name, planner in planners.items()]
-    at = {0.0: situation([crossing()])}
-    assert [i.label for i in some.ranking(at, library)] == ["Push", "Shift", "Cut"]
-    assert some.ranking(at, library)[2].reason.startswith("predicted: 25% of 4 candidates collide, 1 of them avoidably")
+    assert [i.label for i in some.ranking(library)] == ["Push", "Shift", "Cut"]
+    assert some.ranking(library)[2].reason.startswith("predicted: 25% of 4 candidates collide, 1 of them avoidably")
 
 
 # ---- planners for new intents

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_adv.datatypes import ObservedMotion, Parameter, Planner, Proposal
+from sumo_adv.datatypes import ObservedMotion, Parameter, Planner, Prediction, Proposal
 from sumo_adv.search.correction import PredictionCorrection
+from sumo_adv.search.settings import CorrectionSettings
 
 PLANNER = Planner("any", "plain", "", (), "seed")
 SLOW = ObservedMotion(np.array([0.0, 0.5]), np.zeros(2), np.array([5.0, 5.0]))
@@ -23,17 +24,24 @@ class BySpeed:
     def __init__(self) -> None:
         self.asked: list[tuple[list[Proposal], list[ObservedMotion]]] = []
 
-    def score(self, proposals: Sequence[Proposal], seen: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        assert seen is not None
-        self.asked.append((list(proposals), list(seen)))
-        return [replace(p, score=float(c.v[-1]) / 5.0) for p, c in zip(proposals, seen, strict=True)]
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+        assert motions is not None
+        self.asked.append((list(proposals), list(motions)))
+        return [replace(p, score=float(c.v[-1]) / 5.0) for p, c in zip(proposals, motions, strict=True)]
 
-    def heard(self, tried: Proposal, course: ObservedMotion) -> bool:
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         return False
 
 
-def proposal(score: float, bv: str = "bv", delay: float = 0.0, **predicted: Any) -> Proposal:
-    return Proposal(bv, "any", PLANNER, {}, 0.0, delay, score=score, predicted={"min_ttc": 0.0, **predicted})
+def proposal(
+    score: float, bv: str = "bv", delay: float = 0.0, nominal: float | None = None, **predicted: Any
+) -> Proposal:
+    made = Prediction(**predicted)
+    return Proposal(bv, "any", PLANNER, {}, 0.0, delay, score=score, prediction=made, nominal=nominal)
+
+
+def correcting(scorer: BySpeed, known_driver: bool = False) -> PredictionCorrection:
+    return PredictionCorrection(scorer, CorrectionSettings(), known_driver=known_driver)
 
 
 def scores(found: Sequence[Proposal]) -> list[float]:
@@ -42,34 +50,34 @@ def scores(found: Sequence[Proposal]) -> list[float]:
 
 def test_what_was_seen_counts_for_a_half_and_then_for_three_quarters() -> None:
     scorer = BySpeed()
-    correction = PredictionCorrection(scorer)
+    correction = correcting(scorer)
     pool = [proposal(0.2), proposal(0.8)]
-    assert correction.weigh(pool) == pool  # nothing was seen yet, and nobody is asked
+    assert correction.corrected(pool) == pool  # nothing was seen yet, and nobody is asked
     assert scorer.asked == []
 
-    pool = correction.weigh(pool, correction.surprised(pool[0], SLOW))
+    pool = correction.corrected(pool, correction.observe(pool[0], SLOW))
     assert scores(pool) == pytest.approx([0.5 * 0.2 + 0.5 * 1.0, 0.5 * 0.8 + 0.5 * 1.0])
 
-    pool = correction.weigh(pool, correction.surprised(pool[0], SLOWER))
+    pool = correction.corrected(pool, correction.observe(pool[0], SLOWER))
     assert scores(pool) == pytest.approx([0.25 * 0.2 + 0.75 * 0.6, 0.25 * 0.8 + 0.75 * 0.6])
     assert [c is SLOWER for c in scorer.asked[-1][1]] == [True, True]  # the last one seen
 
 
 def test_of_a_driver_that_is_known_what_was_seen_only_makes_predictions_worse() -> None:
     """Against the ego that was seen both score 1.0: what was predicted to hit comes half way, a miss stays one."""
-    correction = PredictionCorrection(BySpeed(), known=True)
+    correction = correcting(BySpeed(), known_driver=True)
     pool = [proposal(0.2), proposal(1.9), proposal(4.0)]
-    pool = correction.weigh(pool, correction.surprised(pool[0], SLOW))
+    pool = correction.corrected(pool, correction.observe(pool[0], SLOW))
     assert scores(pool) == pytest.approx([0.5 * 0.2 + 0.5 * 1.0, 1.9, 4.0])
 
 
 def test_weighing_twice_does_not_compound() -> None:
-    correction = PredictionCorrection(BySpeed())
+    correction = correcting(BySpeed())
     pool = [proposal(0.2)]
-    key = correction.surprised(pool[0], SLOW)
-    once = correction.weigh(pool, key)
-    assert once[0].predicted == {"min_ttc": 0.0, "before": 0.2, "seen": 1.0}
-    assert correction.weigh(once, key) == once
+    key = correction.observe(pool[0], SLOW)
+    once = correction.corrected(pool, key)
+    assert once[0].uncorrected == 0.2
+    assert correction.corrected(once, key) == once
     assert scores(once) == pytest.approx([0.6])
 
 
@@ -79,47 +87,47 @@ def test_the_attempt_most_like_a_proposal_says_how_the_ego_goes() -> None:
     planner = replace(PLANNER, parameters=(Parameter("offset", 0.0, -1.0, 1.0, "s", "when"),))
     other = replace(PLANNER, mode="other")
     at = [replace(proposal(0.0), planner=planner, parameters={"offset": x}) for x in (0.0, 0.8, 0.3, 0.5)]
-    correction = PredictionCorrection(BySpeed())
-    correction.surprised(at[1], SLOWER)
-    correction.surprised(at[0], SLOW)
-    found = correction.weigh([*at[2:], replace(proposal(0.0), planner=other)])
+    correction = correcting(BySpeed())
+    correction.observe(at[1], SLOWER)
+    correction.observe(at[0], SLOW)
+    found = correction.corrected([*at[2:], replace(proposal(0.0), planner=other)])
     assert scores(found) == pytest.approx([0.75 * 1.0, 0.75 * 0.6, 0.75 * 1.0])
 
 
 def test_only_the_proposals_of_that_vehicle_and_moment_change() -> None:
-    correction = PredictionCorrection(BySpeed())
+    correction = correcting(BySpeed())
     pool = [proposal(0.2), proposal(0.2, bv="other"), proposal(0.2, delay=1.5), proposal(0.4)]
-    key = correction.surprised(pool[0], SLOW)
+    key = correction.observe(pool[0], SLOW)
     assert key == ("bv", 0.0)
-    pool = correction.weigh(pool, key)
+    pool = correction.corrected(pool, key)
     assert scores(pool) == pytest.approx([0.6, 0.2, 0.2, 0.7])
 
-    later = correction.surprised(pool[2], SLOWER)
-    pool = correction.weigh(pool, later)  # the first ones stay as they are
+    later = correction.observe(pool[2], SLOWER)
+    pool = correction.corrected(pool, later)  # the first ones stay as they are
     assert scores(pool) == pytest.approx([0.6, 0.2, 0.5 * 0.2 + 0.5 * 0.6, 0.7])
 
 
 def test_what_is_drawn_later_is_weighed_by_all_that_was_seen() -> None:
-    correction = PredictionCorrection(BySpeed())
-    correction.surprised(proposal(0.2), SLOW)
-    correction.surprised(proposal(0.2, delay=1.5), SLOWER)
+    correction = correcting(BySpeed())
+    correction.observe(proposal(0.2), SLOW)
+    correction.observe(proposal(0.2, delay=1.5), SLOWER)
     fresh = [proposal(0.0), proposal(0.0, delay=1.5), proposal(0.0, delay=3.0)]
-    assert scores(correction.weigh(fresh)) == pytest.approx([0.5, 0.3, 0.0])
+    assert scores(correction.corrected(fresh)) == pytest.approx([0.5, 0.3, 0.0])
 
 
 def test_a_rear_end_or_a_miss_by_far_counts_as_2_5() -> None:
-    correction = PredictionCorrection(BySpeed())
-    pool = [proposal(5.0, rear=True), proposal(4.5)]
-    key = correction.surprised(pool[0], SLOW)
-    assert scores(correction.weigh(pool, key)) == pytest.approx([0.5 * 2.5 + 0.5 * 1.0] * 2)
+    correction = correcting(BySpeed())
+    pool = [proposal(5.0, rear_end=True), proposal(4.5)]
+    key = correction.observe(pool[0], SLOW)
+    assert scores(correction.corrected(pool, key)) == pytest.approx([0.5 * 2.5 + 0.5 * 1.0] * 2)
 
 
-@pytest.mark.parametrize("why", [{"off_road": True}, {"third_party": True}, {"failed": "It divides by zero."}])
+@pytest.mark.parametrize("why", [{"off_road": True}, {"third_party": True}, {"failure": "It divides by zero."}])
 def test_what_is_hopeless_whatever_the_ego_does_is_left_as_it_is(why: dict[str, Any]) -> None:
     scorer = BySpeed()
-    correction = PredictionCorrection(scorer)
+    correction = correcting(scorer)
     pool = [proposal(3.0, **why), proposal(0.2, off_road=False, third_party=False)]
-    found = correction.weigh(pool, correction.surprised(pool[0], SLOW))
+    found = correction.corrected(pool, correction.observe(pool[0], SLOW))
     assert found[0] is pool[0]
     assert scores(found) == pytest.approx([3.0, 0.6])
     assert scorer.asked[0][0] == pool[1:]
@@ -127,9 +135,9 @@ def test_what_is_hopeless_whatever_the_ego_does_is_left_as_it_is(why: dict[str, 
 
 def test_what_was_firm_starts_from_its_own_score_and_is_to_be_firmed_again() -> None:
     """Alone 0.0, with its neighbours 0.6; against the ego that was seen 1.0: the mean of 0.0 and 1.0."""
-    correction = PredictionCorrection(BySpeed())
-    pool = [proposal(0.6, alone=0.0)]
-    key = correction.surprised(pool[0], SLOW)
-    once = correction.weigh(pool, key)
+    correction = correcting(BySpeed())
+    pool = [proposal(0.6, nominal=0.0)]
+    key = correction.observe(pool[0], SLOW)
+    once = correction.corrected(pool, key)
     assert once[0].score == pytest.approx(0.5)
-    assert once[0].predicted == {"min_ttc": 0.0, "before": 0.0, "seen": 1.0}
+    assert (once[0].uncorrected, once[0].nominal) == (0.0, None)

@@ -1,4 +1,4 @@
-"""The order in which proposals are tried, and the expert's ranking of intents."""
+"""The order in which candidates are tried, and the ranking of intents."""
 
 import random
 from dataclasses import replace
@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 
 from sumo_adv.agents.expert_generator import ExpertGenerator
-from sumo_adv.datatypes import Boxes, Intent, LibraryEntry, ObservedMotion, Proposal
-from sumo_adv.episode.refinement import _untuned
+from sumo_adv.datatypes import Boxes, Intent, LibraryEntry, ObservedMotion, Prediction, Proposal
 from sumo_adv.metrics.boxes import touching
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
-from sumo_adv.search.correction import WEIGHED
-from sumo_adv.search.expert import Expert
-from sumo_adv.search.ordering import TRIED_PRICE, Tuner
-from sumo_adv.search.prediction import _batches
+from sumo_adv.search.fixed_order import as_written
+from sumo_adv.search.prediction import batches_of
 from sumo_adv.search.robustness import drawn
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -55,38 +54,38 @@ class ByGap:
     def __init__(self) -> None:
         self.asked = 0
 
-    def score(self, proposals, seen=None):
+    def score(self, proposals, motions=None):
         self.asked += len(proposals)
         return [
             Proposal(
                 p.bv, p.label, p.planner, p.parameters, p.acceleration, p.delay,
-                score=abs(p.parameters.get("gap", 9.0) - 1.0) / 4.0, predicted={"min_ttc": 0.5},
+                score=abs(p.parameters.get("gap", 9.0) - 1.0) / 4.0, prediction=Prediction(min_ttc=0.5),
             )
             for p in proposals
         ]  # fmt: skip
 
-    def heard(self, tried, course):
+    def observe(self, tried, motion):
         return False
 
 
 class NeverHits(ByGap):
     """Predicts that nothing reaches the ego."""
 
-    def score(self, proposals, seen=None):
+    def score(self, proposals, motions=None):
         self.asked += len(proposals)
         return [replace(p, score=4.0) for p in proposals]
 
 
 class InTurn:
-    """Gives one score to so many proposals, then the next one; the last one to all further. Against an ego that was
-    seen everything scores 0.9."""
+    """Gives one score to a number of candidates, then the next score; the last one to all further. Against an observed
+    ego everything scores 0.9."""
 
     def __init__(self, *scores: tuple[int, float]) -> None:
         self.scores = [score for count, score in scores for _ in range(count)]
         self.asked, self.again = 0, 0
 
-    def score(self, proposals, seen=None):
-        if seen is not None:
+    def score(self, proposals, motions=None):
+        if motions is not None:
             self.again += len(proposals)
             return [replace(p, score=0.9) for p in proposals]
         places = range(self.asked, self.asked + len(proposals))
@@ -95,20 +94,26 @@ class InTurn:
             replace(p, score=self.scores[min(k, len(self.scores) - 1)]) for k, p in zip(places, proposals, strict=True)
         ]
 
-    def heard(self, tried, course):
+    def observe(self, tried, motion):
         return False
 
 
-def tuner_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> Tuner:
-    """A tuner whose pool holds so many predictions of one way to attack."""
-    situations, library = dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))]
-    expert = Expert(scorer, proposals=proposals, seed=7)
-    expert.analyze(situations, library)
-    return Tuner(expert, templates_of(situations, library), share=8)
+def search_of(scorer, situations, library, proposals: int = 30, share: int = 8, seed: int = 7) -> AttackSearch:
+    """A search that has predicted its first candidates and follows the intents of the library."""
+    settings = SearchSettings(proposals=proposals, share=share)
+    search = AttackSearch(scorer, situations, library, settings, seed=seed)
+    search.follow([Intent("bv", e.label, "", "high", 0.0) for e in library], library)
+    return search
 
 
-def tried(tuner: Tuner, count: int) -> list[Proposal]:
-    return [p for _ in range(count) if (p := tuner.next()) is not None]
+def shifts_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> AttackSearch:
+    """A search whose pool holds predictions of one way to attack."""
+    return search_of(scorer, dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))], proposals)
+
+
+def empty(share: int = 8) -> AttackSearch:
+    """A search without candidates of its own."""
+    return search_of(NeverHits(), {0.0: straight_situation()}, [], 1, share)
 
 
 def test_families_are_what_applies_to_each_vehicle():
@@ -131,30 +136,21 @@ def test_the_first_proposal_of_a_family_has_its_authors_numbers_and_drawn_ones_s
 def test_the_best_score_ranks_an_intent_first():
     situation = straight_situation()
     library = [entry("Far", ("neighbour",), SHIFT.replace("-3.0, 4.0", "1.9, 2.1")), entry("Shift", ("neighbour",))]
-    expert = Expert(ByGap(), proposals=40, seed=1)
-    ranked = expert.analyze({0.0: situation}, library)
+    ranked = search_of(ByGap(), {0.0: situation}, library, 40, seed=1).ranking(library)
     assert [i.label for i in ranked] == ["Shift", "Far"]  # 2.0 +- 0.1 m is never within 0.9 m of the best place
     assert ranked[0].risk == "high" and "predicted" in ranked[0].reason
 
 
 def test_same_seed_same_order():
-    situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
-    orders = []
-    for _ in range(2):
-        expert = Expert(ByGap(), proposals=30, seed=7)
-        expert.analyze({0.0: situation}, library)
-        tuner = Tuner(expert, templates_of({0.0: situation}, library), share=8)
-        orders.append([p.parameters["gap"] for p in tried(tuner, 8)])
+    orders = [[p.parameters["gap"] for p in shifts_of(ByGap()).propose(8)] for _ in range(2)]
     assert orders[0] == orders[1] and len(orders[0]) == 8
 
 
 def test_a_planner_gets_at_most_its_share():
     situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
-    expert = Expert(ByGap(), proposals=30, seed=7)
-    expert.analyze({0.0: situation}, library)
-    tuner = Tuner(expert, templates_of({0.0: situation}, library), share=3)
-    assert len(tried(tuner, 10)) == 3
-    assert tuner.exhausted() == [library[0].planners[0].hash]
+    search = search_of(ByGap(), {0.0: situation}, library, share=3)
+    assert len(search.propose(10)) == 3
+    assert search.exhausted() == [library[0].planners[0].hash]
 
 
 def learnt_version(library: list[LibraryEntry]) -> LibraryEntry:
@@ -166,50 +162,44 @@ def learnt_version(library: list[LibraryEntry]) -> LibraryEntry:
 
 def test_what_was_learnt_is_one_proposal_more_and_takes_no_draws_from_others():
     situation, library = straight_situation(), [entry("Shift", ("neighbour",))]
-    before, after = (Expert(ByGap(), proposals=30, seed=7) for _ in range(2))
-    before.predict({0.0: situation}, library)
-    after.predict({0.0: situation}, [learnt_version(library)])
-    gaps = [[p.parameters["gap"] for p in drawn(e.pool)] for e in (before, after)]
+    searches = [search_of(ByGap(), {0.0: situation}, some) for some in (library, [learnt_version(library)])]
+    gaps = [[p.parameters["gap"] for p in drawn(search.pool)] for search in searches]
     assert sorted(gaps[1]) == sorted([*gaps[0], 1.5])
 
 
 def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one_its_own():
     situation, known = straight_situation(), learnt_version([entry("Shift", ("neighbour",))])
-    expert = Expert(ByGap(), proposals=30, seed=7)
-    expert.analyze({0.0: situation}, [known])
-    tuner = Tuner(expert, templates_of({0.0: situation}, [known]), share=3)
-    assert len(tried(tuner, 10)) == 3
-    most = tuner.exhausted()
-    assert most == [known.planners[1].hash]  # of 31 proposals 30 are the author's: nearest to 1 m are three of these
+    search = search_of(ByGap(), {0.0: situation}, [known], share=3)
+    assert len(search.propose(10)) == 3
+    most = search.exhausted()
+    assert most == [known.planners[1].hash]  # of 31 candidates 30 are the author's: nearest to 1 m are three of these
     changed = make_planner("Shift", "side", SHIFT.replace("(2.0,", "(0.5,"), "expert", most[0])
-    way = templates_of({0.0: situation}, [known])[0]
-    tuner.add([replace(way, planner=changed, learnt=False)], 20)
-    assert [p.planner.hash for p in tried(tuner, 10)] == [changed.hash] * 3
+    search.add_version(changed)
+    assert [p.planner.hash for p in search.propose(10)] == [changed.hash] * 3
 
 
 def test_what_is_predicted_to_drive_like_one_that_was_tried_comes_last():
     """The numbers of the first two make no difference before the contact: the third, with a worse score, is next."""
-    motion = {"time": 3.0, "min_ttc": 0.0, "warning": 1.0, "braking": 0.0}
-    expert = Expert(NeverHits(), proposals=1, seed=1)
+    motion = Prediction(time=3.0, min_ttc=0.0, warning=1.0, braking=0.0)
+    search = empty()
     one = entry("Near", ("neighbour",)).planners[0]
-    expert.pool = [
-        Proposal("bv", "Near", one, {}, 0.0, 0.0, by="memory", score=score, predicted={**motion, "gap": gap})
+    search.pool = [
+        Proposal("bv", "Near", one, {}, 0.0, 0.0, by="memory", score=score, prediction=replace(motion, gap=gap))
         for score, gap in ((0.0, 0.401), (0.01, 0.4), (0.05, 2.5))
     ]
-    assert [p.score for p in tried(Tuner(expert, [], share=8), 2)] == [0.0, 0.05]
+    assert [p.score for p in search.propose(2)] == [0.0, 0.05]
 
 
 def test_tries_cost_so_another_family_has_its_turn():
     situation = straight_situation()
     near, far = entry("Near", ("neighbour",)), entry("Other", ("neighbour",), SHIFT + "\n# another text\n")
-    expert = Expert(NeverHits(), proposals=1, seed=1)
+    search, cost = empty(), SearchSettings().price.tried
     planner_a, planner_b = near.planners[0], far.planners[0]
     bv = next(iter(situation.targets))
-    expert.pool = [Proposal(bv, "Near", planner_a, {}, 0.0, 0.0, by="memory", score=0.01 * k) for k in range(4)]
-    expert.pool.append(Proposal(bv, "Other", planner_b, {}, 0.0, 0.0, by="memory", score=TRIED_PRICE + 0.015))
-    tuner = Tuner(expert, [], share=8)
+    search.pool = [Proposal(bv, "Near", planner_a, {}, 0.0, 0.0, by="memory", score=0.01 * k) for k in range(4)]
+    search.pool.append(Proposal(bv, "Other", planner_b, {}, 0.0, 0.0, by="memory", score=cost + 0.015))
     # 0.00 first; then 0.01 + 0.12 against 0.135: Near again (0.13); third turn goes to the least tried family
-    assert [p.label for p in tried(tuner, 3)] == ["Near", "Near", "Other"]
+    assert [p.label for p in search.propose(3)] == ["Near", "Near", "Other"]
 
 
 @pytest.mark.parametrize(
@@ -223,28 +213,28 @@ def test_tries_cost_so_another_family_has_its_turn():
     ],
 )
 def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, after_two):
-    """30 are wanted: the analysis draws up to 14 times as many (420), 150 at once, the tuner goes on from there;
+    """30 are wanted: the analysis draws up to 14 times as many (420), 150 at once, the attempts go on from there;
     neighbours of the best ones are not counted."""
-    tuner, taken = tuner_of(InTurn(*scores)), []
+    search, taken = shifts_of(InTurn(*scores)), []
 
     def count():
-        return len(drawn([*tuner.pool, *taken]))
+        return len(drawn([*search.pool, *taken]))
 
     assert count() == at_first
-    taken.append(tuner.next())
+    taken += search.propose(1)
     assert count() == then
-    taken += [tuner.next(), tuner.next()]
+    taken += search.propose(2)
     assert count() == then + after_two
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
     """Of the gaps from -3 to 4 m those of the ten best are all -3 m: with a spread of 0.12 * 7 = 0.84 m, cut off at the
     bound, variations lie at -2.7 m in the mean, evenly drawn ones at 0.5 m."""
-    tuner = tuner_of(InTurn((1, 1.2)))
-    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in tuner.pool[:10]]
-    tuner.pool[:10] = best
-    tuner.next()
-    last_round = drawn(tuner.pool)[-150:]
+    search = shifts_of(InTurn((1, 1.2)))
+    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in search.pool[:10]]
+    search.pool[:10] = best
+    search.propose(1)
+    last_round = drawn(search.pool)[-150:]
     gaps = [p.parameters["gap"] for p in last_round]
     assert np.mean(gaps[75:]) < -2.2
     assert np.mean(gaps[:75]) > -1.0
@@ -258,23 +248,22 @@ COURSE = ObservedMotion(np.array([0.0, 1.0]), np.zeros(2), np.array([10.0, 10.0]
 )
 def test_the_pool_is_weighed_anew_only_where_the_prediction_was_wrong(score, valid, weighed):
     scorer = InTurn((1, score))
-    tuner = tuner_of(scorer, proposals=6, delays=(0.0, 1.5))
-    (first,) = tried(tuner, 1)
-    of_moment = sum(p.delay == first.delay for p in tuner.pool)
-    most = min(of_moment, WEIGHED)  # of the 2000 where nothing is avoidable not all
-    tuner.heard(first, COURSE, valid)
+    search = shifts_of(scorer, proposals=6, delays=(0.0, 1.5))
+    (first,) = search.propose(1)
+    of_moment = sum(p.delay == first.delay for p in search.pool)
+    most = min(of_moment, SearchSettings().correction.at_once)  # of the 2000 where nothing is avoidable not all
+    search.observe(first, COURSE, avoidable=valid)
     assert scorer.again == (most if weighed else 0)
-    assert {p.score for p in tuner.pool if p.delay != first.delay} == {score}
-    expected = (score + 0.9) / 2 if weighed else score  # what was seen counts for half
-    scores = sorted((p.score for p in tuner.pool if p.delay == first.delay), key=lambda s: abs(s - expected))
+    assert {p.score for p in search.pool if p.delay != first.delay} == {score}
+    expected = (score + 0.9) / 2 if weighed else score  # the observation counts for half
+    scores = sorted((p.score for p in search.pool if p.delay == first.delay), key=lambda s: abs(s - expected))
     assert scores[:most] == pytest.approx([expected] * most) and set(scores[most:]) <= {score}
 
 
 def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
     situation = merging_situation()
     library = [entry("Shift", ("neighbour",))]
-    expert = Expert(NeverHits(), proposals=10, seed=0)
-    ranked = expert.analyze({0.0: situation}, library)
+    ranked = search_of(NeverHits(), {0.0: situation}, library, 10, seed=0).ranking(library)
     assert ranked[0].label == "Ramp Merge Rush" and ranked[0].source == "generated"
     assert compose({0.0: situation}, [entry("Somebody's own", ("merging",))]) == []
     rush = entry("Ramp Merge Rush", ("merging",))
@@ -306,7 +295,7 @@ def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
     ways = templates_of({4.0: situation, 5.5: situation}, library)
     intent = Intent("bv", "Shift", "", "high", ((0.0, -2.0), (1.0, 1.0)))
     remembered = ways[0].proposal(random.Random(1))
-    plans = _untuned([intent], ways, [remembered])
+    plans = as_written([intent], ways, [remembered])
     assert plans[0] is remembered
     assert [(p.delay, p.parameters, p.acceleration) for p in plans[1:]] == [
         (4.0, {"gap": 2.0, "drift": 3.0}, ((0.0, -2.0), (1.0, 1.0)))
@@ -316,7 +305,7 @@ def test_without_a_tuner_the_authors_numbers_are_tried_at_the_earliest_moment():
 def test_planners_are_predicted_in_batches_that_fit_the_sandbox():
     planners = [make_planner("Shift", f"m{k}", SHIFT + f"# {k}\n", "seed") for k in range(30)]
     proposals = [Proposal("bv", "Shift", p, {}, 0.0, delay) for p in planners for delay in (0.0, 1.5)]
-    batches = _batches(proposals)
+    batches = batches_of(proposals)
     assert [len(hashes) for hashes in batches] == [12, 12, 6]  # both moments together
     assert {h for hashes in batches for h in hashes} == {p.hash for p in planners}
 

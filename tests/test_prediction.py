@@ -12,7 +12,8 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.prediction import FAILED, Predictor
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.settings import ScoreSettings
 
 FRAGILE = """
 PARAMETERS = {"worst": (0.0, 0.0, 9.0, "s", "from when on it fails")}
@@ -28,6 +29,9 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 def sandbox() -> Iterator[Sandbox]:
     with Sandbox() as box:
         yield box
+
+
+FAILED = ScoreSettings().failed
 
 
 def everywhere(x: object, y: object) -> object:
@@ -47,8 +51,8 @@ def test_a_planner_that_fails_for_one_proposal_answers_for_the_others(sandbox: S
     planner = make_planner("Any", "fragile", FRAGILE, "person")
     foreseen = predictor(sandbox)
     first, second, third = foreseen.score([attack(planner, worst) for worst in (99.0, 3.0, 99.0)])
-    assert second.score == FAILED and "ZeroDivisionError" in second.predicted["failed"]
-    assert first.score == third.score < FAILED and "failed" not in first.predicted
+    assert second.score == FAILED and second.prediction is not None and "ZeroDivisionError" in second.prediction.failure
+    assert first.score == third.score < FAILED and first.prediction is not None and not first.prediction.failure
     assert foreseen.failures == {}
 
 
@@ -58,4 +62,5 @@ def test_one_that_fails_for_all_has_failed_and_is_asked_no_more(sandbox: Sandbox
     assert [p.score for p in foreseen.score([attack(planner, 2.0), attack(planner, 3.0)])] == [FAILED, FAILED]
     assert list(foreseen.failures) == [planner.hash]
     again = foreseen.score([attack(planner, 99.0)])[0]
-    assert again.score == FAILED and again.predicted["failed"] == foreseen.failures[planner.hash]
+    assert again.prediction is not None
+    assert again.score == FAILED and again.prediction.failure == foreseen.failures[planner.hash]

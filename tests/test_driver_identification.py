@@ -51,12 +51,14 @@ def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
 
 
 def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
-    belief = DriverIdentification(UNKNOWN)
-    assert belief.hear([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
-    assert belief.hear([3.0, 2.0, 1.0, 4.0]) is True and belief.model["kind"] == "careful"  # 5, 4, 4, 8
-    assert belief.hear([0.0, 3.0, 1.5, 4.0]) is True and belief.model == UNKNOWN  # 5, 7, 5.5, 12
-    assert belief.hear([0.6, 0.0, 0.0, 0.0]) is False  # 5.6, 7, 5.5, 12: not clearly
-    assert belief.hear([0.6, 0.0, 0.0, 0.0]) is True and belief.model.get("sees") == WIDE  # 6.2, 7, 5.5: less than 5.58
+    driver = DriverIdentification(UNKNOWN)
+    assert driver.observe([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
+    assert driver.observe([3.0, 2.0, 1.0, 4.0]) is True and driver.model["kind"] == "careful"  # 5, 4, 4, 8
+    assert driver.observe([0.0, 3.0, 1.5, 4.0]) is True and driver.model == UNKNOWN  # 5, 7, 5.5, 12
+    assert driver.observe([0.6, 0.0, 0.0, 0.0]) is False  # 5.6, 7, 5.5, 12: not clearly
+    assert (
+        driver.observe([0.6, 0.0, 0.0, 0.0]) is True and driver.model.get("sees") == WIDE
+    )  # 6.2, 7, 5.5: less than 5.58
 
 
 def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_most() -> None:
@@ -82,8 +84,8 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
         Predictor(sandbox, Settings(), everywhere, {0.0: s})  # type: ignore[arg-type]
         for s in (unknown, wide)
     )
-    before = predictor.score([tried])[0].predicted
-    assert predictor.heard(tried, went) is True and predictor.heard(tried, went) is False
-    after = predictor.score([tried])[0].predicted
-    assert after == told.score([tried])[0].predicted != before
-    assert told.heard(tried, went) is False  # that one is known
+    before = predictor.score([tried])[0].prediction
+    assert predictor.observe(tried, went) is True and predictor.observe(tried, went) is False
+    after = predictor.score([tried])[0].prediction
+    assert after == told.score([tried])[0].prediction != before
+    assert told.observe(tried, went) is False  # that one is known

@@ -1,0 +1,37 @@
+"""Without the built-in search (``tuner = off``): each intent's planners with their authors' parameters, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from sumo_adv.datatypes import Intent, ObservedMotion, Proposal
+from sumo_adv.search.templates import AttackTemplate
+
+
+class FixedOrder:
+    """Proposes listed candidates; attempts change nothing."""
+
+    def __init__(self, proposals: Sequence[Proposal]) -> None:
+        self._left = list(proposals)
+
+    def propose(self, budget: int) -> list[Proposal]:
+        """The next ``budget`` candidates."""
+        found, self._left = self._left[:budget], self._left[budget:]
+        return found
+
+    def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
+        """Nothing."""
+
+
+def as_written(
+    intents: Sequence[Intent], templates: Sequence[AttackTemplate], recalled: Sequence[Proposal] = ()
+) -> list[Proposal]:
+    """What was recalled, then each intent's planners with their authors' parameters at the earliest start, in the order
+    of the intents."""
+    found = list(recalled)
+    for intent in intents:
+        mine = [t for t in templates if (t.target.state.id, t.entry.label) == (intent.bv, intent.label)]
+        earliest = min((t.delay for t in mine), default=0.0)
+        found += [replace(t.proposal(None), acceleration=intent.acceleration) for t in mine if t.delay == earliest]
+    return found

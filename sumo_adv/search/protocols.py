@@ -1,0 +1,32 @@
+"""What predicts candidates for a search, and what a search is for the refinement loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from sumo_adv.datatypes import ObservedMotion, Proposal
+
+
+class Scorer(Protocol):
+    """Predicts candidates; lower scores are better."""
+
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+        """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
+        ...
+
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
+        """Take note of the ego's motion in an attempt; whether predictions differ from now on."""
+        ...
+
+
+class Optimizer(Protocol):
+    """Chooses the candidates that are tried."""
+
+    def propose(self, budget: int) -> list[Proposal]:
+        """The next candidates, at most ``budget``; none when nothing is left."""
+        ...
+
+    def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
+        """Take note of the ego's motion in an attempt; ``avoidable``: it was a collision that counts."""
+        ...

@@ -1,0 +1,52 @@
+"""From predicted candidates to a ranking of intents: the share that collides, then the best candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from sumo_adv.datatypes import Intent, Proposal
+from sumo_adv.search.robustness import drawn
+from sumo_adv.search.settings import SearchSettings
+
+NOTHING_NEAR = 10.0  # s: the least TTC that is said where nothing was predicted
+
+
+def ranked_intents(
+    pool: Sequence[Proposal],
+    descriptions: Mapping[str, str],
+    price: Callable[[Proposal], float],
+    settings: SearchSettings,
+) -> tuple[list[Intent], list[Intent]]:
+    """The intents of the pool with which some candidate is predicted to collide, and the others; best first."""
+    groups: dict[tuple[str, str], list[Proposal]] = {}
+    for p in pool:
+        groups.setdefault((p.bv, p.label), []).append(p)
+
+    def order(item: tuple[tuple[str, str], list[Proposal]]) -> tuple[float, float, str, str]:
+        key, members = item
+        return (-_share(members, settings), min(map(price, members)), *key)
+
+    ranked = [
+        (_share(g, settings), _intent(g, descriptions[key[1]], settings))
+        for key, g in sorted(groups.items(), key=order)
+    ]
+    return [i for share, i in ranked if share > 0], [i for share, i in ranked if share == 0]
+
+
+def _share(members: Sequence[Proposal], settings: SearchSettings) -> float:
+    """The share of the drawn candidates that is predicted to collide in a way that counts."""
+    first = drawn(members)
+    return sum(p.nominal_score < settings.reaches for p in first) / len(first)
+
+
+def _intent(members: Sequence[Proposal], description: str, settings: SearchSettings) -> Intent:
+    best, first = min(members, key=lambda p: p.score), drawn(members)
+    risk = "high" if best.score < settings.avoidable else ("medium" if best.score < settings.reaches else "low")
+    avoidable = sum(p.nominal_score < settings.avoidable for p in first)
+    least = min(NOTHING_NEAR if p.prediction is None else p.prediction.min_ttc for p in first)
+    share = _share(members, settings)
+    reason = (
+        f"predicted: {share:.0%} of {len(first)} candidates collide, {avoidable} of them avoidably; "
+        f"least TTC {least:.2f} s"
+    )
+    return Intent(best.bv, best.label, description, risk, best.acceleration, reason)

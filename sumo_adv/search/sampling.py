@@ -1,0 +1,78 @@
+"""Drawing candidates: with the parameters that a planner's author gave, uniform within their bounds, or near others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from random import Random
+
+from sumo_adv.datatypes import Proposal
+from sumo_adv.search.settings import SamplingSettings
+from sumo_adv.search.templates import AttackTemplate
+
+
+class Sampler:
+    """Draws candidates without scores; one seed gives one sequence."""
+
+    def __init__(self, settings: SamplingSettings, seed: int) -> None:
+        self.settings, self.random = settings, Random(seed)
+
+    def first(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
+        """``count`` candidates: of each vehicle's planners one with the author's parameters, as early as possible; the
+        rest uniform, of each template in turn.
+
+        Learnt versions come on top, with their own parameters, so that they do not change what else is drawn.
+        """
+        originals = _originals(templates)
+        found = [t.proposal(None) for t in _earliest(originals)]
+        found += self.uniform(originals, count - len(found))
+        return found + _learnt(templates)
+
+    def each(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
+        """At least ``count`` candidates: one of each template with its author's parameters, the rest uniform."""
+        originals = _originals(templates)
+        found = [t.proposal(None) for t in originals] + self.uniform(originals, count - len(originals))
+        return found + _learnt(templates)
+
+    def more(self, templates: Sequence[AttackTemplate], best: Sequence[Proposal]) -> list[Proposal]:
+        """``redraw`` candidates: half uniform, half near the first ``nearest`` of ``best``."""
+        count = self.settings.redraw
+        found = self.uniform(_originals(templates), count // 2)
+        return found + self.variations(best[: self.settings.nearest], count - len(found))
+
+    def uniform(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
+        """``count`` candidates of the templates in turn, uniform within the bounds."""
+        return [templates[k % len(templates)].proposal(self.random) for k in range(count if templates else 0)]
+
+    def variations(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
+        """``count`` candidates whose parameters are near those of the given ones, in turn."""
+        spread = self.settings.spread
+        return [varied(proposals[k % len(proposals)], self.random, spread) for k in range(count if proposals else 0)]
+
+
+def varied(p: Proposal, random: Random, spread: float) -> Proposal:
+    """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
+    range, within the bounds. The search proposes it, whoever proposed ``p``."""
+    numbers = {}
+    for q in p.planner.parameters:
+        value = p.parameters[q.name] + random.gauss(0.0, spread * (q.high - q.low))
+        numbers[q.name] = round(min(max(value, q.low), q.high), 4)
+    return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner")
+
+
+def _originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
+    """Templates whose planner was not learnt, in the order in which they are drawn."""
+    originals = (t for t in templates if not t.learnt)
+    return sorted(originals, key=lambda t: (t.entry.label, t.planner.mode, t.planner.hash))
+
+
+def _learnt(templates: Sequence[AttackTemplate]) -> list[Proposal]:
+    return [t.proposal(None) for t in templates if t.learnt]
+
+
+def _earliest(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
+    """For each vehicle and planner, the template with the earliest start."""
+    found: dict[tuple[str, str], AttackTemplate] = {}
+    for template in sorted(templates, key=lambda t: t.delay):
+        found.setdefault((template.target.state.id, template.planner.hash), template)
+    return list(found.values())
