@@ -28,23 +28,23 @@ COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 
 
 def composed(entry: LibraryEntry) -> bool:
-    """Whether the expert composed it; not where somebody gave the intent a planner of their own."""
+    """Whether all planners of the intent are the expert's own."""
     return entry.label in COMPOSED and all(p.origin == NAME for p in entry.planners)
 
 
 def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
     """Intents of ``NEW_INTENTS`` for relations that nothing else of the library covers; those that the bank has learnt
     by now have the source ``memory``."""
-    known = {entry.label for entry in library}
+    labels = {entry.label for entry in library}
     covered = {word for entry in library if not composed(entry) for word in entry.applies}
-    found = []
+    intents = []
     for target in situations[min(situations)].target_list():
         for word, (label, description, _) in NEW_INTENTS.items():
             if word in target.applies() and word not in covered:
                 reason = "no intent of the library can reach the ego from where this vehicle is"
-                source = "memory" if label in known else "generated"
-                found.append(Intent(target.state.id, label, description, "medium", 0.0, reason, source))
-    return found
+                source = "memory" if label in labels else "generated"
+                intents.append(Intent(target.state.id, label, description, "medium", 0.0, reason, source))
+    return intents
 
 
 def applies_of(label: str) -> tuple[str, ...]:

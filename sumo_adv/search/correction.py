@@ -35,21 +35,21 @@ class PredictionCorrection:
 
     def corrected(self, proposals: Sequence[Proposal], only: Key | None = None) -> list[Proposal]:
         """The candidates, with new scores where a motion was observed (of the key ``only``: of its best ones)."""
-        settings, found = self._settings, list(proposals)
-        rows = [k for k, p in enumerate(found) if self._concerns(p, only)]
+        settings, pool = self._settings, list(proposals)
+        rows = [k for k, p in enumerate(pool) if self._concerns(p, only)]
         if only is not None:
-            rows = sorted(rows, key=lambda k: found[k].score)[: settings.at_once]
+            rows = sorted(rows, key=lambda k: pool[k].score)[: settings.at_once]
         if not rows:
-            return found
-        motions = [_most_similar(found[k], self._observed[found[k].bv, found[k].delay]) for k in rows]
-        for k, again in zip(rows, self._scorer.score([found[k] for k in rows], motions), strict=True):
+            return pool
+        motions = [_most_similar(pool[k], self._observed[pool[k].bv, pool[k].delay]) for k in rows]
+        for k, again in zip(rows, self._scorer.score([pool[k] for k in rows], motions), strict=True):
             weight = 1.0 - (1.0 - settings.share) ** len(self._observed[again.bv, again.delay])
-            before = found[k]
+            before = pool[k]
             first = before.nominal_score if before.uncorrected is None else before.uncorrected
             score = (1.0 - weight) * min(first, settings.worst) + weight * min(again.score, settings.worst)
             score = max(score, first) if self._known_driver else score
-            found[k] = replace(before, score=score, nominal=None, uncorrected=first)  # its neighbours are outdated
-        return found
+            pool[k] = replace(before, score=score, nominal=None, uncorrected=first)  # its neighbours are outdated
+        return pool
 
     def _concerns(self, p: Proposal, only: Key | None) -> bool:
         key, hopeless = (p.bv, p.delay), p.prediction is not None and p.prediction.hopeless

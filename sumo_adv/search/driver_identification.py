@@ -1,7 +1,7 @@
-"""Which driver model fits an ego whose driver is unknown, judged by its motions in the attempts so far.
+"""Which driver model fits an ego with an unknown driver, judged by its motions in the attempts so far.
 
-Several models are held against each attempt. The one whose ego came nearest to the real one over all attempts is used
-for predictions from then on (model selection by prediction error). A known driver has one model.
+Several models are held against each attempt. The model with the least prediction error over all attempts is used for
+predictions from then on. A known driver has one model.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WIDE = 2.5  # m to either side within which a wary driver takes a vehicle ahead 
 
 
 class DriverIdentification:
-    """``models``: the candidates, first the one that is believed without evidence."""
+    """``models``: all that are considered, the default first."""
 
     def __init__(self, model: Mapping[str, Any]) -> None:
         self.models = models_of(model)
@@ -49,8 +49,9 @@ class DriverIdentification:
 
 
 def models_of(model: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The model of a known driver alone; else also one that brakes at once for a vehicle that comes its way, one that
-    takes a vehicle ahead beside its lane for a leader, and one that never reacts."""
+    """The model of a known driver alone; for an unknown driver, four: the default, an alert driver that brakes at once
+    for a vehicle that comes its way, a wary driver that takes a vehicle beside its lane for a leader, and a driver
+    that never reacts."""
     if not model.get("unknown", False) or model["kind"] == "replay":
         return [model]
     return [

@@ -17,8 +17,8 @@ class FixedOrder:
 
     def propose(self, budget: int) -> list[Proposal]:
         """The next ``budget`` candidates."""
-        found, self._left = self._left[:budget], self._left[budget:]
-        return found
+        candidates, self._left = self._left[:budget], self._left[budget:]
+        return candidates
 
     def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
         """Nothing."""
@@ -29,9 +29,10 @@ def as_written(
 ) -> list[Proposal]:
     """What was recalled, then each intent's planners with their authors' parameters at the earliest start, in the order
     of the intents."""
-    found = list(recalled)
+    candidates = list(recalled)
     for intent in intents:
-        mine = [t for t in templates if (t.target.state.id, t.entry.label) == (intent.bv, intent.label)]
-        earliest = min((t.delay for t in mine), default=0.0)
-        found += [replace(t.proposal(None), acceleration=intent.acceleration) for t in mine if t.delay == earliest]
-    return found
+        applicable = [t for t in templates if (t.target.state.id, t.entry.label) == (intent.bv, intent.label)]
+        earliest = min((t.delay for t in applicable), default=0.0)
+        first = [t.proposal(None) for t in applicable if t.delay == earliest]
+        candidates += [replace(p, acceleration=intent.acceleration) for p in first]
+    return candidates

@@ -82,9 +82,9 @@ class Predictor:
         motions: Sequence[ObservedMotion] | None, to_the_end: bool = False,
     ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
         """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
-        settings, known, road = self._settings, self.failures, self._drivable
+        settings, failures, road = self._settings, self.failures, self._drivable
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, known, drivable=road, predicting=True
+            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, predicting=True
         ) as sessions:
             rollouts = predict(
                 situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
@@ -98,14 +98,14 @@ class Predictor:
 
     def _judged(self, proposals: Sequence[Proposal], rollouts: Rollouts) -> list[tuple[float, Prediction]]:
         """Score and prediction of each rollout; those that start at the same time are judged together."""
-        found: dict[int, tuple[float, Prediction]] = {}
+        results: dict[int, tuple[float, Prediction]] = {}
         limits = self._settings.limits.limits()
         for delay in dict.fromkeys(p.delay for p in proposals):
             rows = [k for k, p in enumerate(proposals) if p.delay == delay]
-            mine, situation = [proposals[k] for k in rows], self._situations[delay]
-            judged = judge_all(situation, mine, part(rollouts, rows), self._drivable, limits, self._weights)
-            found |= dict(zip(rows, judged, strict=True))
-        return [found[k] for k in range(len(proposals))]
+            candidates, situation = [proposals[k] for k in rows], self._situations[delay]
+            judged = judge_all(situation, candidates, part(rollouts, rows), self._drivable, limits, self._weights)
+            results |= dict(zip(rows, judged, strict=True))
+        return [results[k] for k in range(len(proposals))]
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
@@ -113,5 +113,5 @@ def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
     planners = {p.planner.hash: p.planner for p in proposals}
     ours = [name for name, planner in planners.items() if is_own(planner)]
     others = [name for name in planners if name not in ours]
-    found = [set(others[k : k + TOGETHER]) for k in range(0, len(others), TOGETHER)]
-    return [found[0].union(ours), *found[1:]] if found else [set(ours)] if ours else []
+    results = [set(others[k : k + TOGETHER]) for k in range(0, len(others), TOGETHER)]
+    return [results[0].union(ours), *results[1:]] if results else [set(ours)] if ours else []

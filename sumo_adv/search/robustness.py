@@ -1,8 +1,8 @@
-"""How robust a candidate is: it is weighed together with neighbours, whose parameters are a little different.
+"""How robust a candidate is: it is weighed together with neighbours that have slightly different parameters.
 
-A prediction is never exact. A contact that only just happens tends to become a miss in the simulation; one whose
-neighbours collide as well does not (a robust optimum; Beyer and Sendhoff 2007, "Robust optimization"). Neighbours can
-be tried as well, but they do not count among the candidates that were drawn.
+A prediction is never exact. A contact that only just happens tends to become a miss in the simulation. A contact
+that the neighbours make as well does not (a robust optimum; Beyer and Sendhoff 2007, "Robust optimization").
+Neighbours can be tried as well, but they do not count among the candidates that were drawn.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def weighed_with_neighbours(
     settings: RobustnessSettings,
 ) -> list[Proposal]:
     """Each candidate followed by its neighbours, all with scores that count how the neighbours do."""
-    count, found = settings.neighbours, list[Proposal]()
+    count, weighed = settings.neighbours, list[Proposal]()
     near = score([varied(p, random, settings.spread) for p in proposals for _ in range(count)])
     for k, p in enumerate(proposals):
         group = [p, *(replace(q, is_neighbour=True) for q in near[k * count : (k + 1) * count])]
         mean = sum(min(q.score, settings.worst) for q in group) / len(group)
-        found += [
+        weighed += [
             replace(q, score=settings.own * q.score + (1.0 - settings.own) * mean, nominal=q.score) for q in group
         ]
-    return found
+    return weighed

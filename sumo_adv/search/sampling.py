@@ -24,35 +24,35 @@ class Sampler:
         Learnt versions come on top, with their own parameters, so that they do not change what else is drawn.
         """
         originals = _originals(templates)
-        found = [t.proposal(None) for t in _earliest(originals)]
-        found += self.uniform(originals, count - len(found))
-        return found + _learnt(templates)
+        candidates = [t.proposal(None) for t in _earliest(originals)]
+        candidates += self.uniform(originals, count - len(candidates))
+        return candidates + _learnt(templates)
 
     def each(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
         """At least ``count`` candidates: one of each template with its author's parameters, the rest uniform."""
         originals = _originals(templates)
-        found = [t.proposal(None) for t in originals] + self.uniform(originals, count - len(originals))
-        return found + _learnt(templates)
+        candidates = [t.proposal(None) for t in originals] + self.uniform(originals, count - len(originals))
+        return candidates + _learnt(templates)
 
     def more(self, templates: Sequence[AttackTemplate], best: Sequence[Proposal]) -> list[Proposal]:
         """``redraw`` candidates: half uniform, half near the first ``nearest`` of ``best``."""
         count = self.settings.redraw
-        found = self.uniform(_originals(templates), count // 2)
-        return found + self.variations(best[: self.settings.nearest], count - len(found))
+        candidates = self.uniform(_originals(templates), count // 2)
+        return candidates + self.variations(best[: self.settings.nearest], count - len(candidates))
 
     def uniform(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
         """``count`` candidates of the templates in turn, uniform within the bounds."""
         return [templates[k % len(templates)].proposal(self.random) for k in range(count if templates else 0)]
 
     def variations(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
-        """``count`` candidates whose parameters are near those of the given ones, in turn."""
+        """``count`` candidates with parameters near those of the given ones, in turn."""
         spread = self.settings.spread
         return [varied(proposals[k % len(proposals)], self.random, spread) for k in range(count if proposals else 0)]
 
 
 def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
-    range, within the bounds. The search proposes it, whoever proposed ``p``."""
+    range, within the bounds. It counts as proposed by the search."""
     numbers = {}
     for q in p.planner.parameters:
         value = p.parameters[q.name] + random.gauss(0.0, spread * (q.high - q.low))
@@ -61,7 +61,7 @@ def varied(p: Proposal, random: Random, spread: float) -> Proposal:
 
 
 def _originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
-    """Templates whose planner was not learnt, in the order in which they are drawn."""
+    """Templates of planners that were not learnt, in the order in which they are drawn."""
     originals = (t for t in templates if not t.learnt)
     return sorted(originals, key=lambda t: (t.entry.label, t.planner.mode, t.planner.hash))
 
@@ -72,7 +72,7 @@ def _learnt(templates: Sequence[AttackTemplate]) -> list[Proposal]:
 
 def _earliest(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
     """For each vehicle and planner, the template with the earliest start."""
-    found: dict[tuple[str, str], AttackTemplate] = {}
+    candidates: dict[tuple[str, str], AttackTemplate] = {}
     for template in sorted(templates, key=lambda t: t.delay):
-        found.setdefault((template.target.state.id, template.planner.hash), template)
-    return list(found.values())
+        candidates.setdefault((template.target.state.id, template.planner.hash), template)
+    return list(candidates.values())

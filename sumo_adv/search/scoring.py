@@ -1,7 +1,7 @@
 """Predicted rollouts judged by the verdict's own functions, and their scores.
 
 The lower the score, the better. A feasible collision that is not a rear-end scores by which driver could have avoided
-it and with how much time to spare. Contacts that nobody avoids, misses, infeasible motions, contacts with a third party
+it and with how much time to spare. Unavoidable contacts, misses, infeasible motions, contacts with a third party
 and rear-ends follow in this order.
 """
 
@@ -35,8 +35,8 @@ from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-GENTLY = 1.0  # m/s2: so much braking is nothing
-INSET = 0.05  # m: corners so much within the box must stay on the road; the judge's tolerance is 0.15
+GENTLY = 1.0  # m/s2: gentler braking does not count
+INSET = 0.05  # m: corners this far inside the box must stay on the road; the judge's tolerance is 0.15 m
 LEAST_STEPS = 3  # before a contact, for a hazard to show
 MANOEUVRE = 1  # the place of the verdict's delay among ``manoeuvre_delays``
 

@@ -77,8 +77,8 @@ class AttackSearch:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
         settings, count = self._settings, self._settings.proposals
         templates = templates_of(self._situations, library, self._allowed)
-        known = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
-        fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in known]
+        present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
+        fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
         most = settings.sampling.before_first_attempt * count
         while templates and len(self.pool) < min(self._wanted(self.pool), most):
@@ -123,20 +123,21 @@ class AttackSearch:
 
     def propose(self, budget: int) -> list[Proposal]:
         """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""
-        found = list[Proposal]()
-        while len(found) < budget and (proposal := self._next()) is not None:
-            found.append(proposal)
-        return found
+        selected = list[Proposal]()
+        while len(selected) < budget and (proposal := self._next()) is not None:
+            selected.append(proposal)
+        return selected
 
     def propose_default(self, bv: str, label: str) -> Proposal | None:
         """The best candidate of an intent with its author's parameters, or None; it leaves the pool."""
         templates = [t for t in self._templates if (t.target.state.id, t.entry.label) == (bv, label)]
-        mine = [p for p in self.pool if (p.bv, p.label) == (bv, label) and dict(p.parameters) == p.planner.defaults()]
-        there = {(p.delay, p.planner.hash) for p in mine}
+        pool = [p for p in self.pool if (p.bv, p.label) == (bv, label)]
+        defaults = [p for p in pool if dict(p.parameters) == p.planner.defaults()]
+        there = {(p.delay, p.planner.hash) for p in defaults}
         missing = [t for t in templates if (t.delay, t.planner.hash) not in there]
         fresh = self._scored(self._sampler.each(missing, 0))
         self.pool += fresh
-        return self._take(min(mine + fresh, key=lambda p: p.score)) if mine or fresh else None
+        return self._take(min(defaults + fresh, key=lambda p: p.score)) if defaults or fresh else None
 
     def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
         """Correct the pool by the ego's motion in an attempt; ``avoidable``: it was a collision that counts."""
@@ -148,7 +149,7 @@ class AttackSearch:
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
     def exhausted(self) -> list[str]:
-        """Hashes of planners whose share of attempts is used up; of versions with one share, the most tried one."""
+        """Hashes of planners without attempts left; of versions with one share, the most tried one."""
         over, most = self._used_up(), dict[str, str]()
         for planner, _ in self._by_planner.most_common():
             if self._share_of(planner) in over:
@@ -211,7 +212,7 @@ class AttackSearch:
         return chosen
 
     def _split(self) -> tuple[list[Proposal], list[Proposal]]:
-        """The candidates that may still be tried, and those whose share of attempts is used up."""
+        """The candidates that may still be tried, and those of planners without attempts left."""
         over = self._used_up()
         open_ = [p for p in self.pool if self._share_of(p.planner) not in over]
         return open_, [p for p in self.pool if self._share_of(p.planner) in over]
@@ -253,29 +254,29 @@ class AttackSearch:
     ) -> list[Proposal]:
         """The pool in which the chosen candidate is robust: it and the best others are weighed with neighbours, a few
         rounds at most."""
-        settings, found = self._settings, list(pool)
-        for _ in range(settings.robustness.rounds if found else 0):
-            first = choose(found)
+        settings, selected = self._settings, list(pool)
+        for _ in range(settings.robustness.rounds if selected else 0):
+            first = choose(selected)
             if is_robust(first) or first.score >= settings.avoidable:
                 break
-            loose = [p for p in found if p is not first and not is_robust(p) and p.score < settings.avoidable]
+            loose = [p for p in selected if p is not first and not is_robust(p) and p.score < settings.avoidable]
             best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
             taken = {id(p) for p in best}
             weighed = weighed_with_neighbours(best, self._scored, self._sampler.random, settings.robustness)
-            found = weighed + [p for p in found if id(p) not in taken]  # of equals a robust one comes first
-        return found
+            selected = weighed + [p for p in selected if id(p) not in taken]  # of equals a robust one comes first
+        return selected
 
     def _predicted_again(self, tried: Proposal, motion: ObservedMotion) -> list[Proposal]:
         """The pool after an attempt: the best candidates are predicted again if another driver model is believed."""
-        found = list(self.pool)
+        selected = list(self.pool)
         if not self._scorer.observe(tried, motion):
-            return found
-        rows = sorted((k for k, p in enumerate(found) if p.by != "memory"), key=lambda k: self.price(found[k]))
+            return selected
+        rows = sorted((k for k, p in enumerate(selected) if p.by != "memory"), key=lambda k: self.price(selected[k]))
         rows = rows[: self._settings.correction.repeated]
-        scored = self._correction.corrected(self._scorer.score([found[k].unscored() for k in rows]))
+        scored = self._correction.corrected(self._scorer.score([selected[k].unscored() for k in rows]))
         for k, again in zip(rows, scored, strict=True):
-            found[k] = replace(again, is_neighbour=found[k].is_neighbour)
-        return found
+            selected[k] = replace(again, is_neighbour=selected[k].is_neighbour)
+        return selected
 
 
 def _motion(p: Proposal) -> PredictedMotion | None:

@@ -28,7 +28,7 @@ class ScoreSettings:
     sooner: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0)  # s earlier at which the careful driver would avoid it:
     nearly: tuple[float, ...] = (0.24, 0.18, 0.12, 0.06)  # taken off, so that the search goes towards brakes
     by_careful: float = 0.08  # the careful driver avoids it
-    by_late_careful: float = 0.0  # also one that is ``slower``
+    by_late_careful: float = 0.0  # the careful driver avoids it even if it reacts ``slower``
     slower: float = 0.4  # s
     graze: float = 0.3  # m; a contact that a box this much smaller does not make may become a near miss,
     grazes: float = 0.14  # which costs this
@@ -39,11 +39,11 @@ class ScoreSettings:
 class PriceSettings:
     """What else counts when the search chooses (``search.py``): added to a candidate's score."""
 
-    braked: float = 0.09  # a nominal score below it: a careful driver who only brakes avoids the contact
+    braked: float = 0.09  # a lower nominal score: the careful driver avoids the contact by braking alone
     clear: float = 0.35  # taken off then: of all predictions these come true most often
     harsh: float = 0.4  # times the share of steps in which the adversary brakes: traffic hardly brakes
     late: float = 0.06  # 1/s until the predicted contact: the later, the less sure
-    at_the_end: float = 0.3  # a contact at the very end, of an ego whose driver is unknown: it may come too late
+    at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     same_motion: float = 1.0  # for each attempt that was predicted to move in the same way
@@ -55,9 +55,9 @@ class SamplingSettings:
     """How many candidates are drawn, and where (``sampling.py``)."""
 
     redraw: int = 150  # candidates drawn at once after the first ones
-    nearest: int = 10  # best candidates whose parameters are varied
+    nearest: int = 10  # number of best candidates that are varied
     spread: float = 0.12  # of a parameter's range: standard deviation of a variation
-    for_brakes: int = 750  # drawn at most for one that a brake avoids, where a manoeuvre avoids one already
+    for_brakes: int = 750  # drawn at most for a contact that a brake avoids, where a manoeuvre avoids one already
     most: int = 2000  # drawn at most where nothing is avoidable,
     for_each_attempt: int = 300  # and this many more for each attempt
     before_first_attempt: int = 14  # times ``proposals``: drawn at most before the first attempt
@@ -72,7 +72,7 @@ class RobustnessSettings:
     worst: float = 1.5  # a neighbour's score above it (a miss, a rear-end) counts as this
     own: float = 0.5  # weight of a candidate's own score; the rest is the mean over it and its neighbours
     rounds: int = 4  # until the chosen candidate is robust
-    first: int = 3  # candidates whose neighbours are predicted at once before the first attempt,
+    first: int = 3  # candidates that get neighbours at once before the first attempt,
     later: int = 8  # and after it
 
 
@@ -91,7 +91,7 @@ class SearchSettings:
     """All weights of the search.
 
     proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together.
-    reaches, avoidable: scores below these are a contact that counts, and one that some driver avoids. few: with fewer
+    reaches, avoidable: lower scores mean a contact that counts, and an avoidable one. few: with fewer
     avoidable candidates, intents that the library lacks are composed. diverse_every: each time this number of attempts
     is reached, the template that was tried least has its turn.
     """

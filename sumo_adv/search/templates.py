@@ -1,4 +1,4 @@
-"""Attack templates: candidates whose parameters are still open (which vehicle, which intent, which planner, when)."""
+"""Attack templates: which vehicle, which intent, which planner, when; the parameters are still open."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ DEFAULT_BRAKING, BRAKING_RANGE = 7.5, (5.0, 8.0)  # m/s2, the intent's accelerat
 
 @dataclass(frozen=True, slots=True)
 class AttackTemplate:
-    """One way to attack whose parameters are open. ``learnt``: its planner is a changed version of another one."""
+    """One way to attack with open parameters. ``learnt``: its planner is a changed version of another one."""
 
     delay: float
     target: Target
@@ -46,14 +46,14 @@ def templates_of(
     """All templates that apply: by delay, most dangerous vehicle first, in the library's order. Of each mode, the first
     ``VERSIONS`` versions and the first ``VERSIONS`` learnt ones."""
     versions = [(entry, _first_versions(entry, library)) for entry in library if not allowed or entry.label in allowed]
-    found = []
+    selected = []
     for delay in sorted(situations):
         for target in situations[delay].target_list():
             words = set(target.applies())
             for entry, planners in versions:
                 if words & set(entry.applies):
-                    found += [AttackTemplate(delay, target, entry, planner, learnt) for planner, learnt in planners]
-    return found
+                    selected += [AttackTemplate(delay, target, entry, planner, learnt) for planner, learnt in planners]
+    return selected
 
 
 def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
@@ -62,10 +62,10 @@ def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> lis
     elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
     first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
     count: Counter[tuple[str, bool]] = Counter()
-    found = []
+    selected = []
     for planner in entry.planners:
         learnt = planner.mode in first and planner.parent is not None and planner.parent not in elsewhere
         count[planner.mode, learnt] += 1
         if count[planner.mode, learnt] <= VERSIONS:
-            found.append((planner, learnt))
-    return found
+            selected.append((planner, learnt))
+    return selected
