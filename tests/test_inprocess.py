@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bank_samples import shipped_planners
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Planner
@@ -20,9 +21,8 @@ from sumo_adv.planners.session import Call
 from sumo_adv.planners.source import make_planner
 from sumo_adv.planners.trusted import OWN, InProcessSession, fingerprint, is_own
 
-BANK = Path(__file__).parents[1] / "memory_bank"
-SHIPPED = sorted(BANK.glob("*/*.py"))
-SIDE = (BANK / "straight_lane_shift" / "side.py").read_text(encoding="utf-8")
+SHIPPED = list(shipped_planners().values())
+SIDE = shipped_planners()["Straight Lane Shift", "side"].source
 
 
 @pytest.fixture(scope="module")
@@ -35,18 +35,17 @@ def planner(source: str) -> Planner:
     return make_planner("Any", "any", source, "somebody")
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_every_planner_of_the_shipped_bank_is_our_own(path: Path) -> None:
-    source = path.read_text(encoding="utf-8")
-    assert is_own(planner(source)), f"write {fingerprint(source)} into OWN (sumo_adv/planners/trusted.py)"
+@pytest.mark.parametrize("p", SHIPPED, ids=lambda p: f"{p.label}/{p.mode}")
+def test_every_planner_of_the_shipped_bank_is_our_own(p: Planner) -> None:
+    assert is_own(p), f"write {fingerprint(p.source)} into OWN (sumo_adv/planners/trusted.py)"
 
 
 def test_nothing_is_our_own_that_the_bank_does_not_have() -> None:
-    assert {fingerprint(p.read_text(encoding="utf-8")) for p in SHIPPED} == OWN
+    assert {fingerprint(p.source) for p in SHIPPED} == OWN
 
 
 def test_other_numbers_and_another_movement_leave_it_our_own() -> None:
-    direct = (BANK / "intersection_rush_through_turn_left" / "direct.py").read_text(encoding="utf-8")
+    direct = shipped_planners()["Intersection Rush-through Turn Left", "direct"].source
     assert is_own(planner(direct.replace('MOVEMENT = "left"', 'MOVEMENT = "right"')))
     assert is_own(planner(SIDE.replace('"gap": (', '"gap": (2.5, 1.0, 12.0, "m", "x"), "gap_2": (')))
 
@@ -103,9 +102,8 @@ def questions(p: Planner, count: int) -> tuple[Mapping[str, Mapping[str, Any]], 
     return roads, calls
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: f"{p.parent.name}/{p.stem}")
-def test_the_answers_are_the_sandbox_s_to_the_last_bit(path: Path, sandbox: Sandbox) -> None:
-    p = planner(path.read_text(encoding="utf-8"))
+@pytest.mark.parametrize("p", SHIPPED, ids=lambda p: f"{p.label}/{p.mode}")
+def test_the_answers_are_the_sandbox_s_to_the_last_bit(p: Planner, sandbox: Sandbox) -> None:
     roads, calls = questions(p, 8)
     inside = InProcessSession(p, roads, lambda: sandbox.session(p, roads))
     with sandbox.session(p, roads) as session:

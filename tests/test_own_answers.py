@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from bank_samples import shipped_planners
 from situation_samples import neighbour, situation
 
 from sumo_adv.datatypes import PrescribedMotion, Proposal
@@ -17,7 +17,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
 from sumo_adv.planners.trusted_answers import answers
 
-SIDE = (Path(__file__).parents[1] / "memory_bank" / "straight_lane_shift" / "side.py").read_text(encoding="utf-8")
+SIDE = shipped_planners()["Straight Lane Shift", "side"].source
 BESIDE = situation([neighbour()])
 
 
