@@ -11,13 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.errors import (
-    PlannerLimitError,
-    PlannerResultError,
-    PlannerRuntimeError,
-    PlannerSyntaxError,
-    SandboxError,
-)
+from sumo_adv.errors import PlannerLimitError, PlannerResultError, PlannerRuntimeError, PlannerSyntaxError, SandboxError
 from sumo_adv.planners.results import (
     REDUCERS,
     check_endpoint,
