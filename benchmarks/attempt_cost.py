@@ -30,7 +30,7 @@ from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Told
+from sumo_adv.planners.answers import PlannerObservation
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.prediction import Predictor
@@ -91,19 +91,19 @@ def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
 def calls(sandbox: Sandbox, found: FoundEncounter, proposal: Proposal, runs: int) -> list[str]:
     """Lines on a session, a call, and a call in a batch."""
     situation = found.situations[proposal.delay]
-    ground = AdversaryBatch([situation], [proposal.bv])
-    start = ground.begin()
+    adversary = AdversaryBatch([situation], [proposal.bv])
+    start = adversary.begin()
     nothing = start.s * 0.0
     ego = (nothing, nothing, nothing + situation.ego.speed, nothing + situation.ego.acceleration)
-    told: Told = ground.tell(start, 0.0, ego, [None])[0]
+    observation: PlannerObservation = adversary.observe(start, 0.0, ego, [None])[0]
     opened, single, batched = [], [], []
     for _ in range(runs):
         began = time.perf_counter()
         with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
             opened.append(time.perf_counter() - began)
-            single.append(seconds(lambda: sessions.one(proposal, told)))
+            single.append(seconds(lambda: sessions.answer(proposal, observation)))
             many = [proposal] * BATCH
-            batched.append(seconds(lambda: sessions.ask(many, range(BATCH), [told] * BATCH)) / BATCH)  # noqa: B023
+            batched.append(seconds(lambda: sessions.answers(many, range(BATCH), [observation] * BATCH)) / BATCH)  # noqa: B023
     return [
         spread("sandbox: a fresh session with its planner", [1e3 * t for t in opened], "ms"),
         spread("sandbox: a call", [1e3 * t for t in single], "ms"),

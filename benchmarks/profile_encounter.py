@@ -36,8 +36,8 @@ from sumo_adv.simulation.inputs import data_folder
 PARTS: dict[str, Callable[..., object]] = {
     "predictions, all": Predictor.score,
     "  sandbox sessions opened": Sessions.__enter__,
-    "  planners told": AdversaryBatch.tell,
-    "  planners asked": Sessions.ask,
+    "  planners' observations": AdversaryBatch.observe,
+    "  planners asked": Sessions.answers,
     "  goals on the ways": AdversaryBatch.aim,
     "  egos foreseen": PredictedEgos.step,
     "  adversaries moved": rollouts._advance,

@@ -27,7 +27,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.episode.worker import Worker
-from sumo_adv.planners.answers import Answer, Told, world_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
 from sumo_adv.planners.road import road_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -84,8 +84,8 @@ class Bench(Worker):
         slot = self._slots[0]
         local = _local(self._found, proposal)
 
-        def ask(told: Told) -> Any:
-            slot.send(told)
+        def ask(observation: PlannerObservation) -> Any:
+            slot.send(observation)
             return slot.recv()
 
         began = time.perf_counter()
@@ -99,16 +99,16 @@ class Bench(Worker):
         self._at_trigger()
 
 
-def _local(found: FoundEncounter, proposal: Proposal) -> Callable[[Told], Any]:
+def _local(found: FoundEncounter, proposal: Proposal) -> Callable[[PlannerObservation], Any]:
     """The planner as a plain function of this process."""
     space: dict[str, Any] = {}
     exec(HELPERS_CODE + proposal.planner.source, space)
     situation = found.situations[proposal.delay]
     road, planner = road_of(situation, proposal.bv), space["endpoint"]
 
-    def ask(told: Told) -> Any:
-        acceleration = acceleration_at(proposal.acceleration, told[0]["time"])
-        answer = planner(*told, road, proposal.parameters, acceleration, situation.horizon)
+    def ask(observation: PlannerObservation) -> Any:
+        acceleration = acceleration_at(proposal.acceleration, observation[0]["time"])
+        answer = planner(*observation, road, proposal.parameters, acceleration, situation.horizon)
         return Answer(world_endpoint(situation, answer))
 
     return ask
@@ -201,7 +201,7 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
                     "loop",
                     proposal,
                     remote,
-                    answer=lambda told: sessions.one(proposal, told),
+                    answer=lambda observation: sessions.answer(proposal, observation),
                 )
                 return answer
 

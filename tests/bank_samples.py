@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import read_sources
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
+from sumo_adv.planners.source import parse_parameters
+
+SHIPPED = Path(__file__).parents[1] / "memory_bank"
 
 BRAKING = IntentRecord("Emergency Braking", "The vehicle ahead of the ego brakes hard without warning.", ("leader",))
 CUT_IN = IntentRecord(
@@ -25,6 +30,12 @@ BRAKE_PLANNER = Planner(
     "seed",
 )
 CUT_PLANNER = Planner("Aggressive Cut-in", "side", "PARAMETERS = {}\n", (), "expert")
+
+
+@lru_cache
+def shipped_planners() -> dict[tuple[str, str], Planner]:
+    """The planners of ``memory_bank/`` by label and mode, shared texts filled in."""
+    return {(p.label, p.mode): p for source in read_sources(SHIPPED, parse_parameters) for p in source.planners}
 
 
 def evidence(**changes: object) -> Evidence:

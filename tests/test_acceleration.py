@@ -83,11 +83,11 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
         adversary = PlannedAdversary(sit, "bv", Limits())
         alone = []
         for time in (0.0, 2.0, 4.0):
-            assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0), lambda told: sessions.one(proposal, told)) is None
+            assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0), lambda seen: sessions.answer(proposal, seen)) is None
             alone.append(adversary.goal.v)
 
         def ask(rows: object, told: object) -> object:
-            answers = sessions.ask([proposal], [0], told)  # type: ignore[arg-type]
+            answers = sessions.answers([proposal], [0], told)  # type: ignore[arg-type]
             assert answers[0] is not None
             heard.append(answers[0].endpoint.speed)
             return answers

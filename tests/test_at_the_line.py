@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
+from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.probes import HORIZON, Probe, probes
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
 
-BANK = Path(__file__).parents[1] / "memory_bank"
 COMES = probes("oncoming")[6]  # the ego at 24 m/s; the lane to the left, its middle at 3.2 m
 BESIDE = probes("neighbour")[6]  # in its lane at y = 3.2, 4 m ahead at 25 m/s; cars of 5 x 1.8 m
 LEADS = probes("leader")[6]
@@ -24,7 +22,7 @@ NUDGE = {
     "gap": 4.0, "speed": 0.0, "edge": 0.4, "drift": 3.5, "early": 0.2, "swing": 2.8, "gate": 2.0, "side": 1.0,
     "across": 0.3, "brake": 3.0,
 }  # fmt: skip
-FOLDERS = {"straddle": "opposite_direction_intrusion", "nudge": "straight_lane_shift"}
+LABELS = {"straddle": "Opposite Direction Intrusion", "nudge": "Straight Lane Shift"}
 AGO = {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 24.0, "time": 2.0}
 
 
@@ -35,7 +33,7 @@ def sandbox() -> Iterator[Sandbox]:
 
 
 def planner(mode: str) -> Planner:
-    return make_planner(mode, mode, (BANK / FOLDERS[mode] / f"{mode}.py").read_text(encoding="utf-8"), "seed")
+    return shipped_planners()[LABELS[mode], mode]
 
 
 def asked(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
-from bank_samples import BRAKE_PLANNER, evidence
+from bank_samples import BRAKE_PLANNER, SHIPPED, evidence
 
 from sumo_adv.datatypes import Parameter
 from sumo_adv.errors import BankError, PlannerSyntaxError
@@ -15,7 +16,6 @@ from sumo_adv.memory.build import build, read_sources, verify_same
 from sumo_adv.memory.records import RELATIONS
 from sumo_adv.memory.similarity import TfIdf
 
-SHIPPED = Path(__file__).parent.parent / "memory_bank"
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
     "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
@@ -106,6 +106,49 @@ def test_wrong_sources_are_refused_and_the_old_bank_stays(tmp_path: Path) -> Non
     assert target.read_bytes() == before
 
 
+SHARED = '# $label\nPARAMETERS = {"late": ($late, 0.0, 3.0, "s")}\n'
+
+
+def share(folder: Path, text: str, table: str) -> Path:
+    """The sources with a shared text for the mode ``wait``, and this line in ``[shared]`` of their intent."""
+    sources(folder)
+    (folder / "planners").mkdir()
+    (folder / "planners" / "wait.py").write_text(text)
+    (folder / "braking" / "intent.toml").write_text(f"{INTENT}[shared]\n{table}\n")
+    return folder
+
+
+def test_intents_share_a_text_and_give_it_their_own_words(tmp_path: Path) -> None:
+    folder = share(tmp_path, SHARED, 'wait = { late = "0.5" }')
+    (folder / "more").mkdir()
+    more = INTENT.replace("Emergency", "More")
+    (folder / "more" / "intent.toml").write_text(more + '[shared]\nwait = { late = "2.0" }\n')
+    braking, other = read_sources(folder, lambda _: ())
+    assert [planner.mode for planner in braking.planners] == ["late", "plain", "wait"]
+    first, second = braking.planners[2].source, other.planners[0].source
+    assert first == '# Emergency Braking\nPARAMETERS = {"late": (0.5, 0.0, 3.0, "s")}\n'
+    assert second == '# More Braking\nPARAMETERS = {"late": (2.0, 0.0, 3.0, "s")}\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "table", "sentence"),
+    [
+        (SHARED, "wait = {}", "needs the words ['late'] in [shared], and is given []"),
+        (SHARED, 'wait = { late = "1.0", early = "2.0" }', "needs the words ['late']"),
+        (SHARED + "# $ 5\n", 'wait = { late = "1.0" }', "needs the words ['late']"),
+        (SHARED, "wait = { late = 1.0 }", "as short texts"),
+        (SHARED, 'wait = "late"', "a table of words, not 'wait'"),
+        (SHARED, '"../planners/wait" = { late = "1.0" }', "a table of words, not '../planners/wait'"),
+        (SHARED, "plain = {}", "shares the modes ['plain'], which have files of their own"),
+        (SHARED, "hurry = {}", "hurry.py is not a plain file"),
+    ],
+)
+def test_wrong_words_for_a_shared_text_are_refused(tmp_path: Path, text: str, table: str, sentence: str) -> None:
+    folder = share(tmp_path, text, table)
+    with pytest.raises(BankError, match=re.escape(sentence)):
+        read_sources(folder, lambda _: ())
+
+
 def test_a_label_may_be_used_once(tmp_path: Path) -> None:
     folder = sources(tmp_path)
     (folder / "again").mkdir()
@@ -115,12 +158,8 @@ def test_a_label_may_be_used_once(tmp_path: Path) -> None:
         read_sources(folder, parse)
 
 
-def test_the_seven_intents_of_the_paper_are_there(tmp_path: Path) -> None:
-    for file in SHIPPED.glob("*/intent.toml"):
-        (tmp_path / file.parent.name).mkdir()
-        (tmp_path / file.parent.name / "intent.toml").write_text(file.read_text())
-        (tmp_path / file.parent.name / "plain.py").write_text("PARAMETERS = {}\n")
-    found = [source.intent for source in read_sources(tmp_path, parse)]
+def test_the_seven_intents_of_the_paper_are_there() -> None:
+    found = [source.intent for source in read_sources(SHIPPED, lambda _: ())]
     assert {record.label for record in found} == LABELS
     assert len(found) == 7
     covered = {relation for record in found for relation in record.applies}

@@ -74,7 +74,7 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
     wide, unknown = (situation([neighbour()], model=m) for m in ({**IDM, "sees": WIDE}, UNKNOWN))
     with Sessions(sandbox, Roads({0.0: wide}), [tried], 0) as sessions:
         real = predict(
-            {0.0: wide}, [tried], lambda rows, told: sessions.ask([tried], rows, told), limits=Limits(), steps=60,
+            {0.0: wide}, [tried], lambda rows, seen: sessions.answers([tried], rows, seen), limits=Limits(), steps=60,
             replan=6,
         )  # fmt: skip
     went = ObservedMotion(real.ego[0][0], real.ego[1][0], real.ego[3][0], 60)  # its path is the x axis

@@ -15,7 +15,7 @@ from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos, seen_edges
 from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
-from sumo_adv.planners.answers import Answer, Told, local_endpoint, world_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint, world_endpoint
 from sumo_adv.planners.forecast import arrivals, stations
 from sumo_adv.search.rollouts import Ask, Rollouts, predict
 from sumo_adv.situation import NO_ARRIVAL, Situation
@@ -75,17 +75,17 @@ def proposals(n: int) -> list[Proposal]:
     return [Proposal("bv", "any", PLANNER, {}, 0.0, 0.0) for _ in range(n)]
 
 
-def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tuple[Rollouts, list[Told]]:
+def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tuple[Rollouts, list[PlannerObservation]]:
     """Rollouts of planners that always answer the same, in the ego's frame; and what row 0 was told."""
-    heard: list[Told] = []
+    observed: list[PlannerObservation] = []
 
-    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
-        heard.append(told[0])
+    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
+        observed.append(told[0])
         given = [answers[k] if k in rows else None for k in range(len(told))]
         return [None if a is None else Answer(world_endpoint(sit, a)) for a in given]
 
     fixed: Ask = ask
-    return predict({0.0: sit}, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), heard
+    return predict({0.0: sit}, proposals(len(answers)), fixed, limits=Limits(), steps=steps, replan=5), observed
 
 
 def end(x: float, y: float, speed: float, time: float = 5.0) -> dict[str, float]:
@@ -199,7 +199,7 @@ def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
     """Asked every half second; the first of two touches after 0.7 s. From 1.0 s on only the other one is asked."""
     asked: list[list[int]] = []
 
-    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
         asked.append(list(rows))
         place = end(60.0, 3.2, 12.0, 3.0) if len(asked) <= 2 else end(60.0, 3.2, 4.0, 3.0)
         return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(told))]
@@ -220,7 +220,7 @@ def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
     adversary follows what it had planned, and nobody is asked any more."""
     asked: list[float] = []
 
-    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
         asked.append(told[0][0]["time"])
         return [Answer(world_endpoint(SIT, end(60.0, 3.2, 12.0, 3.0)))]
 
@@ -236,9 +236,9 @@ def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
 
 def test_planners_are_told_time_and_their_last_endpoint_every_half_second() -> None:
     answer = end(60.0, 3.2, 12.0)
-    _, heard = roll(SIT, [answer], steps=12)
-    assert [bv["time"] for bv, _ in heard] == pytest.approx([0.0, 0.5, 1.0])
-    lasts: list[Any] = [bv["last"] for bv, _ in heard]
+    _, observed = roll(SIT, [answer], steps=12)
+    assert [bv["time"] for bv, _ in observed] == pytest.approx([0.0, 0.5, 1.0])
+    lasts: list[Any] = [bv["last"] for bv, _ in observed]
     assert lasts[0] is None
     assert lasts[1] == pytest.approx(answer)
-    assert [bv["x"] for bv, _ in heard][:1] == pytest.approx([20.0])
+    assert [bv["x"] for bv, _ in observed][:1] == pytest.approx([20.0])

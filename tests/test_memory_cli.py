@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from bank_samples import shipped_planners
 from cli_samples import ROOT, TRAIL, Done, Program, Runs, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
@@ -34,10 +35,9 @@ def test_a_new_home_gets_the_seven_intents_of_the_paper(program: Program) -> Non
 
 def test_show_prints_the_sources(program: Program) -> None:
     text = succeeded(program("memory", "show", "straight lane-shift"))
-    folder = ROOT / "memory_bank" / "straight_lane_shift"
     assert text.splitlines()[0] == "Straight Lane Shift"
-    for planner in folder.glob("*.py"):
-        assert planner.read_text(encoding="utf-8") in text
+    sources = [p.source for p in shipped_planners().values() if p.label == "Straight Lane Shift"]
+    assert len(sources) == 4 and all(source in text for source in sources)
     done = program("memory", "show", "Dancing")
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("sumo-adv: ") and "Dancing" in done.err and "Aggressive Cut-in" in done.err

@@ -184,7 +184,7 @@ HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]
         (BAD_PLANNERS["another type"], "must return a dict"),
         (HEAD.replace("def ", "asked = []\n\n\ndef ") + "    asked.append(1)\n"
          '    return {"x": bv["x"] + len(asked) * 0.001, "y": bv["y"], "heading": 0.0, "speed": 5.0, "time": 2.0}\n',
-         "depends on what it was asked before"),
+         "depends on earlier calls"),
         (HEAD + '    return {"x": 1 / ego["speed"], "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 9.0}\n',
          "standing"),
         (TRAIL + "\n\ndef trajectory(bv, endpoint, road, dt):\n    return []\n", "1 to 400 states"),

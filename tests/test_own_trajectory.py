@@ -26,7 +26,7 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
 from sumo_adv.metrics.feasibility import motion
-from sumo_adv.planners.answers import Answer, Told
+from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.follower import Follower, Line, aligned, off_road
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -196,9 +196,9 @@ def lead(
     proposal = Proposal("bv", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
     with Sessions(sandbox, HERE, [proposal], 0) as sessions:
 
-        def ask(told: Told) -> Answer | str:
+        def ask(told: PlannerObservation) -> Answer | str:
             try:
-                return sessions.one(proposal, told)
+                return sessions.answer(proposal, told)
             except SandboxError as error:
                 return str(error)
 
@@ -212,7 +212,7 @@ def lead(
             rows.append((p.x, p.y, p.heading, p.speed, adversary.motion.a))
         both = [proposal, proposal]
         rollouts = predict(
-            HERE.situations, both, lambda k, told: sessions.ask(both, k, told), limits=LIMITS, steps=steps + 1,
+            HERE.situations, both, lambda k, told: sessions.answers(both, k, told), limits=LIMITS, steps=steps + 1,
             replan=every,
         )  # fmt: skip
         return AdversaryController(np.array(rows), adversary.message, failure), rollouts, sessions.failures
@@ -288,7 +288,7 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
     for edge, refused in ((-0.97, True), (-9.0, False)):
         with Sessions(sandbox, HERE, [proposal], 0, drivable=Drivable(box(-50.0, edge, 500.0, 9.0))) as sessions:
             adversary = PlannedAdversary(SIT, "bv", LIMITS)
-            assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0), partial(sessions.one, proposal)) is None
+            assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0), partial(sessions.answer, proposal)) is None
         assert ("trajectory() leaves the road 2.0 s later" in adversary.message) == refused
 
 

@@ -22,7 +22,8 @@ from sumo_adv.errors import (
 )
 from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
 from sumo_adv.planners.results import packed
-from sumo_adv.planners.sandbox import Sandbox, SandboxLimits
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.session import SandboxLimits
 from sumo_adv.planners.source import HELPERS_TEXT, make_planner, parse_parameters
 
 TABLE = 'PARAMETERS = {"gap": (2.0, 0.5, 8.0, "m", "ahead of the ego")}\n'

@@ -20,7 +20,8 @@ from sumo_adv.errors import (
     SandboxError,
 )
 from sumo_adv.planners.results import check_endpoint, check_trajectory
-from sumo_adv.planners.sandbox import Call, Sandbox, SandboxLimits
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.session import Call, SandboxLimits
 from sumo_adv.planners.source import make_planner
 
 LIMIT, RUNTIME, RESULT, SYNTAX = PlannerLimitError, PlannerRuntimeError, PlannerResultError, PlannerSyntaxError

@@ -15,7 +15,7 @@ from situation_samples import KRAUSS, crossing, neighbour, situation
 from sumo_adv.datatypes import Limits, Planner, Proposal
 from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
-from sumo_adv.planners.answers import Answer, Told, world_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
 from sumo_adv.search.rollouts import Rollouts, part, predict
 from sumo_adv.situation import Situation
 
@@ -57,7 +57,7 @@ def test_places_on_the_egos_paths_and_in_their_frames_are_those_of_each(stations
 def roll(proposals: Sequence[Proposal]) -> Rollouts:
     """Everybody is sent into the ego's lane."""
 
-    def ask(rows: Sequence[int], told: Sequence[Told]) -> list[Answer | None]:
+    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
         return [Answer(world_endpoint(BOTH[p.delay], END)) for p in proposals]
 
     return predict(BOTH, proposals, ask, limits=Limits(), steps=60, replan=5)

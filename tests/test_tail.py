@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
+from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.probes import HORIZON, Probe, probes
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
 
-BANK = Path(__file__).parents[1] / "memory_bank"
 SHIFT, LEFT, STRAIGHT = (
-    "straight_lane_shift", "intersection_rush_through_turn_left", "intersection_rush_through_go_straight",
+    "Straight Lane Shift", "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight",
 )  # fmt: skip
 BESIDE = probes("neighbour")[6]  # in its lane at y = 3.2, 4 m ahead at 25 m/s; lanes 3.2 m to its left and right
 LEADS = {
@@ -33,8 +31,8 @@ def sandbox() -> Iterator[Sandbox]:
         yield opened
 
 
-def planner(folder: str) -> Planner:
-    return make_planner(folder, "tail", (BANK / folder / "tail.py").read_text(encoding="utf-8"), "seed")
+def planner(label: str) -> Planner:
+    return shipped_planners()[label, "tail"]
 
 
 def asked(

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
+from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.probes import HORIZON, Probe, probes
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
 
-BANK = Path(__file__).parents[1] / "memory_bank"
-FOLDERS = (
-    "intersection_rush_through_go_straight", "intersection_rush_through_turn_left", "opposite_direction_intrusion",
-    "straight_lane_shift",
+LABELS = (
+    "Intersection Rush-through Go-straight", "Intersection Rush-through Turn Left", "Opposite Direction Intrusion",
+    "Straight Lane Shift",
 )  # fmt: skip
 NUMBERS = {
     "pull": -2.0, "until": 3.0, "then": 1.0, "span": 2.0, "begin": 1.0, "lane": 1.0, "stray": 0.4, "again": 4.0,
@@ -32,8 +30,8 @@ def sandbox() -> Iterator[Sandbox]:
         yield opened
 
 
-def planner(folder: str = "straight_lane_shift") -> Planner:
-    return make_planner(folder, "weave", (BANK / folder / "weave.py").read_text(encoding="utf-8"), "seed")
+def planner(label: str = "Straight Lane Shift") -> Planner:
+    return shipped_planners()[label, "weave"]
 
 
 def asked(
@@ -52,13 +50,12 @@ def aside(end: Mapping[str, float]) -> float:
     return end["y"] - 3.2
 
 
-def test_four_intents_have_the_mode_and_differ_in_the_movement_alone() -> None:
-    texts = {name: planner(name).source.splitlines() for name in FOLDERS}
-    movements = {name: next(line for line in text if line.startswith("MOVEMENT")) for name, text in texts.items()}
-    assert [movements[name] for name in FOLDERS] == [f'MOVEMENT = "{m}"' for m in ("straight", "left", "none", "none")]
-    rest = {tuple(line for line in text[1:] if not line.startswith("MOVEMENT")) for text in texts.values()}
-    assert len(rest) == 1
-    assert sorted(path.parent.name for path in BANK.glob("*/weave.py")) == sorted(FOLDERS)
+def test_four_intents_share_the_mode_with_their_own_movements() -> None:
+    movements = [
+        next(line for line in planner(label).source.splitlines() if line.startswith("MOVEMENT")) for label in LABELS
+    ]
+    assert movements == [f'MOVEMENT = "{m}"' for m in ("straight", "left", "none", "none")]
+    assert sorted(label for label, mode in shipped_planners() if mode == "weave") == sorted(LABELS)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ ends at the first contact of the two, when they have parted, or at the time limi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -19,7 +19,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, Told, local_endpoint
+from sumo_adv.planners.answers import Answer, AskOne, local_endpoint
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Goal, Motion, PathRow, Scalar, advance, one_of, pose, release, steer
 from sumo_adv.simulation.simulation import Pose
@@ -30,8 +30,6 @@ CLEAR = 1e-3  # m: further apart along an axis, boxes need no exact test
 CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
 
 LEFT_LINE = 1.0  # m: further off a planner's trajectory is worth a word to the modifier
-
-AskOne = Callable[[Told], Answer | str]  # an answer, or a sentence why there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +131,8 @@ class PlannedAdversary:
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
         many = _many(self.motion)
-        told = self.ground.tell(many, now, array, [self.last])[0]  # type: ignore[arg-type]
-        answer = ask(told)
+        observation = self.ground.observe(many, now, array, [self.last])[0]  # type: ignore[arg-type]
+        answer = ask(observation)
         if isinstance(answer, str):
             return answer
         self.last = local_endpoint(self.situation, answer.endpoint)

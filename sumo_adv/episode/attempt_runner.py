@@ -8,7 +8,7 @@ from typing import Any
 from sumo_adv.datatypes import Proposal
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.errors import SandboxError
-from sumo_adv.planners.answers import Answer
+from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.simulation.engine import Engine
@@ -26,11 +26,11 @@ class AttemptRunner:
         roads = Roads(self._found.situations)
 
         def answer(question: tuple[int, Any]) -> Answer | str:
-            k, told = question
+            k, observation = question
             if k not in opened:
                 mine = Sessions(self._sandbox, roads, [proposals[k]], self._seed, drivable=self._found.drivable)
                 opened[k] = mine.__enter__()
-            return answer_of(proposals[k], opened[k], told)
+            return answer_of(proposals[k], opened[k], observation)
 
         try:
             results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)
@@ -62,9 +62,9 @@ class SequentialRunner:
         return self._brain.references(proposal, result)
 
 
-def answer_of(proposal: Proposal, sessions: Sessions, told: Any) -> Answer | str:
+def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:
     """What the proposal's planner answers, or a sentence why it does not."""
     try:
-        return sessions.one(proposal, told)
+        return sessions.answer(proposal, observation)
     except SandboxError as error:
         return str(error)

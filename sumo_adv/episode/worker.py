@@ -32,8 +32,8 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
-from sumo_adv.planners.answers import Told
-from sumo_adv.planners.trusted_answers import answers
+from sumo_adv.planners.answers import PlannerObservation
+from sumo_adv.planners.trusted import ask_trusted
 from sumo_adv.simulation.engine import can_fork, in_forks
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
@@ -272,14 +272,16 @@ class Worker:
     # -- attempts -----------------------------------------------------------------------------------------------
 
     def _work(self, index: int, proposal: Proposal, slot: Connection) -> Callable[[], AttemptResult]:
-        def asked(told: Told) -> Any:
-            slot.send((index, told))
+        def ask_front(observation: PlannerObservation) -> Any:
+            slot.send((index, observation))
             return slot.recv()
 
-        ask = answers(proposal, self._situation_for(proposal), asked)  # here, not in the fork: its text is read once
+        ask = ask_trusted(
+            proposal, self._situation_for(proposal), ask_front
+        )  # here, not in the fork: its text is read once
         return partial(self._attempt, proposal, ask)
 
-    def _attempt(self, proposal: Proposal, ask: Callable[[Told], Any]) -> AttemptResult:
+    def _attempt(self, proposal: Proposal, ask: Callable[[PlannerObservation], Any]) -> AttemptResult:
         drive, settings = self._drive, self._settings
         situation = self._situation_for(proposal)
         drive.replay(self._raw_ego)

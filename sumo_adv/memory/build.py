@@ -1,7 +1,9 @@
 """Banks from text: ``<slug>/intent.toml``, ``<mode>.py`` beside it and, in an export, ``evidence.csv``.
 
-``intent.toml`` holds label, description and applies. An export may add ``status``, ``merged_into`` and a table
-``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status.  Nothing here runs a planner.
+``intent.toml`` holds label, description and applies. Its table ``[shared]`` names modes whose text several intents
+share: ``weave = { movement = "left" }`` takes ``planners/weave.py`` and writes ``left`` for ``$movement`` and the
+intent's label for ``$label``. An export has no shared texts. It may add ``status``, ``merged_into`` and a table
+``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. Nothing here runs a planner.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner
@@ -31,10 +34,11 @@ EVERYTHING = "everything"
 
 SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
 EVIDENCE_FILE = "evidence.csv"
+SHARED_FOLDER = "planners"  # of the texts that several intents share
 MAX_TEXT_BYTES = 256 * 1024  # of an intent.toml or a planner
 MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
-_MORE_KEYS = {"status": str, "merged_into": str, "planners": dict}
+_MORE_KEYS = {"shared": dict, "status": str, "merged_into": str, "planners": dict}
 _PLANNER_KEYS = {"mode", "origin", "parent", "status"}
 
 
@@ -114,7 +118,11 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Sour
     folder, table = file.parent, _read_toml(file)
     intent, merged_into = _intent(table), table.get("merged_into")
     details: dict[str, dict[str, str]] = table.get("planners", {})
-    names = sorted(path.stem for path in folder.glob("*.py"))
+    shared = _shared(file, table.get("shared", {}))
+    files = {path.stem: path for path in folder.glob("*.py")}
+    if both := shared.keys() & files.keys():
+        raise BankError(f"{file} shares the modes {sorted(both)}, which have files of their own beside it; keep one.")
+    names = sorted([*files, *shared])
     if any(not name.isprintable() or len(name) > 120 for name in names):
         raise BankError(f"{folder} has a planner whose file name is too long or cannot be printed.")
     for name, each in details.items():
@@ -127,13 +135,17 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Sour
     planners: dict[str, Planner] = {}
     for name in names:
         try:
-            planners[name] = _read_planner(folder / f"{name}.py", intent.label, details.get(name, {}), parse)
+            path = files.get(name, folder.parent / SHARED_FOLDER / f"{name}.py")
+            text = _read_text(path, MAX_TEXT_BYTES)
+            if name in shared:
+                text = _filled(path, text, intent.label, shared[name])
+            planners[name] = _planner(path, text, intent.label, details.get(name, {}), parse)
         except BankError as error:
             if refuse is None:
                 raise
             refuse(intent.label, details.get(name, {}).get("mode", name), error)
     if not planners and merged_into is None:
-        raise BankError(f"{folder} has no planner; an intent needs at least one <mode>.py.")
+        raise BankError(f"{folder} has no planner; an intent needs at least one <mode>.py or shared mode.")
     hashes = {name: planner.hash for name, planner in planners.items()}
     if len(set(hashes.values())) < len(planners):
         raise BankError(f"{folder} has two planners with the same text; each mode needs its own.")
@@ -153,13 +165,31 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Sour
     return Source(intent, tuple(planners.values()), retired, evidence, merged_into)
 
 
-def _read_planner(file: Path, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
-    source = _read_text(file, MAX_TEXT_BYTES)
+def _shared(file: Path, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, str]]:
+    """The words of each shared mode, from the table ``[shared]`` of ``file``."""
+    for mode, words in table.items():
+        if not mode.isidentifier() or not isinstance(words, dict):
+            raise BankError(f"{file} must give each mode of [shared] as a name and a table of words, not {mode!r}.")
+        if any(not isinstance(w, str) or not w.isprintable() or len(w) > 120 for w in words.values()):
+            raise BankError(f"{file} must give the words of the shared mode {mode!r} as short texts.")
+    return table
+
+
+def _filled(path: Path, text: str, label: str, words: Mapping[str, str]) -> str:
+    """The shared text with ``$label`` and its other ``$`` words replaced; ``words`` must give exactly those others."""
+    template = Template(text)
+    wanted = set(template.get_identifiers()) - {"label"}
+    if not template.is_valid() or wanted != words.keys():
+        raise BankError(f"{path} needs the words {sorted(wanted)} in [shared], and is given {sorted(words)}.")
+    return template.substitute(words, label=label)
+
+
+def _planner(path: Path, source: str, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
     try:
         parameters = parse(source)
     except SumoAdvError as error:
-        raise BankError(f"{file} is no planner: {error}") from error
-    mode = details.get("mode", file.stem)
+        raise BankError(f"{path} is no planner: {error}") from error
+    mode = details.get("mode", path.stem)
     return Planner(label, mode, source, parameters, details.get("origin", "seed"), details.get("parent"))
 
 

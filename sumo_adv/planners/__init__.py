@@ -1,1 +1,1 @@
-"""Planners: their text, the sandbox that runs it, what they are told, and the trajectories to their endpoints."""
+"""Planners: their text, the sandbox that runs it, their observations, and the trajectories to their endpoints."""

@@ -1,7 +1,8 @@
-"""Adversaries on their ways, ``n`` of them at once (one inside an attempt, many in a prediction).
+"""``n`` adversaries on their ways: one inside an attempt, many in a prediction.
 
-``AdversaryBatch`` knows which way each vehicle is on, turns endpoints into goals along it, and writes down what a
-planner is told at every step: the dictionaries ``bv`` and ``ego`` in the frame of the ego's pose at the trigger.
+A way is one of the paths that a vehicle can take (``ReferencePath``). ``AdversaryBatch`` knows the way of each vehicle,
+turns endpoints into goals along it, and makes the planners' observations: the dictionaries ``bv`` and ``ego`` in the
+frame of the ego's pose at the trigger.
 """
 
 from __future__ import annotations
@@ -17,50 +18,54 @@ from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.drivers.junctions import Blocked
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.planners.answers import PlannerObservation
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.forecast import LOOK, arrivals, stations
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.situation import ReferencePath, Situation, Target
 
-TURN_COST = 4.0  # m per rad: how much a wrong heading counts when a way is chosen
-LOYALTY = 0.5  # m: how much better another way must be
-SAME_PLACE = 0.4  # m: two ways still coincide
-LONGEST_MOVE = 20.0  # s that planners are told a lateral move still takes at most: one that hardly moves takes minutes
-COARSE = 12  # a way's points by which the nearest one is looked for first, then between these
+TURN_COST = 4.0  # m per rad: cost of a heading difference when the way of an endpoint is chosen
+LOYALTY = 0.5  # m: another way must be this much nearer to an endpoint than the present one
+SAME_PLACE = 0.4  # m: ways this near to each other still coincide
+LONGEST_MOVE = 20.0  # s: bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
+COARSE = 12  # samples of a way between those of the first search for the nearest one
 AROUND = np.arange(1 - COARSE, COARSE)
-TURNED, STAYS = 2.2, 2.0  # m per rad, m: how much its heading, and where it was, count for the way it is on (moveToXY)
-AFTER = 10.0  # m behind where ways meet
-BESIDE = np.arange(-12, 13)
-ONE = 0.78  # of a lane's width: ways that merge so far apart are one (SUMO; measured)
+SUMO_TURN_COST, SUMO_LOYALTY = 2.2, 2.0  # m per rad, m: SUMO's costs of heading and of another way (moveToXY)
+AFTER = 10.0  # m behind the place where ways meet, up to which a vehicle counts as on the junction
+BESIDE = np.arange(-12, 13)  # samples of a way around a vehicle's front
+JOINED = 0.78  # share of a lane's width: ways this near to each other have become one (measured in SUMO)
 FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
 class AdversaryBatch:
-    """``n`` vehicles (``names``: BV ids, repeats allowed) on their ways, each in a situation of one encounter."""
+    """``n`` vehicles on their ways, each in a situation of one encounter. ``names``: BV ids, repeats allowed.
+
+    ``rows`` holds all ways; ``rows.row`` is the way of each vehicle.
+    """
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
         self.scenes, self.names = Scenes(situations), list(names)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
         first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))
-        self.lines = lines = [w for t in unique for w in t.ways]
+        self._ways = ways = [w for t in unique for w in t.ways]
         self._base = np.array([first[id(t)] for t in self.targets])
         self._count = np.array([len(t.ways) for t in self.targets])
-        self.rows = PathRows([w.path for w in lines], self._base.copy())
-        longest = max(len(w.path.x) for w in lines)
+        self.rows = PathRows([w.path for w in ways], self._base.copy())
+        longest = max(len(w.path.x) for w in ways)
         self._ego = np.stack(
-            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in lines]
+            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in ways]
         )
-        at = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
+        conflicts = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
         most = int(self._count.max())
-        self._conflicts = np.array([at[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
+        self._conflicts = np.array([conflicts[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
         self._roads: dict[int, PathRow] = {}
-        self._junctions = np.array([_junction(w, situations[0].lane_width) for w in lines])
-        self._first = np.array([w.before_ego for w in lines])
-        self._bays = np.array([w.bay for w in lines])
-        own = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
-        self._own = np.where(own < 0, -1, self._base + own)
-        self._taken: Any = None  # the ways that SUMO takes them to be on
+        self._junctions = np.array([_junction(w, situations[0].lane_width) for w in ways])
+        self._first = np.array([w.before_ego for w in ways])
+        self._bays = np.array([w.bay for w in ways])
+        route = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
+        self._route = np.where(route < 0, -1, self._base + route)  # way of its route, -1 if unknown
+        self._sumo_way: Any = None  # the way that SUMO has each vehicle on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
         self._lane = self.scenes.each(lambda s: s.lane_width)
@@ -68,7 +73,7 @@ class AdversaryBatch:
         self.cap = np.array([t.fastest for t in self.targets])
 
     def begin(self) -> Motion:
-        """Everybody as at the trigger."""
+        """All vehicles as at the trigger."""
         columns = [(t.station, t.offset, math.sin(t.turn), t.state.speed, t.state.acceleration) for t in self.targets]
         s, d, slope, v, a = np.array(columns, float).T
         return start(Batch, s, d, slope, v, a)
@@ -87,14 +92,14 @@ class AdversaryBatch:
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
 
     def blocked(self, motion: Motion) -> Blocked | None:
-        """How the vehicles stand in the ego's way at the junction where their ways meet its path; None where no way
-        meets it at one. Asked once a step: which ways they are on hangs on where they were.
+        """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.
 
-        Where a junction ends is not known: as far behind the place where the ways meet as it begins before it.
+        Call it once a step, because the way of each vehicle depends on its way in the last step. The end of a junction
+        is unknown. It is taken to be as far behind the place where the ways meet as the junction begins before it.
         """
         if not np.isfinite(self._junctions[:, 2]).any():
             return None
-        row = self._taken_ways(motion)
+        row = self._find_sumo_ways(motion)
         entry, meets, ego, merging, wide, joins = self._junctions[row].T
         bay = self._bays[row]
         entry = np.where(np.isfinite(bay), bay, entry)
@@ -110,47 +115,54 @@ class AdversaryBatch:
             behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
         )  # fmt: skip
 
-    def _taken_ways(self, motion: Motion) -> Any:
-        """The ways that SUMO takes vehicles to be on: their routes' until they are on a junction, on it those whose
-        lines their fronts are nearest to, where the one that they were on counts as nearer (``moveToXY``)."""
+    def _find_sumo_ways(self, motion: Motion) -> Any:
+        """The way that SUMO has each vehicle on, ``(n,)``.
+
+        Before the junction it is the way of the vehicle's route. On the junction it is the way nearest to the vehicle's
+        front, and the way of the last step counts as nearer (``moveToXY``).
+        """
         on = (motion.s + self.length / 2 > self._enters) & (motion.s < self._leaves) & (self._count > 1)
-        if self._taken is None:
-            self._taken = np.where(self._own < 0, self.rows.row, self._own)
-        self._taken = np.where(on | ((self._own >= 0) & (motion.s < self._leaves)), self._taken, self.rows.row)
+        if self._sumo_way is None:
+            self._sumo_way = np.where(self._route < 0, self.rows.row, self._route)
+        keeps = on | ((self._route >= 0) & (motion.s < self._leaves))
+        self._sumo_way = np.where(keeps, self._sumo_way, self.rows.row)
         rows = np.flatnonzero(on)
         if not len(rows):
-            return self._taken
+            return self._sumo_way
         x, y, h = (q[rows] for q in pose(Batch, motion, self.rows))
         half = self.length[rows] / 2
         x, y = x + half * np.cos(h), y + half * np.sin(h)
-        least, found = np.full(len(rows), np.inf), self._taken[rows]
+        least, nearest = np.full(len(rows), np.inf), self._sumo_way[rows]
         here = ((motion.s[rows] + half) / PATH_STEP).astype(np.intp)
         near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
         for k in range(int(self._count[rows].max())):
-            mine = self._count[rows] > k
-            way = np.where(mine, self._base[rows] + k, self._base[rows])
+            has_way = self._count[rows] > k
+            way = np.where(has_way, self._base[rows] + k, self._base[rows])
             px, py, ph = (self.rows.table[way[:, None], c, near] for c in range(3))
             square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
             at = square.argmin(axis=1)
             each = np.arange(len(rows))
             turned = np.abs(wrap_all(h - ph[each, at]))
-            cost = np.sqrt(square[each, at]) + TURNED * turned - STAYS * (way == self._taken[rows])
-            better = mine & (cost < least - 1e-6)
-            least, found = np.where(better, cost, least), np.where(better, way, found)
-        self._taken[rows] = found
-        return self._taken
+            cost = np.sqrt(square[each, at]) + SUMO_TURN_COST * turned - SUMO_LOYALTY * (way == self._sumo_way[rows])
+            better = has_way & (cost < least - 1e-6)
+            least, nearest = np.where(better, cost, least), np.where(better, way, nearest)
+        self._sumo_way[rows] = nearest
+        return self._sumo_way
 
     def road(self, k: int) -> PathRow:
-        """The way vehicle ``k`` is on, for floats."""
+        """The way of vehicle ``k``, for floats."""
         row = int(self.rows.row[k])
         if row not in self._roads:
-            self._roads[row] = PathRow(self.lines[row].path)
+            self._roads[row] = PathRow(self._ways[row].path)
         return self._roads[row]
 
     # -- endpoints ----------------------------------------------------------------------------------------------
 
     def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: Goal) -> Goal:
-        """Goals on the ways for endpoints in the world; vehicles without one keep the goal ``before``."""
+        """Goals on the ways for endpoints in the world. Puts each vehicle on the way that leads to its endpoint.
+
+        Vehicles without an endpoint keep the goal ``before``.
+        """
         have = np.array([e is not None for e in ends])
         values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
         x, y, h, v, time = np.array(values, float).T
@@ -158,36 +170,31 @@ class AdversaryBatch:
         best, best_s, best_d = self.rows.row.copy(), before.s.copy(), before.d.copy()
         here = pose(Batch, motion, self.rows) if int(self._count.max()) > 1 else None
         for k in range(int(self._count.max())):
-            mine = np.flatnonzero(have & (self._count > k))
-            row = self._base[mine] + k
-            s, d, turned = self._project(row, x[mine], y[mine], h[mine])
-            same = row == self.rows.row[mine]
+            vehicles = np.flatnonzero(have & (self._count > k))
+            row = self._base[vehicles] + k
+            s, d, turned = self._project(row, x[vehicles], y[vehicles], h[vehicles])
+            same = row == self.rows.row[vehicles]
             cost = np.abs(d) + TURN_COST * turned - LOYALTY * same
-            better = cost < least[mine]
+            better = cost < least[vehicles]
             if here is not None:
-                part = motion._replace(s=motion.s[mine], d=motion.d[mine], slope=motion.slope[mine])
-                there = pose(Batch, part, self._on(row))
-                better &= (np.hypot(there[0] - here[0][mine], there[1] - here[1][mine]) < SAME_PLACE) | same
-            which = mine[better]
-            least[which], best[which], best_s[which], best_d[which] = cost[better], row[better], s[better], d[better]
+                part = motion._replace(s=motion.s[vehicles], d=motion.d[vehicles], slope=motion.slope[vehicles])
+                there = pose(Batch, part, self.rows.on(row))
+                better &= (np.hypot(there[0] - here[0][vehicles], there[1] - here[1][vehicles]) < SAME_PLACE) | same
+            to = vehicles[better]
+            least[to], best[to], best_s[to], best_d[to] = cost[better], row[better], s[better], d[better]
         self.rows.row = best
         return Goal(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
-    def _on(self, row: Any) -> PathRows:
-        other = object.__new__(PathRows)
-        other.__dict__.update(self.rows.__dict__)
-        other.row = row
-        return other
-
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
+        """Stations and offsets [m] of poses ``(n,)`` on the ways ``row``, and the heading differences [rad]."""
         table, last = self.rows.table, self.rows.last[row]
         i = np.empty(len(x), np.intp)
         for k in np.unique(row):
-            mine = np.flatnonzero(row == k)
+            on_way = np.flatnonzero(row == k)
             coarse = np.arange(0, self.rows.last[k] + 1, COARSE)
-            first = _nearest(table[k, :2, coarse].T[:, None, :], x[mine], y[mine]) * COARSE
+            first = _nearest(table[k, :2, coarse].T[:, None, :], x[on_way], y[on_way]) * COARSE
             near = np.minimum(np.maximum(first[:, None] + AROUND, 0), self.rows.last[k])
-            i[mine] = near[np.arange(len(mine)), _nearest(table[k, :2][:, near], x[mine], y[mine])]
+            i[on_way] = near[np.arange(len(on_way)), _nearest(table[k, :2][:, near], x[on_way], y[on_way])]
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
@@ -195,28 +202,31 @@ class AdversaryBatch:
         return i * PATH_STEP + along, aside, np.abs(wrap_all(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
-        """What leads vehicle ``k`` after a planner's states (n, 4) on the way it is on.
+        """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way.
 
         Raises:
-            PlannerResultError: too few states, or they go where this way does not.
+            PlannerResultError: there are too few states, or they leave the way.
         """
         x, y, h = pose(Batch, motion, self.rows)
         dt = self.scenes.dt
         line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
-        return Follower(line, self.lines[int(self.rows.row[k])].path)
+        return Follower(line, self._ways[int(self.rows.row[k])].path)
 
-    # -- what planners are told ---------------------------------------------------------------------------------
+    # -- observations -------------------------------------------------------------------------------------------
 
-    def tell(
+    def observe(
         self,
         motion: Motion,
         now: float,
         ego: tuple[Floats, Floats, Floats, Floats],
         last: Sequence[Mapping[str, float] | None],
         rows: Sequence[int] | None = None,
-    ) -> list[tuple[dict[str, Any], dict[str, Any]]]:
-        """``(bv, ego)`` for each vehicle (of ``rows``: empty for others). ``ego``: station, offset [m], speed,
-        acceleration of the egos, each (n,)."""
+    ) -> list[PlannerObservation]:
+        """The observation of each vehicle's planner; empty dictionaries for vehicles that are not in ``rows``.
+
+        ``now``: seconds since the trigger. ``ego``: station [m], offset [m], speed [m/s] and acceleration [m/s2] of the
+        egos, each ``(n,)``. ``last``: the last endpoint of each vehicle, or None.
+        """
         scenes = self.scenes
         es, ed, ev, ea = ego
         x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
@@ -234,58 +244,61 @@ class AdversaryBatch:
             [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
              motion.v * np.cos(rh), ev, ea],
         ).T  # fmt: skip
-        asked = range(len(self.targets)) if rows is None else rows
-        told: list[tuple[dict[str, Any], dict[str, Any]]] = [({}, {})] * len(self.targets)
+        rows = range(len(self.targets)) if rows is None else rows
+        observations: list[PlannerObservation] = [({}, {})] * len(self.targets)
         for k, (*of_bv, speed, acceleration), path in zip(
-            asked, columns[asked].tolist(), table[asked].tolist(), strict=True
+            rows, columns[rows].tolist(), table[rows].tolist(), strict=True
         ):
             bv = dict(zip(BV_FIELDS, of_bv, strict=True))
             state = self.targets[k].state
             bv |= {"length": state.length, "width": state.width, "time": now, "last": last[k]}
             _, ego_x, ego_y, heading, _ = path[0]
-            told[k] = bv, {
+            observations[k] = bv, {
                 "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
                 "length": scenes.ego.length, "width": scenes.ego.width, "path": path, "arrivals": meet[k],
             }  # fmt: skip
-        return told
+        return observations
 
     def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
-        """Per vehicle and way: seconds until the ego is at the conflict."""
+        """Seconds until the ego is at the conflict, for each vehicle and each of its ways."""
         times = arrivals(self.scenes, now, s, v, a, self._conflicts)
         return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
 
 
 def _nearest(places: Floats, x: Floats, y: Floats) -> Any:
-    """Which of the places (x and y, ``(2, n or 1, k)``) is nearest to each point, ``(n,)``."""
+    """The index of the place (x and y, ``(2, n or 1, k)``) nearest to each point, ``(n,)``."""
     dx, dy = x[:, None] - places[0], y[:, None] - places[1]
     return np.argmin(dx * dx + dy * dy, axis=1)
 
 
 def _inside(target: Target) -> tuple[float, float]:
-    """Stations [m] of a BV's ways between which it is on the junction where they part."""
+    """Stations [m] at which a BV enters and leaves the junction where its ways part."""
     begins = min(w.junction for w in target.ways)
     meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
     return begins, max(meets, default=begins) + AFTER
 
 
 def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, float, float, float]:
-    """Stations [m]: of the way where its junction begins and where it meets the ego's path, of that path there; 1 if
-    they merge, 0 if they cross; what part of a lane's width each takes up of the other (SUMO's ``conflictSize``); the
-    station of the ego's path at which ways that merge become one."""
+    """The junction of a way, as six numbers.
+
+    Stations [m] of the way where its junction begins and where it meets the ego's path; the station of the ego's path
+    there; 1 if the two merge, 0 if they cross; the length of their conflict in lane widths (SUMO's ``conflictSize``);
+    the station of the ego's path at which merging paths have become one.
+    """
     c = way.conflict
     if c is None:
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
     wide = 2.0 / max(abs(math.sin(c.angle)), FLATTEST) - 1.0
     at = int(c.bv_s / PATH_STEP)
-    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > ONE * lane)
+    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > JOINED * lane)
     joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
     return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins
 
 
 def _yields(situation: Situation, target: Target) -> bool:
-    """Whether it has red where the ego has green, as the lights are at the trigger."""
-    mine, other = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
-    return bool(mine) and mine[0][2] in "Gg" and bool(other) and other[0][2] not in "Gg"
+    """Whether the BV has red and the ego green at the trigger."""
+    ego, bv = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
+    return bool(ego) and ego[0][2] in "Gg" and bool(bv) and bv[0][2] not in "Gg"
 
 
 BV_FIELDS = (

@@ -1,8 +1,8 @@
-"""A planner's own f_traj: its states are a line with a timetable, and a feasible vehicle drives after them.
+"""Following a planner's own trajectory: its states are a line with a timetable, and a vehicle drives along it.
 
-Sideways the vehicle goes back to the nearest place of the line, along it keeps to the timetable, both as a critically
-damped spring.  Limits bind what it does, not what it is asked for: too fast a timetable makes it late, too sharp a line
-makes it leave the line.  One vehicle at a time, on floats, in attempts and predictions alike.
+Two critically damped springs pull the vehicle: sideways to the nearest place of the line, and along it to the place of
+the timetable. The vehicle stays within the limits. A timetable that is too fast makes it late, and a line that is too
+sharp makes it leave the line. Attempts and predictions both drive one vehicle at a time here, on floats.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from sumo_adv.errors import PlannerResultError
 from sumo_adv.geometry import Path, wrap, wrap_all
 from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
 
-LEAST_STATES = 4  # fewer are no motion
+LEAST_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
 HALF_WINDOW = 3  # states on either side over which speeds and accelerations are fitted
 SIDEWAYS_RATE, ALONG_RATE = 2.0, 1.5  # 1/s, of the two springs
-LATE = 5.0  # m: more than this it does not try to catch up at once
-SHARE = 0.95  # of the limits on lateral acceleration and curvature that is used
-LEAST_LATERAL = 0.5  # m/s2: what corrections may use where the planner's own line is straight
+LATE = 5.0  # m: bound of the delay that the spring along the line sees
+SHARE = 0.95  # used share of the limits on lateral acceleration and curvature
+LEAST_LATERAL = 0.5  # m/s2: lateral acceleration for corrections where the planner's line is straight
 LATERAL_JERK = 10.0  # m/s3
-TURNED, TIGHT = 0.7, 0.3  # rad, share: where a line is too far from the way to be told as a place beside it
-CRAWL, SLOW = 0.3, 2.0  # m/s: below the first, headings are the planner's; below the second, curvature is not judged
+MAX_TURN, MIN_STRETCH = 0.7, 0.3  # rad, 1 - curvature * offset: beyond these, a line has no place beside the way
+CRAWL, SLOW = 0.3, 2.0  # m/s: below the first, headings are the planner's; below the second, curvature is not checked
 ROAD_AHEAD = 3.0  # s of a trajectory that must be on the road
-CORNER = 0.3  # m by which the box is drawn in for that
+CORNER = 0.3  # m by which the box is reduced for that check
 
 
 class Line:
-    """Planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
+    """A planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
 
-    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion where it moves; p, metres along; v [m/s];
-    a, lateral [m/s2]; curvature [1/m].
+    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion or, below ``CRAWL``, the planner's; p: metres
+    along the line; v [m/s]; a, lateral [m/s2]; curvature [1/m].
     """
 
     def __init__(self, states: Floats, dt: float) -> None:
@@ -54,9 +54,9 @@ class Line:
         self.curvature = np.where(moving, self.lateral / speed**2, 0.0)
 
     def beyond(self, limits: Limits, cap: float) -> str:
-        """What of it no vehicle within the limits can do, as words; empty where it can."""
-        found = []
-        for what, value, most, unit in (
+        """The quantities that exceed the limits or the highest speed ``cap``, as words; empty if there are none."""
+        exceeded = []
+        for quantity, value, most, unit in (
             ("sideways", np.abs(self.lateral).max(), limits.lateral, "m/s2"),
             ("braking", -self.a.min(), limits.braking, "m/s2"),
             ("acceleration", self.a.max(), limits.acceleration, "m/s2"),
@@ -64,12 +64,12 @@ class Line:
             ("speed", self.v.max(), cap, "m/s"),
         ):
             if value > 1.05 * most:
-                found.append(f"{what} {value:.2g} {unit} (at most {most:.2g})")
-        return ", ".join(found)
+                exceeded.append(f"{quantity} {value:.2g} {unit} (at most {most:.2g})")
+        return ", ".join(exceeded)
 
 
 def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
-    """First and second derivatives of values ``dt`` apart, by a parabola fitted to those around each."""
+    """First and second derivatives of values ``dt`` apart, from a parabola fitted around each."""
     n = len(values)
     width = min(2 * HALF_WINDOW + 1, n)
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
@@ -79,7 +79,7 @@ def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
 
 
 def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Floats:
-    """The states with the present pose before them where the first is nearer to one ``dt`` from now than to now."""
+    """The states, beginning now: with the present pose before them if their first one is ``dt`` from now."""
     step = math.hypot(*(states[1, :2] - states[0, :2])) if len(states) > 1 else 0.0
     ahead = math.cos(heading) * (states[0, 0] - x) + math.sin(heading) * (states[0, 1] - y)
     if step > CRAWL * dt and ahead > step / 2:
@@ -90,7 +90,7 @@ def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Fl
 def off_road(
     states: Floats, length: float, width: float, dt: float, on_road: Callable[[Floats, Floats], Bools]
 ) -> float | None:
-    """Seconds from now at which a corner of the box leaves the road, None if it does not in ``ROAD_AHEAD`` s."""
+    """Seconds from now at which a corner of the box leaves the road; None if it stays on it for ``ROAD_AHEAD`` s."""
     x, y, h, _ = states[: round(ROAD_AHEAD / dt)].T
     out = np.zeros(len(x), bool)
     for a, b in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
@@ -101,17 +101,17 @@ def off_road(
 
 
 class Follower:
-    """One vehicle on its way after one trajectory.
+    """Drives one vehicle along one trajectory on its way.
 
     Raises:
-        PlannerResultError: it has too few states, or goes where this way does not.
+        PlannerResultError: the trajectory has too few states, or leaves the way.
     """
 
     def __init__(self, line: Line, way: Path) -> None:
         if len(line.x) < LEAST_STATES:
             raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {LEAST_STATES} are needed")
         d, turned, curvature = _beside(line, way)
-        astray = (turned > TURNED) | (1.0 - curvature * d < TIGHT)
+        astray = (turned > MAX_TURN) | (1.0 - curvature * d < MIN_STRETCH)
         if astray.any():
             k = int(np.argmax(astray))
             raise PlannerResultError(
@@ -122,24 +122,24 @@ class Follower:
         heading = np.unwrap(line.heading).tolist()
         self._rows = list(zip(line.x.tolist(), line.y.tolist(), heading, line.curvature.tolist(), strict=True))
         self._p, self._v, self._a = line.p.tolist(), line.v.tolist(), line.a.tolist()
-        self._own = max(LEAST_LATERAL, 1.02 * float(np.abs(line.lateral).max()))
+        self._lateral = max(LEAST_LATERAL, 1.02 * float(np.abs(line.lateral).max()))
         self._k, self._here = 0, 0.0
         settled = np.flatnonzero(np.abs(d - d[-1]) > 0.05)
         self._end = float(d[-1]), (float(settled[-1] + 1) * line.dt if len(settled) else 0.0)
-        self.farthest = 0.0  # m it was from the place the planner wanted it at, so far
+        self.farthest = 0.0  # m: largest distance so far from the place of the timetable
 
     @property
     def over(self) -> bool:
-        """Whether the states are used up."""
+        """Whether all states are used."""
         return self._k >= len(self._p) - 1
 
     def begin(self, motion: Motion) -> Motion:
-        """The motion as planners are told it: it is on its way to the offset at the trajectory's end."""
+        """The motion with the offset at the trajectory's end as its lateral target, for planners' observations."""
         target, seconds = self._end
         return motion._replace(target=target, clock=0.0, span=max(seconds, 1e-3))
 
     def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float) -> Motion:
-        """One step on."""
+        """The motion after one step."""
         dt, v = self.line.dt, motion.v
         x, y, h = pose(Scalar, motion, road)
         bend = road.at(motion.s)[3]
@@ -147,7 +147,7 @@ class Follower:
         aside, turn, curvature = self._place(x, y, h)
         speed, a = faster(Scalar, v, motion.a, self._along(v, limits), abs(before) + LATERAL_RESERVE, limits, cap, dt)
         lateral = v * v * curvature + SIDEWAYS_RATE**2 * aside + 2 * SIDEWAYS_RATE * v * math.sin(turn)
-        most = min(SHARE * limits.lateral, self._own)
+        most = min(SHARE * limits.lateral, self._lateral)
         lateral = min(max(lateral, before - LATERAL_JERK * dt), before + LATERAL_JERK * dt)
         lateral = min(max(lateral, -most), most)
         mean = (v + speed) / 2
@@ -161,7 +161,7 @@ class Follower:
         )  # fmt: skip
 
     def _place(self, x: float, y: float, h: float) -> tuple[float, float, float]:
-        """Metres the line is to the left, the angle to turn to go along it, and its curvature, where it is nearest."""
+        """The nearest place of the line: metres to the left, angle to its heading [rad], curvature [1/m]."""
         for _ in range(2):
             rx, ry, rh, curvature = self._at(self._here)
             c, s = math.cos(rh), math.sin(rh)
@@ -172,6 +172,7 @@ class Follower:
         return aside, wrap(rh - h), curvature
 
     def _at(self, p: float) -> tuple[float, float, float, float]:
+        """x, y, heading and curvature ``p`` metres along the line."""
         last = len(self._p) - 1
         i = min(max(bisect.bisect_right(self._p, p) - 1, 0), last - 1)
         step = self._p[i + 1] - self._p[i]
@@ -183,7 +184,7 @@ class Follower:
         return a[0] * e + b[0] * w, a[1] * e + b[1] * w, a[2] * e + b[2] * w, a[3] * e + b[3] * w
 
     def _along(self, v: float, limits: Limits) -> float:
-        """The acceleration the timetable asks for, less where the line bends too sharply for it ahead."""
+        """The acceleration [m/s2] of the timetable, reduced for sharp bends ahead."""
         k = self._k
         late = min(max(self._p[k] - self._here, -LATE), LATE)
         want = (self._a[k] + self._a[k + 1]) / 2 + 2 * ALONG_RATE * (self._v[k] - v) + ALONG_RATE**2 * late
@@ -198,7 +199,7 @@ class Follower:
 def _on_way(
     motion: Motion, road: PathRow, x: float, y: float, h: float, v: float, a: float, lateral: float, dt: float
 ) -> Motion:
-    """A pose in the world as a motion on the way, near where it was."""
+    """A pose in the world as a motion on the way, near the station of ``motion``."""
     s, d = motion.s, motion.d
     for _ in range(3):
         px, py, ph, bend = road.at(s)
@@ -213,7 +214,7 @@ def _on_way(
 
 
 def _beside(line: Line, way: Path) -> tuple[Floats, Floats, Floats]:
-    """Offsets of a line from a way [m], how far it is turned from it [rad], and the way's curvature there [1/m]."""
+    """Offsets of a line from a way [m], heading differences [rad], and the way's curvature there [1/m]."""
     i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
     h = way.heading[i]
     d = -np.sin(h) * (line.x - way.x[i]) + np.cos(h) * (line.y - way.y[i])

@@ -1,7 +1,7 @@
-"""What the ego will do: along its path, by its unattacked profile until it is disturbed, then by its driver's model.
+"""The forecast of the ego's motion that planners get: its path for the next 8 s and its arrivals at conflicts.
 
-The profile comes from the unattacked run that was forked at the trigger (ALGORITHM, "Ego forecast"); in an attempt it
-is shifted by the ego's present offset while the ego still follows it.
+An ego near its unattacked profile is expected to follow it, shifted by its present distance from it. Any other ego is
+expected to keep its acceleration for a moment and then its speed. The profile is the ego's motion in the baseline run.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import NO_ARRIVAL
 
-ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: closer than this the ego still follows its profile
-HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration so long, then its speed
-LOOK = np.arange(0.0, 9.0)  # s: where planners are told the ego's predicted path
+ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: an ego nearer than this still follows its profile
+HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration for this time, then its speed
+LOOK = np.arange(0.0, 9.0)  # s: times of the predicted path in a planner's observation
 ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
 
 
@@ -29,11 +29,13 @@ def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: 
 
 
 def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
-    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k); negative once past, ``NO_ARRIVAL`` if not
-    foreseen."""
-    found = np.full(conflict_s.shape, NO_ARRIVAL)
+    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k).
+
+    Negative once past, ``NO_ARRIVAL`` if the ego does not get there within the forecast.
+    """
+    times = np.full(conflict_s.shape, NO_ARRIVAL)
     if not np.isfinite(conflict_s).any():
-        return found
+        return times
     way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
     rows = np.arange(len(s))
     for k, at in enumerate(conflict_s.T):
@@ -43,5 +45,5 @@ def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, confli
         w = np.clip((at - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
         time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
         left = at - s
-        found[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
-    return found
+        times[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
+    return times

@@ -1,9 +1,9 @@
 """The second wall: monty's worker inside bubblewrap (Linux), or as a plain process.
 
-Inside there are the worker's own file and the few libraries it is linked with, read-only, and nothing else: no
-network, no /proc, no /dev, no home, no environment, no capabilities, user nobody, a session and name spaces of its own.
-In most containers bubblewrap is refused; then the container is the second wall, and ``Jail.note`` says so.
-Measured on two slow cores: finding out 60 ms once, the first session 8 ms (plain 5 ms), all else costs the same.
+The worker sees its own file and the few libraries it is linked with, read-only. It has no network, /proc, /dev, home,
+environment or capabilities. Its user is 65534, and its session and name spaces are its own. Most containers refuse
+bubblewrap. Then the container is the second wall, and ``Jail.note`` says so.
+Measured on two slow cores: the probe takes 60 ms once, the first session 8 ms (plain 5 ms), all else is equal.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pathlib import Path
 from sumo_adv.errors import SandboxError
 
 SWITCH = "SUMO_ADV_BUBBLEWRAP"
-ADDRESS_SPACE = 1 << 30  # bytes, beside what the limits allow: the type checker's own needs included
+ADDRESS_SPACE = 1 << 30  # bytes, beside the memory limit: what the worker needs itself, with its type checker
 _PROBE_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Jail:
-    """How the worker is started: ``command`` (argv), ``isolation`` (bubblewrap | process), a sentence for people."""
+    """How the worker is started: ``command`` (argv), ``isolation`` (bubblewrap | process), ``note`` (a sentence)."""
 
     command: tuple[str, ...]
     isolation: str
@@ -37,7 +37,7 @@ def make_jail(bubblewrap: bool | None = None) -> Jail:
     """Find the worker and the strongest way to start it here.
 
     Args:
-        bubblewrap: False turns it off; None asks the variable ``SUMO_ADV_BUBBLEWRAP`` (``off`` turns it off).
+        bubblewrap: False turns it off; None reads the variable ``SUMO_ADV_BUBBLEWRAP`` (``off`` turns it off).
 
     Raises:
         SandboxError: monty's worker is not installed.
@@ -73,7 +73,10 @@ def make_jail(bubblewrap: bool | None = None) -> Jail:
 
 
 def wrapper_script(jail: Jail, memory: int) -> str:
-    """A POSIX ``sh`` script that starts the worker with an address-space limit [bytes], no core file, no chatter."""
+    """A POSIX ``sh`` script that starts the worker with an address-space limit, no core file and no messages.
+
+    ``memory``: of the planner's heap [bytes].
+    """
     kilobytes = (ADDRESS_SPACE + memory) // 1024
     return (
         "#!/bin/sh\n"
@@ -106,13 +109,13 @@ def _bubblewrap(program: str, libraries: list[str]) -> list[str]:
 
 
 def _libraries(worker: str) -> list[str]:
-    """Absolute paths of the shared libraries (and loader) the worker is linked with; empty for a static one."""
+    """Absolute paths of the worker's shared libraries and loader; empty if it is linked statically."""
     done = subprocess.run(["ldd", worker], capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False)
     return re.findall(r"(/\S+) \(0x[0-9a-f]+\)", done.stdout)
 
 
 def _probe(command: tuple[str, ...]) -> str | None:
-    """None if the worker starts and says its version, else why not."""
+    """None if the worker starts and prints its version, else the reason."""
     done = subprocess.run(
         [*command, "--version"],
         capture_output=True,

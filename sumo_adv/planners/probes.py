@@ -1,7 +1,7 @@
-"""Made-up situations in which a planner must answer: what ``planning.ground`` would tell it, by hand.
+"""Made-up situations for trials of planners, with the observations of ``AdversaryBatch`` written by hand.
 
-For each relation that an intent applies to: the ego stands, drives slowly, drives fast, on a straight road and in a
-left-hand curve; the BV at the trigger, two seconds later in the middle of a move sideways, and five seconds later.
+Each relation has 18 situations. The ego stands, drives slowly or drives fast, on a straight road or in a left-hand
+curve. The BV is at the trigger, 2 s later in the middle of a move sideways, or 5 s later.
 Frame: the ego's pose at the trigger, x forward, y left; SI units.
 """
 
@@ -12,8 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from sumo_adv.geometry import wrap
+from sumo_adv.situation import NO_ARRIVAL, fastest_of
+
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 1.8, 3.2  # m
-NO_ARRIVAL = 1e3  # s, as planners are told it
 HORIZON = 8.0  # s
 CURVATURE = 1.0 / 80.0  # 1/m, of the curve
 TIMES = (0.0, 2.0, 5.0)  # s after the trigger
@@ -21,7 +23,7 @@ SPEEDS = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # m/s, of the ego
 CONFLICT = 45.0  # m along the ego's path: where crossing and merging ways meet it
 
 LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
-"""m ahead and to the left, along the ego's path; an oncoming one is so far ahead that they meet after ``MEET``."""
+"""m ahead and to the left, along the ego's path. An oncoming BV is farther ahead and meets the ego after ``MEET``."""
 
 MEET = 6.0  # s
 
@@ -78,32 +80,32 @@ def _ego(curvature: float, speed: float, time: float, arrivals: list[float]) -> 
 def _lane(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
     ahead, left = LANE_PLACES[relation]
     oncoming = relation == "oncoming"
-    own = max(speed, 3.0) if oncoming else speed + 1.0
-    ahead += MEET * (own + speed) if oncoming else 0.0
-    travelled = own * time
+    bv_speed = max(speed, 3.0) if oncoming else speed + 1.0
+    ahead += MEET * (bv_speed + speed) if oncoming else 0.0
+    travelled = bv_speed * time
     station = ahead + (-travelled if oncoming else travelled)
     x, y, h = on_arc(station, left, curvature)
     turned = math.pi if oncoming else 0.0
     step = -2.0 if oncoming else 2.0
     line = [list(on_arc(ahead + step * i, left, curvature)[:2]) for i in range(60)]
     way = {"movement": "straight", "junction": NO_ARRIVAL, "conflict": None, "centreline": line}
-    bv = _bv((x, y, _wrap(h + turned)), own, travelled, time, (x, y))
+    bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time, (x, y))
     bv |= {
         "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
         "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TIMES[1] else 0.0,
-        "speed_along": -own if oncoming else own,
+        "speed_along": -bv_speed if oncoming else bv_speed,
     }  # fmt: skip
-    road = _road(relation, left, curvature, own, (*on_arc(ahead, left, curvature)[:2], turned), way)
+    road = _road(relation, left, curvature, bv_speed, (*on_arc(ahead, left, curvature)[:2], turned), way)
     return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL]), road)
 
 
 def _crossing(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
     cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
-    heading = _wrap(ch + CROSSING_ANGLES[relation])
+    heading = wrap(ch + CROSSING_ANGLES[relation])
     c, s = math.cos(heading), math.sin(heading)
     away = 40.0  # m from the conflict at the trigger
-    own = 7.0
-    travelled = own * time
+    bv_speed = 7.0
+    travelled = bv_speed * time
     line = [[cx + (2.0 * i - away) * c, cy + (2.0 * i - away) * s] for i in range(60)]
     conflict = {
         "kind": "merging" if relation == "merging" else "crossing", "x": cx, "y": cy, "heading": heading,
@@ -114,13 +116,13 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
     x, y = cx + (travelled - away) * c, cy + (travelled - away) * s
     ego_left = CONFLICT - speed * time
     arrival = ego_left / max(speed, 3.0) if ego_left <= 0 else (ego_left / speed if speed > 2.8 else NO_ARRIVAL)
-    bv = _bv((x, y, heading), own, travelled, time, (x, y))
+    bv = _bv((x, y, heading), bv_speed, travelled, time, (x, y))
     bv |= {
         "ahead": x - speed * time, "left": y, "relative_heading": CROSSING_ANGLES[relation], "road_heading": ch,
-        "target_left": y, "lateral_time": 0.0, "speed_along": own * math.cos(CROSSING_ANGLES[relation]),
+        "target_left": y, "lateral_time": 0.0, "speed_along": bv_speed * math.cos(CROSSING_ANGLES[relation]),
     }  # fmt: skip
     start = (cx - away * c, cy - away * s, heading)
-    road = _road("merging" if relation == "merging" else "crossing", start[1], curvature, own, start, way)
+    road = _road("merging" if relation == "merging" else "crossing", start[1], curvature, bv_speed, start, way)
     return Probe(name, bv, _ego(curvature, speed, time, [arrival]), road)
 
 
@@ -142,9 +144,5 @@ def _road(
         "sides": [{"offset": LANE_WIDTH, "kind": "same"}, {"offset": -LANE_WIDTH, "kind": "opposite"}],
         "start": {"x": x, "y": y, "heading": heading, "speed": speed},
         "ego_centreline": [list(on_arc(2.0 * i, 0.0, curvature)[:2]) for i in range(100)],
-        "fastest": max(1.4 * speed, speed + 5.0), "signals": {"bv": [], "ego": []},
+        "fastest": fastest_of(speed), "signals": {"bv": [], "ego": []},
     }  # fmt: skip
-
-
-def _wrap(angle: float) -> float:
-    return math.remainder(angle, 2.0 * math.pi)

@@ -1,10 +1,11 @@
-"""What a planner may return, checked twice.
+"""The checks of a planner's result, made twice.
 
-First inside the session: ``REDUCERS`` turn a result into a flat tuple or list of plain numbers.  Without that, a dict
-with a hundred thousand chosen integer keys would stop this process for minutes while CPython builds it (hash
-collisions, quadratic; measured: 12 000 keys, 0.8 s), and a key of 40 nested pairs for ever (monty keeps a tuple's hash,
-CPython computes it anew).  The helpers' names are drawn anew for each session.  Then here,
-trusting none of that: exact type, count, finiteness and range.
+The first check runs inside the session. ``REDUCERS`` turn a result into a flat tuple or list of plain numbers. Without
+them, a dict with a hundred thousand chosen integer keys would stop this process for minutes: its hashes collide, so
+CPython builds it in quadratic time (measured: 12 000 keys, 0.8 s). A key of 40 nested pairs would stop it for ever,
+because monty keeps a tuple's hash and CPython computes it anew. The helpers' names are random in each session.
+
+The second check runs here and does not rely on the first: exact type, count, finiteness and range.
 """
 
 from __future__ import annotations
@@ -14,20 +15,21 @@ from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import Any
 
+from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerResultError
 
 ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
 MAX_TRAJECTORY = 400  # states
 MAX_MESSAGE = 500  # characters
-AWAY = 3.0  # m from the vehicle at which its trajectory begins at most
-JUMP = 150.0  # m/s2: a change from one step to the next that is none of a motion
-FAR, TURNED, FASTEST, LATEST = 1e5, 1e3, 100.0, 60.0
+MAX_START_GAP = 3.0  # m from the vehicle to the start of its trajectory
+MAX_CHANGE = 150.0  # m/s2: a larger acceleration between two states is a jump
+MAX_DISTANCE, MAX_HEADING, MAX_SPEED, MAX_TIME = 1e5, 1e3, 100.0, 60.0
 RANGES = {
-    "x": (-FAR, FAR),
-    "y": (-FAR, FAR),
-    "heading": (-TURNED, TURNED),
-    "speed": (0.0, FASTEST),
-    "time": (0.0, LATEST),
+    "x": (-MAX_DISTANCE, MAX_DISTANCE),
+    "y": (-MAX_DISTANCE, MAX_DISTANCE),
+    "heading": (-MAX_HEADING, MAX_HEADING),
+    "speed": (0.0, MAX_SPEED),
+    "time": (0.0, MAX_TIME),
 }
 """Metres, radians, m/s and s; ``time`` must also be more than 0."""
 
@@ -89,8 +91,8 @@ def path_ID(c):
     v = trajectory(c[0], c[1], roads_ID[c[2]], c[3])
     if type_ID(v) is not list_ID and type_ID(v) is not tuple_ID:
         return "trajectory() must return a list, not " + type_ID(v).__name__
-    if not 1 <= len_ID(v) <= 400:
-        return "trajectory() must return 1 to 400 states"
+    if not 1 <= len_ID(v) <= MAX_TRAJECTORY:
+        return "trajectory() must return 1 to MAX_TRAJECTORY states"
     out = []
     for s in v:
         if (type_ID(s) is not tuple_ID and type_ID(s) is not list_ID) or len_ID(s) != 4:
@@ -100,12 +102,16 @@ def path_ID(c):
                 return "trajectory() must return plain numbers of at most 1e9, not " + type_ID(n).__name__
             out.append(n)
     return out
-"""
+""".replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY))
+"""Code of the session's helpers. A session replaces ``ID`` by its own random digits."""
 
 
 def packed(calls: Sequence[Any]) -> list[Any] | None:
-    """Calls (key, bv, ego, parameters, acc, horizon) as rows of numbers for the session's ``rows_ID``: names once, not
-    with every call, which saves about a third of its time. None where they are not all made alike."""
+    """Calls (key, bv, ego, parameters, acc, horizon) as rows of numbers for the session's ``rows_ID``.
+
+    The keys are sent once and not with every call, which saves about a third of a call's time. None if the calls do
+    not all have the same keys in the same order.
+    """
     bv_keys, ego_keys, names = (list(calls[0][k]) for k in (1, 2, 3))
     if bv_keys[-1:] != ["last"] or ego_keys[-2:] != ["path", "arrivals"]:
         return None
@@ -122,75 +128,79 @@ def packed(calls: Sequence[Any]) -> list[Any] | None:
     return [bv_keys[:-1], ego_keys[:-2], names, rows]
 
 
-def check_endpoint(who: str, value: Any) -> dict[str, float]:
-    """Five checked numbers from what the session's reducer gave.
+def check_endpoint(subject: str, value: Any) -> dict[str, float]:
+    """Five checked numbers from the tuple of the session's reducer.
 
     Raises:
-        PlannerResultError: anything else, with what is wrong.
+        PlannerResultError: the value is anything else; the message says what is wrong.
     """
     if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
-        raise _bad(who, value)
+        raise _bad(subject, value)
     x, y, heading, speed, time = value
     if type(x) is type(y) is type(heading) is type(speed) is type(time) is float and (
-        -FAR <= x <= FAR and -FAR <= y <= FAR and -TURNED <= heading <= TURNED
-        and 0.0 <= speed <= FASTEST and 0.0 < time <= LATEST
-    ):  # as below, at once  # fmt: skip
+        -MAX_DISTANCE <= x <= MAX_DISTANCE and -MAX_DISTANCE <= y <= MAX_DISTANCE
+        and -MAX_HEADING <= heading <= MAX_HEADING and 0.0 <= speed <= MAX_SPEED and 0.0 < time <= MAX_TIME
+    ):  # the usual case: the checks below in one expression  # fmt: skip
         return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
-    result = {name: _number(who, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
+    result = {name: _number(subject, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
     if result["time"] <= 0.0:
-        raise PlannerResultError(f"{who}: time must be more than 0 s, it is {result['time']!r}.")
+        raise PlannerResultError(f"{subject}: time must be more than 0 s, it is {result['time']!r}.")
     return result
 
 
-def check_trajectory(who: str, value: Any) -> list[tuple[float, float, float, float]]:
+def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float, float]]:
     """States (x, y, heading, speed) from the session's flat list of numbers.
 
     Raises:
-        PlannerResultError: anything else, with what is wrong.
+        PlannerResultError: the value is anything else; the message says what is wrong.
     """
     if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY or len(value) % 4:
-        raise _bad(who, value)
-    n = [_number(who, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
+        raise _bad(subject, value)
+    n = [_number(subject, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
     return [(n[i], n[i + 1], n[i + 2], n[i + 3]) for i in range(0, len(n), 4)]
 
 
 def check_motion(
-    who: str, states: Sequence[tuple[float, float, float, float]], bv: Mapping[str, Any], dt: float
+    subject: str, states: Sequence[tuple[float, float, float, float]], bv: Mapping[str, Any], dt: float
 ) -> None:
-    """Whether states ``dt`` [s] apart are one motion that begins at the vehicle; what it cannot do is no error here.
+    """Check that states ``dt`` [s] apart are one motion that begins at the vehicle. Limits of vehicles are not checked.
 
     Raises:
-        PlannerResultError: it begins elsewhere, or jumps.
+        PlannerResultError: the trajectory begins elsewhere, or jumps.
     """
     away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
-    if away > AWAY + 1.5 * bv["speed"] * dt:
-        raise PlannerResultError(f"{who}: its trajectory begins {away:.1f} m from where the vehicle is.")
+    if away > MAX_START_GAP + 1.5 * bv["speed"] * dt:
+        raise PlannerResultError(f"{subject}: its trajectory begins {away:.1f} m from where the vehicle is.")
     for k in range(1, len(states) - 1):
         (ax, ay, *_), (bx, by, *_), (cx, cy, *_) = states[k - 1 : k + 2]
         change = math.hypot(cx - 2 * bx + ax, cy - 2 * by + ay)
-        if change > JUMP * dt * dt:
-            raise PlannerResultError(
-                f"{who}: its trajectory jumps between states {k} and {k + 1}, {change:.1f} m from where it was going."
-            )
+        if change > MAX_CHANGE * dt * dt:
+            jump = f"jumps between states {k} and {k + 1}, {change:.1f} m from where it was going"
+            raise PlannerResultError(f"{subject}: its trajectory {jump}.")
 
 
 def clean(text: str) -> str:
-    """At most ``MAX_MESSAGE`` characters, on one line, nothing that a terminal would obey."""
+    """The text as one line of at most ``MAX_MESSAGE`` characters, without control codes for a terminal."""
     short = text[: 2 * MAX_MESSAGE].replace("\n", "; ")
     return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE].rstrip("; .")
 
 
-def _number(who: str, name: str, value: Any) -> float:
+def subject_of(planner: Planner) -> str:
+    """The planner as the subject of error messages."""
+    return clean(f"Planner {planner.label}/{planner.mode}")[:120]
+
+
+def _number(subject: str, name: str, value: Any) -> float:
     if type(value) not in (int, float):
-        raise PlannerResultError(f"{who}: {name} must be a plain number.")
+        raise PlannerResultError(f"{subject}: {name} must be a plain number.")
     low, high = RANGES[name]
     if not low <= value <= high:  # NaN is in no range, and a huge int compares exactly
         shown = repr(value) if type(value) is float else "a whole number out of range"
-        raise PlannerResultError(f"{who}: {name} must be finite and within {low:g} to {high:g}, it is {shown}.")
+        raise PlannerResultError(f"{subject}: {name} must be finite and within {low:g} to {high:g}, it is {shown}.")
     return float(value)
 
 
-def _bad(who: str, value: Any) -> PlannerResultError:
-    """The session's own sentence on what was wrong, if that is what came."""
-    what = clean(value) if type(value) is str else "the result is not what a planner may return"
-    return PlannerResultError(f"{who}: {what}.")
+def _bad(subject: str, value: Any) -> PlannerResultError:
+    """An error with the reducer's own sentence, if the value is one."""
+    reason = clean(value) if type(value) is str else "the result is not what a planner may return"
+    return PlannerResultError(f"{subject}: {reason}.")

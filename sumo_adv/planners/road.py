@@ -1,4 +1,4 @@
-"""What planners are told once of the road around a BV: ``road``, in the frame of the ego's pose at the trigger."""
+"""The dictionary ``road`` of a planner's call: the road around a BV, in the frame of the ego's pose at the trigger."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sumo_adv.situation import NO_ARRIVAL, Situation
 
 
 def road_of(situation: Situation, name: str) -> dict[str, Any]:
-    """What a planner is told once of the road around a BV (frame of the ego at the trigger)."""
+    """The ``road`` of the BV ``name``; the keys are described in ``prompts/planner.md``."""
     target = situation.targets[name]
     frame = situation.frame
     x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
@@ -39,7 +39,7 @@ def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
 
 
 def _points(situation: Situation, path: Any) -> list[list[float]]:
-    """A centreline every 2 m up to 200 m as [x, y] in the ego's frame."""
+    """The first 200 m of a path as [x, y] every 2 m, in the ego's frame."""
     step = slice(0, 400, 4)
     x, y, _ = situation.frame.points_to_local(path.x[step], path.y[step], path.heading[step])
     return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]

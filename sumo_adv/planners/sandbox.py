@@ -1,11 +1,12 @@
-"""Planner code runs here: an interpreter for model-written Python (monty), in a process of its own, inside limits.
+"""The pool of workers that run planner code: processes of monty, an interpreter for model-written Python.
 
-Three walls: monty itself (nothing of the host, no files, no network, limits on time, memory and recursion), its process
-(bubblewrap where there is one, see ``jail``), and our own checks, which believe nothing that comes back (``results``).
+There are three walls. The first is monty: no host objects, files or network, and limits on time, memory and recursion.
+The second is bubblewrap around its process (``jail``). The third is the check of everything that comes back
+(``results``).
 
-Clock frozen, sleep zero, random seeded, prints counted and dropped.  State in globals lasts as long as a session, so a
-planner sees what earlier calls of its own session left, and, in one batch, what it changed in objects shared by the
-calls.  It never sees another planner's data: each session starts from an empty interpreter.
+The clock is frozen, sleep takes no time, random is seeded, and prints are counted and dropped. Globals live as long as
+a session, so a planner can see what earlier calls of its session left there. Calls of one batch also share the objects
+they were given. A planner never sees another planner's data, because each session starts from an empty interpreter.
 
 Measured on two slow cores, in bubblewrap or not: 0.7 ms a session (2 ms with a road of 1000 points), 0.15 ms a call
 (0.25 ms with an ego path of 80 states), 20 us a call in a batch of 100, 16 ms a type check.
@@ -20,7 +21,6 @@ import tempfile
 import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -30,39 +30,24 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
 from sumo_adv.planners.results import clean
-from sumo_adv.planners.session import Call, PlannerSession
+from sumo_adv.planners.session import PlannerSession, SandboxLimits
 from sumo_adv.planners.source import HELPERS_STUBS
 
 if TYPE_CHECKING:
     from pydantic_monty import Monty, MontySession
 
-__all__ = ["Call", "PlannerSession", "Sandbox", "SandboxLimits"]
-
 _INSTANT = datetime(2025, 1, 1, tzinfo=UTC)
 
 
-@dataclass(frozen=True, slots=True)
-class SandboxLimits:
-    """What planner code may use. ``memory`` in bytes of heap, ``output_bytes`` of print a feed."""
-
-    call_seconds: float = 0.25  # a call, or the module level
-    batch_seconds: float = 5.0  # a batch, all its calls together
-    memory: int = 64 * 1024 * 1024
-    recursion: int = 200
-    output_bytes: int = 64 * 1024
-    suspensions: int = 100  # failed name look-ups and refused system calls a session
-    grace_seconds: float = 0.5  # then a worker that cannot stop itself is killed
-
-
 class Sandbox:
-    """Owns the pool of workers; opened at the first use; a context manager.
+    """Owns the pool of workers. The pool opens at the first use. A context manager.
 
-    Use it in the process that made it (a pool does not survive a fork).  Sessions may live in different threads.
+    Use it in the process that made it, because a pool does not survive a fork. Sessions may live in different threads.
 
     Args:
         limits: what planner code may use.
-        bubblewrap: False turns bubblewrap off, None asks the variable ``SUMO_ADV_BUBBLEWRAP``.
-        workers: how many sessions may be open at once.
+        bubblewrap: False turns bubblewrap off, None reads the variable ``SUMO_ADV_BUBBLEWRAP``.
+        workers: maximum number of open sessions.
     """
 
     def __init__(
@@ -101,15 +86,15 @@ class Sandbox:
         """A fresh interpreter with the planner loaded.
 
         Args:
-            planner: what to run.
-            roads: by a key of the calls, what those with it get as ``road``; plain data, sent once.
-            seed: of the planner's ``random``.
-            type_check: have the text type checked before it is run.
+            planner: the planner to run.
+            roads: the ``road`` of each key that calls may name; plain data, sent once.
+            seed: seed of the planner's ``random``.
+            type_check: whether to type check the text before it runs.
 
         Raises:
             PlannerSyntaxError: the text is not in the subset, or the type check failed.
             PlannerRuntimeError, PlannerLimitError: its module level failed.
-            SandboxError: no worker can be had.
+            SandboxError: no worker is available.
         """
         self._open()
         return PlannerSession(self, planner, roads, seed, type_check)
@@ -152,7 +137,7 @@ class Sandbox:
             return jail
 
     def _start(self, program: str) -> None:
-        """Workers die with the thread that started them (bubblewrap), so one lasting thread starts them all."""
+        """Start the pool from one lasting thread: under bubblewrap, workers die with the thread that started them."""
         from pydantic_monty import Monty
 
         _spare_look_ups()
@@ -168,11 +153,11 @@ class Sandbox:
         self._owner.submit(self._pool.__enter__).result()
 
     def check_usable(self) -> None:
-        """Raise ``SandboxError`` where it is closed or not this process's."""
+        """Raise ``SandboxError`` if the sandbox is closed or belongs to another process."""
         if self._closed:
             raise SandboxError("The sandbox is closed: make a new one.")
         if os.getpid() != self._process:
-            raise SandboxError("The sandbox was opened in another process: ask that process.")
+            raise SandboxError("The sandbox was opened in another process: use it there.")
 
     def checkout(self, seed: int, type_check: bool) -> MontySession:
         """A worker for one session."""
@@ -206,7 +191,10 @@ class Sandbox:
 
 
 def _spare_look_ups() -> None:
-    """Monty imports opentelemetry at every feed; where there is none, Python then looks through all its folders, which
-    takes as long as the feed itself (48 us of 92). A None among the modules says at once that there is none."""
+    """Mark opentelemetry as missing where it is not installed.
+
+    Monty imports it at every feed. If it is missing, Python searches all its folders each time, which takes half of the
+    feed (48 of 92 us). None among the modules ends the search at once.
+    """
     if "opentelemetry" not in sys.modules and importlib.util.find_spec("opentelemetry") is None:
         sys.modules["opentelemetry"] = None  # type: ignore[assignment]

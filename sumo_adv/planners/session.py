@@ -1,4 +1,4 @@
-"""One planner in one fresh interpreter: loading it, calling it, and turning monty's errors into ours."""
+"""A session: one planner in one fresh interpreter, its calls, and monty's errors as errors of this program."""
 
 from __future__ import annotations
 
@@ -6,42 +6,68 @@ import re
 import secrets
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.errors import (
-    PlannerLimitError,
-    PlannerResultError,
-    PlannerRuntimeError,
-    PlannerSyntaxError,
-    SandboxError,
+from sumo_adv.errors import PlannerLimitError, PlannerResultError, PlannerRuntimeError, PlannerSyntaxError, SandboxError
+from sumo_adv.planners.results import (
+    REDUCERS,
+    check_endpoint,
+    check_motion,
+    check_trajectory,
+    clean,
+    packed,
+    subject_of,
 )
-from sumo_adv.planners.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean, packed
 from sumo_adv.planners.source import HELPERS_CODE, read_source
 
 if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
 
-    from sumo_adv.planners.sandbox import Sandbox
-
-BATCH_FEED = 256  # calls a feed: a feed has ``call_seconds``, and an honest call needs some 10 us
+BATCH_FEED = 256  # calls in a feed: a feed has ``call_seconds``, and an honest call takes about 10 us
 _PLANNER_FILE = "<python-input-1>"  # monty's name for the second feed of a session
 
 Call = tuple[str, Mapping[str, Any], Mapping[str, Any], Mapping[str, float], float, float]
-"""One call in a batch: key, bv, ego, parameters, acc, horizon [s]."""
+"""One call of a planner: key of its road, bv, ego, parameters, acc [m/s2], horizon [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SandboxLimits:
+    """What planner code may use. ``memory`` in bytes of heap, ``output_bytes`` of print in a feed."""
+
+    call_seconds: float = 0.25  # a call, or the module level
+    batch_seconds: float = 5.0  # a batch, all its calls together
+    memory: int = 64 * 1024 * 1024
+    recursion: int = 200
+    output_bytes: int = 64 * 1024
+    suspensions: int = 100  # failed name look-ups and refused system calls in a session
+    grace_seconds: float = 0.5  # after it a worker that does not stop is killed
+
+
+class WorkerPool(Protocol):
+    """Where a session gets its interpreter: the sandbox."""
+
+    limits: SandboxLimits
+
+    def check_usable(self) -> None:
+        """Raise SandboxError if the pool is closed or belongs to another process."""
+
+    def checkout(self, seed: int, type_check: bool) -> MontySession:
+        """An interpreter with nothing in it. Raises SandboxError."""
 
 
 class PlannerSession:
-    """One planner in one fresh interpreter; a context manager; for one thread at a time.
+    """One planner in one fresh interpreter. A context manager, for one thread at a time.
 
-    After a time or memory limit or a dead worker the session has ended and every further call raises
-    ``PlannerLimitError``; only ``endpoints`` starts it again by itself, with fresh globals.
+    A time limit, a memory limit or a dead worker ends the session. Every further call then raises
+    ``PlannerLimitError``. Only ``endpoints`` starts the session again by itself, with fresh globals.
     """
 
     def __init__(
         self,
-        sandbox: Sandbox,
+        pool: WorkerPool,
         planner: Planner,
         roads: Mapping[str, Mapping[str, Any]],
         seed: int,
@@ -49,11 +75,11 @@ class PlannerSession:
     ) -> None:
         self.planner = planner
         self.has_trajectory = read_source(planner.source).has_trajectory
-        self._sandbox = sandbox
+        self._pool = pool
         self._roads = {str(key): road for key, road in roads.items()}
         self._seed = seed
         self._id = secrets.token_hex(8)
-        self._who = clean(f"Planner {planner.label}/{planner.mode}")[:120]
+        self._subject = subject_of(planner)
         self._session: MontySession | None = None
         self._start(type_check)
 
@@ -77,7 +103,7 @@ class PlannerSession:
             try:
                 session.__exit__(None, None, None)
             except (MontyError, RuntimeError):
-                return  # the worker is gone already, which is what closing wants
+                return  # the worker has already ended
 
     def endpoint(
         self,
@@ -94,28 +120,30 @@ class PlannerSession:
             x, y [m], heading [rad], speed [m/s], time [s], finite and in range, in the planner's frame.
 
         Raises:
-            PlannerRuntimeError, PlannerLimitError, PlannerResultError: as their names say.
+            PlannerRuntimeError, PlannerLimitError, PlannerResultError: the call failed, was stopped, or returned
+                something else.
         """
         self._known(key)
         call = (bv, ego, key, parameters, acc, horizon)
-        return check_endpoint(self._who, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
+        return check_endpoint(self._subject, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
-        """Call the planner for many states; one feed for up to ``BATCH_FEED`` of them.
+        """Call the planner for many states, up to ``BATCH_FEED`` of them in one feed.
 
-        A call that fails gives its error at its place and is run once more by itself for it; the others are unharmed.
-        All together take at most ``batch_seconds`` (and one call's limit); the rest are ``PlannerLimitError``.
+        A call that fails runs once more by itself, and its error stands at its place. The other calls keep their
+        results. The batch takes at most ``batch_seconds`` and one call's limit; after that, calls become
+        ``PlannerLimitError``.
 
         Raises:
             PlannerLimitError: the session had ended before.
         """
         self._alive()
-        deadline = time.monotonic() + self._sandbox.limits.batch_seconds
+        deadline = time.monotonic() + self._pool.limits.batch_seconds
         results: list[dict[str, float] | SandboxError] = []
         for start in range(0, len(calls), BATCH_FEED):
             part = calls[start : start + BATCH_FEED]
             for call, value in zip(part, self._many(part, deadline), strict=True):
-                results.append(self._again(call, deadline) if value is None else _or_error(self._who, value))
+                results.append(self._again(call, deadline) if value is None else _or_error(self._subject, value))
         if self._session is None:
             self._start_quietly()
         return results
@@ -123,24 +151,25 @@ class PlannerSession:
     def trajectory(
         self, key: str, bv: Mapping[str, Any], endpoint: Mapping[str, float], dt: float
     ) -> list[tuple[float, float, float, float]]:
-        """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart, the
-        first one ``dt`` from now (one that begins now is known by its place).
+        """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart.
+
+        The first state is ``dt`` from now, or now if it is at the vehicle's place (``follower.aligned``).
 
         Raises:
-            PlannerResultError: it has none, what it returned is not one, begins elsewhere or jumps.
-            PlannerRuntimeError, PlannerLimitError: as their names say.
+            PlannerResultError: the planner defines none, or its result is no trajectory, begins elsewhere or jumps.
+            PlannerRuntimeError, PlannerLimitError: the call failed or was stopped.
         """
         if not self.has_trajectory:
-            raise PlannerResultError(f"{self._who} defines no trajectory(): use the built-in one.")
+            raise PlannerResultError(f"{self._subject} defines no trajectory(): use the built-in one.")
         self._known(key)
         value = self._feed(f"path_{self._id}(call_{self._id})", {f"call_{self._id}": (bv, dict(endpoint), key, dt)})
-        states = check_trajectory(self._who, value)
-        check_motion(self._who, states, bv, dt)
+        states = check_trajectory(self._subject, value)
+        check_motion(self._subject, states, bv, dt)
         return states
 
     def _start(self, type_check: bool) -> None:
-        """A fresh interpreter: helpers and roads, then the planner."""
-        self._session = self._sandbox.checkout(self._seed, type_check)
+        """Load the helpers and roads, then the planner, into a fresh interpreter."""
+        self._session = self._pool.checkout(self._seed, type_check)
         try:
             self._feed(HELPERS_CODE + REDUCERS.replace("ID", self._id), {f"roads_{self._id}": self._roads})
             self._feed(self.planner.source + "\nNone\n", {}, loading=True)
@@ -157,7 +186,7 @@ class PlannerSession:
 
     def _alive(self) -> MontySession:
         if self._session is None:
-            raise PlannerLimitError(f"{self._who}: its session has ended: open a new one.")
+            raise PlannerLimitError(f"{self._subject}: its session has ended: open a new one.")
         return self._session
 
     def _known(self, key: str) -> None:
@@ -165,12 +194,12 @@ class PlannerSession:
             raise SandboxError(f"No road was given for the vehicle {clean(str(key))!r}: add it to the session's roads.")
 
     def _feed(self, code: str, inputs: dict[str, Any], *, loading: bool = False) -> Any:
-        """Run one snippet; monty's errors become ours, and an ended session is given up."""
+        """Run one snippet. Raises SandboxError, and closes the session if it has ended."""
         from pydantic_monty import MontyConversionError, MontyError
 
         session = self._alive()
-        self._sandbox.check_usable()
-        printed = _Prints(self._sandbox.limits.output_bytes)
+        self._pool.check_usable()
+        printed = _Prints(self._pool.limits.output_bytes)
         try:
             try:
                 return session.feed_run(code, inputs=inputs, print_callback=printed, skip_type_check=not loading)
@@ -181,14 +210,16 @@ class PlannerSession:
         except MontyError as error:
             if printed.over:
                 self.close()
-                raise PlannerLimitError(f"{self._who} prints more than {printed.limit} bytes: print less.") from None
-            ours, ended = _translate(error, self._who, loading)
+                raise PlannerLimitError(
+                    f"{self._subject} prints more than {printed.limit} bytes: print less."
+                ) from None
+            translated, ended = _translate(error, self._subject, loading)
             if ended:
                 self.close()
-            raise ours from None
+            raise translated from None
 
     def _many(self, calls: Sequence[Call], deadline: float) -> list[Any]:
-        """What the planner gave for each call, None where it failed."""
+        """The planner's result for each call, None where the call failed."""
         nothing: list[Any] = [None] * len(calls)
         if time.monotonic() >= deadline or self._session is None:
             return nothing
@@ -204,9 +235,9 @@ class PlannerSession:
         return values if type(values) is list and len(values) == len(calls) else nothing
 
     def _again(self, call: Call, deadline: float) -> dict[str, float] | SandboxError:
-        """A call that failed in a batch, by itself."""
+        """Run a call that failed in a batch once more, by itself."""
         if time.monotonic() >= deadline:
-            return PlannerLimitError(f"{self._who}: the batch's time is used up: make the planner faster.")
+            return PlannerLimitError(f"{self._subject}: the batch's time is used up: make the planner faster.")
         if self._session is None and (failure := self._start_quietly()) is not None:
             return failure
         try:
@@ -232,30 +263,32 @@ class _Prints:
             raise RuntimeError("too much output")
 
 
-MEASURED = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # a time that differs from run to run, and its limit
+MEASURED = re.compile(
+    r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)"
+)  # a measured time, which differs between runs, and its limit
 
 
-def _translate(error: MontyError, who: str, loading: bool) -> tuple[SandboxError, bool]:
-    """Monty's error as ours, and whether the session can go no further."""
+def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxError, bool]:
+    """Monty's error as one of this program, and whether it ended the session."""
     from pydantic_monty import MontyRuntimeError, MontySyntaxError, MontyTypingError
 
-    said = MEASURED.sub(r"more than \1", clean(str(error)))
+    message = MEASURED.sub(r"more than \1", clean(str(error)))
     if isinstance(error, MontyTypingError):
-        return PlannerSyntaxError(f"{who} fails the type check: {said}"), False
+        return PlannerSyntaxError(f"{subject} fails the type check: {message}"), False
     if isinstance(error, MontySyntaxError):
-        return PlannerSyntaxError(f"{who}{_line(error)} does not parse: {said}"), False
+        return PlannerSyntaxError(f"{subject}{_line(error)} does not parse: {message}"), False
     if not isinstance(error, MontyRuntimeError):
-        return PlannerLimitError(f"{who}: its worker was stopped: {said}"), True
+        return PlannerLimitError(f"{subject}: its worker was stopped: {message}"), True
     kind = type(error.exception())
-    if kind is TimeoutError:  # where it was stopped differs from run to run
-        return PlannerLimitError(f"{who} ran into a limit: {said}"), True
-    if kind is MemoryError or said.startswith("RuntimeError: suspension limit"):
-        return PlannerLimitError(f"{who}{_line(error)} ran into a limit: {said}"), True
+    if kind is TimeoutError:  # no line is named, because the line differs from run to run
+        return PlannerLimitError(f"{subject} ran into a limit: {message}"), True
+    if kind is MemoryError or message.startswith("RuntimeError: suspension limit"):
+        return PlannerLimitError(f"{subject}{_line(error)} ran into a limit: {message}"), True
     if kind is RecursionError:
-        return PlannerLimitError(f"{who}{_line(error)} ran into a limit: {said}"), False
+        return PlannerLimitError(f"{subject}{_line(error)} ran into a limit: {message}"), False
     if loading and kind in (ImportError, ModuleNotFoundError, NotImplementedError):
-        return PlannerSyntaxError(f"{who}{_line(error)} uses what the sandbox lacks: {said}"), False
-    return PlannerRuntimeError(f"{who}{_line(error)} raised {said}"), False
+        return PlannerSyntaxError(f"{subject}{_line(error)} uses what the sandbox lacks: {message}"), False
+    return PlannerRuntimeError(f"{subject}{_line(error)} raised {message}"), False
 
 
 def _line(error: Any) -> str:
@@ -265,7 +298,7 @@ def _line(error: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Numpy's numbers and arrays, and mappings of any kind, as what can be sent."""
+    """Numpy's numbers and arrays, and mappings of any kind, as data that monty takes. Raises SandboxError."""
     if value is None or isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Mapping):
@@ -277,8 +310,8 @@ def _plain(value: Any) -> Any:
     raise SandboxError(f"A {type(value).__name__} cannot be sent to a planner: give numbers, text, lists and dicts.")
 
 
-def _or_error(who: str, value: Any) -> dict[str, float] | SandboxError:
+def _or_error(subject: str, value: Any) -> dict[str, float] | SandboxError:
     try:
-        return check_endpoint(who, value)
+        return check_endpoint(subject, value)
     except PlannerResultError as error:
         return error

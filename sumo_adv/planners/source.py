@@ -1,7 +1,6 @@
-"""What a planner's text must look like, read without ever running it.
+"""A planner's text: its form, checked without running it, and the helper functions it may call.
 
-A planner is Python text.  Its first statement (after comments and a docstring) is a literal table of what may be
-tuned::
+A planner is Python text. Its first statement (after comments and a docstring) is a literal table of its parameters::
 
     PARAMETERS = {"gap": (2.0, 0.5, 8.0, "m", "how far before the ego the endpoint lies")}
 
@@ -10,8 +9,8 @@ tuned::
         px, py = offset((x, y, heading), ego["length"] + parameters["gap"], 0.0)
         return {"x": px, "y": py, "heading": heading, "speed": speed, "time": horizon}
 
-Each entry is ``(default, low, high, unit, meaning)``.  ``trajectory(bv, endpoint, road, dt)`` is optional.  The checks
-here give early and clear messages; they are not the wall (that is the sandbox, an interpreter in its own process).
+Each entry is ``(default, low, high, unit, meaning)``. ``trajectory(bv, endpoint, road, dt)`` is optional. The checks
+here give early and clear messages. They protect nothing: that is the task of the sandbox.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ from sumo_adv.errors import PlannerSyntaxError
 
 MAX_SOURCE_BYTES = 32 * 1024
 MAX_PARAMETERS = 12
-LARGEST = 1e6  # of a parameter in SI units: beyond any distance, speed or time of an encounter
+LARGEST = 1e6  # bound of a parameter in SI units: beyond any distance, speed or time of an encounter
 ENDPOINT_ARGUMENTS = ("bv", "ego", "road", "parameters", "acc", "horizon")
 TRAJECTORY_ARGUMENTS = ("bv", "endpoint", "road", "dt")
 REFUSED_NAMES = frozenset({"exec", "eval", "compile", "globals", "locals", "vars", "dir", "__import__"})
-"""Refused by name: with them a planner could list and rebind the session's own helpers."""
+"""With these a planner could list and rebind the session's own helpers."""
 
 HELPERS_TEXT = """\
 Functions that are already there (do not define or import them):
@@ -98,7 +97,7 @@ def wrap(angle: float) -> float: ...
 
 
 class SourceFacts(NamedTuple):
-    """What reading a planner's text told."""
+    """The facts in a planner's text."""
 
     parameters: tuple[Parameter, ...]
     has_trajectory: bool
@@ -127,7 +126,7 @@ def read_source(source: str) -> SourceFacts:
     """Parse and check a planner's text; nothing of it is run.
 
     Raises:
-        PlannerSyntaxError: with the line, where there is one.
+        PlannerSyntaxError: as in ``parse_parameters``; the message names the line if it is known.
     """
     tree = _parse(source)
     body = tree.body[1:] if tree.body and _is_docstring(tree.body[0]) else tree.body
@@ -142,7 +141,7 @@ def read_source(source: str) -> SourceFacts:
 
 
 def _parse(source: str) -> ast.Module:
-    """``ast.parse`` that answers hostile text with a ``PlannerSyntaxError``."""
+    """``ast.parse``, which raises ``PlannerSyntaxError`` for hostile text too."""
     if not isinstance(source, str) or len(source) > MAX_SOURCE_BYTES:
         raise PlannerSyntaxError(f"The planner must be text of at most {MAX_SOURCE_BYTES} bytes: shorten it.")
     strange = next((c for c in source if (c < " " and c not in "\n\r\t") or "\ud800" <= c <= "\udfff"), None)
@@ -209,7 +208,7 @@ def _parameters(table: ast.Dict) -> Iterator[Parameter]:
         except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
             raise _syntax_error(line, "has something other than literals in PARAMETERS: write plain numbers") from None
         if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name) or len(name) > 40:
-            raise _syntax_error(line, "has a parameter whose name is not a (short) Python identifier")
+            raise _syntax_error(line, "names a parameter with something else than a (short) Python identifier")
         if name in seen:
             raise _syntax_error(line, f"names the parameter {name} twice")
         seen.add(name)

@@ -1,13 +1,15 @@
 """f_traj: from the present motion and an endpoint to smooth, feasible states along a path.
 
-One set of formulas (ALGORITHM, "How it was built") serves both a single vehicle inside an attempt (Python floats, no
-array overhead: about 15 us a step) and many predicted rollouts at once (numpy arrays).  ``Scalar`` and ``Batch`` are
-the two sets of operations; every function takes one of them as ``m``.
+The same formulas serve a single vehicle in an attempt and many predicted rollouts. The first uses Python floats, which
+saves the overhead of arrays (about 15 us a step). The second uses numpy arrays. ``Scalar`` and ``Batch`` are the two
+sets of operations, and every function takes one of them as ``m``.
 
-Longitudinal: the acceleration moves by at most J dt towards what the cubic to (s_T, v_T) at T asks for, bounded by the
-limits, by the bends ahead and by a speed cap.  Lateral: a quintic in the offset d from the path, stretched until
-lateral acceleration, slope and jerk are within bounds, on a clock that runs with the vehicle's speed: braking in the
-middle of a lane change slows the move down and does not turn the vehicle any further.
+Longitudinal: the acceleration moves by at most J dt towards that of the cubic to (s_T, v_T) at T. It is bounded by the
+limits, by the bends ahead and by a speed cap.
+
+Lateral: a quintic in the offset d from the path, stretched until lateral acceleration, slope and jerk are within
+bounds. Its clock runs with the vehicle's speed. So braking in the middle of a lane change slows the move down and does
+not turn the vehicle any further.
 """
 
 from __future__ import annotations
@@ -21,14 +23,14 @@ import numpy as np
 from sumo_adv.datatypes import Limits
 from sumo_adv.geometry import PATH_STEP, Path
 
-FULL_CLOCK_SPEED = 6.0  # m/s: a move begun slower is planned as if at this speed, and takes longer
-FASTEST_CLOCK = 1.15  # a vehicle that speeds up hastens its lateral move by so much at most
+FULL_CLOCK_SPEED = 6.0  # m/s: a lateral move of a slower vehicle is planned for this speed, and takes longer
+FASTEST_CLOCK = 1.15  # bound of the clock's rate, for a vehicle that speeds up during a lateral move
 LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
-USUAL = 2.4  # m/s2: drivers hardly ever speed up harder, though limits allow it; braking is bound by limits alone
+USUAL = 2.4  # m/s2: bound of speeding up, as drivers hardly exceed it; braking is bound by the limits alone
 SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
-ELSEWHERE = 1e6  # m: a lateral target that any goal is different from
-STRETCH, STRETCHES = 1.13, 14  # the quintic's duration grows by this factor, at most so often
-LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: where the bend speed is looked up
+ELSEWHERE = 1e6  # m: a lateral target that differs from that of any goal
+STRETCH, STRETCHES = 1.13, 14  # factor by which the quintic's duration grows, maximum number of times
+LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: times ahead at which the bend speed is read
 SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
 LATERAL_RESERVE = 0.6  # m/s2: lateral acceleration may grow by this before braking can be eased
 JERK_RESERVE = 0.92  # share of the jerk limit that is used
@@ -61,7 +63,7 @@ class Scalar:
 
 
 class Batch:
-    """The same operations on arrays."""
+    """The operations of ``Scalar`` on arrays."""
 
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
@@ -81,11 +83,12 @@ class Batch:
 
 
 class Motion(NamedTuple):
-    """A driven vehicle along its path. Floats or arrays ``(n,)``.
+    """The motion of a vehicle along its path. Floats or arrays ``(n,)``.
 
-    s station [m]; d, dd, ddd offset and its time derivatives [m, m/s, m/s2]; v, a along the track [m/s, m/s2];
-    slope: sine of the angle between its heading and the path's; pace: the speed at which the quintic runs in time;
-    clock, span: progress and duration of the running quintic [s]; c: its coefficients in clock/span; target: its end.
+    s: station [m]; d, dd, ddd: offset and its time derivatives [m, m/s, m/s2]; v, a: along the track [m/s, m/s2];
+    slope: sine of the angle from the path's heading to the vehicle's; pace: speed at which the quintic's clock runs in
+    real time [m/s]; clock, span: progress and duration of the quintic [s]; c: its coefficients in clock/span;
+    target: the offset at its end [m].
     """
 
     s: Any
@@ -122,7 +125,7 @@ class PathRow:
         self._last = len(self._table) - 1
 
     def at(self, s: float) -> tuple[float, float, float, float]:
-        """x, y, heading, curvature; straight on beyond both ends."""
+        """x, y, heading, curvature; the path goes straight on beyond both ends."""
         u = s / PATH_STEP
         i = int(u)
         if u < 0.0 or i >= self._last:
@@ -156,15 +159,24 @@ class PathRows:
         )
         self.last = np.array([len(p.x) - 1 for p in paths])
         self.row = np.asarray(row)
-        self._asked: tuple[Any, Any] = (None, None)
-        self._found: tuple[Any, Any, Any, Any] = (None, None, None, None)
+        self._last_input: tuple[Any, Any] = (None, None)
+        self._last_output: tuple[Any, Any, Any, Any] = (None, None, None, None)
+
+    def on(self, row: Any) -> PathRows:
+        """The same paths for vehicles on the paths ``row``."""
+        rows = object.__new__(PathRows)
+        rows.__dict__.update(self.__dict__)
+        rows.row = row
+        return rows
 
     def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
-        """x, y, heading, curvature; straight on beyond both ends. Arrays are not changed in place: for the one that was
-        asked for last the answer is still there."""
-        if self._asked[0] is not s or self._asked[1] is not self.row:
-            self._asked, self._found = (s, self.row), self._look_up(s)
-        return self._found
+        """x, y, heading, curvature; the paths go straight on beyond both ends.
+
+        The last result is kept, so do not change ``s``, ``row`` or the result in place.
+        """
+        if self._last_input[0] is not s or self._last_input[1] is not self.row:
+            self._last_input, self._last_output = (s, self.row), self._look_up(s)
+        return self._last_output
 
     def _look_up(self, s: Any) -> tuple[Any, Any, Any, Any]:
         row = self.row
@@ -186,7 +198,7 @@ class PathRows:
 
 
 def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
-    """A motion that keeps its offset once the ``slope`` it comes with has died away."""
+    """A motion with the given ``slope``, which levels out to the present offset."""
     zero = v * 0.0
     stays = (d, zero, zero, zero, zero, zero)
     still = Motion(s, d, v * slope, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, stays, d)
@@ -194,7 +206,7 @@ def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
 
 
 def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> Motion:
-    """Start a quintic to the offset ``target`` in ``duration`` seconds, longer where the bounds ask for it.
+    """Start a quintic to the offset ``target`` in ``duration`` seconds, or in more if the bounds need it.
 
     Bounds at ten samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10.
     """
@@ -203,9 +215,9 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     rate = m.maximum(v / pace, 0.05)
     creeps = v < 0.05 * pace
     d0, a0 = motion.d, motion.ddd / (rate * rate)
-    v0 = m.where(creeps, motion.slope * pace, motion.dd / rate)  # one that stands keeps its heading
+    v0 = m.where(creeps, motion.slope * pace, motion.dd / rate)  # a standing vehicle keeps its heading
     most = m.maximum(m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0), 1.02 * abs(a0))
-    slope = m.maximum(0.28 * pace, 1.02 * abs(v0))  # what is there already cannot be undone by a longer move
+    slope = m.maximum(0.28 * pace, 1.02 * abs(v0))  # the present slope remains, however long the move
     span = m.maximum(duration * rate, 0.5)
     for _ in range(STRETCHES):
         c = _quintic(d0, v0, a0, target, span)
@@ -227,6 +239,7 @@ def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:
 
 
 def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> Any:
+    """Whether the quintic exceeds the lateral acceleration ``most``, the lateral speed ``slope`` or the jerk bound."""
     d1, d2, d3 = [], [], []
     for u in m.samples:
         d1.append(abs(c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))))
@@ -237,7 +250,7 @@ def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> 
 
 
 def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
-    """Aim the lateral motion at a goal; the running quintic goes on where its end moved by less than 0.12 m."""
+    """Aim the lateral motion at a goal; the running quintic goes on if its end moved by less than ``SAME_TARGET``."""
     moved = abs(goal.d - motion.target) >= SAME_TARGET
     if m is Scalar:
         return bend(m, motion, goal.d, goal.time, curvature) if moved else motion
@@ -250,7 +263,7 @@ def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
 
 
 def release(motion: Motion) -> Motion:
-    """A motion whose sideways move is not one of ours any more: the next ``steer`` begins a new one."""
+    """The motion without a lateral target, so that the next ``steer`` starts a new quintic."""
     return motion._replace(target=motion.target * 0.0 + ELSEWHERE)
 
 
@@ -259,13 +272,13 @@ def _take(values: Any, rows: Any) -> Any:
 
 
 def one_of(motion: Motion, k: int) -> Motion:
-    """Vehicle ``k`` of many, in floats."""
+    """The motion of vehicle ``k`` of a batch, in floats."""
     fields: list[Any] = [tuple(float(q[k]) for q in f) if isinstance(f, tuple) else float(f[k]) for f in motion]
     return Motion(*fields)
 
 
 def put_back(motion: Motion, rows: Sequence[int], ones: Sequence[Motion]) -> Motion:
-    """Many vehicles with those of ``rows`` as they are in ``ones`` (floats)."""
+    """The batch with the motions of the vehicles ``rows`` replaced by ``ones`` (floats)."""
     columns = [
         tuple(np.array(q) for q in zip(*f, strict=True)) if isinstance(f[0], tuple) else np.array(f)
         for f in zip(*ones, strict=True)
@@ -282,10 +295,10 @@ def _put(values: Any, rows: Any, new: Any) -> Any:
 
 
 def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float) -> Motion:
-    """One step of ``dt`` s towards a goal; ``cap`` is the highest speed [m/s] the vehicle goes for."""
+    """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]."""
     s, v, a = motion.s, motion.v, motion.a
     time = m.maximum(goal.time, LEAST_TIME)
-    left = goal.s - s + goal.v * (time - goal.time)  # nearer than LEAST_TIME, or past: the goal goes on at its speed
+    left = goal.s - s + goal.v * (time - goal.time)  # within LEAST_TIME the goal moves on at its speed
     want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
     bounds = []
     for t in m.ahead:
@@ -305,7 +318,7 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
 def faster(m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap: Any, dt: float) -> tuple[Any, Any]:
     """Speed and acceleration after ``dt`` of a vehicle that wants the acceleration ``want`` [m/s2], within the limits.
 
-    ``lateral`` [m/s2] is what it pulls sideways and takes from its grip; ``cap`` the highest speed it goes for.
+    ``lateral``: its lateral acceleration [m/s2], which reduces its grip for braking. ``cap``: its highest speed [m/s].
     """
     jerk = limits.jerk * JERK_RESERVE
     room = cap - v
@@ -319,7 +332,7 @@ def faster(m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap:
 
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
-    """Clock, offset, its two time derivatives and the slope after ``dt``; the slope stays where the vehicle stops."""
+    """Clock, offset, its two time derivatives and the slope after ``dt``. The slope of a stopped vehicle stays."""
     rate = m.minimum(v / motion.pace, FASTEST_CLOCK)
     clock = m.minimum(motion.clock + rate * dt, motion.span)
     u, c, span = clock / motion.span, motion.c, motion.span

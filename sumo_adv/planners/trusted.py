@@ -1,8 +1,8 @@
-"""Planners whose text is our own run in this process: the same answers, some 20 times as fast.
+"""Trusted planners, which run in this process: the same answers, about 20 times as fast.
 
-Our own is what we ship (``OWN``), and what differs from it in nothing but the table ``PARAMETERS`` (which is read and
-never run here) and the word ``MOVEMENT``: so the expert writes new versions.  Whatever else a bank or a model brings
-runs in the sandbox, and so does what fails here, for the sandbox's sentence.
+Trusted are the shipped texts, listed in ``TRUSTED``. The table ``PARAMETERS`` and the word ``MOVEMENT`` may differ,
+because the expert writes new versions that way; the table is read and never run. Every other text of a bank or a model
+runs in the sandbox. A trusted planner that fails here runs there too, for the sandbox's error message.
 """
 
 from __future__ import annotations
@@ -13,15 +13,18 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from operator import itemgetter
-from typing import Any
+from typing import Any, NoReturn
 
-from sumo_adv.datatypes import Planner
+from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.errors import SandboxError
-from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint
+from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation, call_of, world_endpoint
+from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, subject_of
+from sumo_adv.planners.road import road_of
 from sumo_adv.planners.session import Call, PlannerSession
 from sumo_adv.planners.source import HELPERS_CODE, read_source
+from sumo_adv.situation import Situation
 
-OWN = frozenset(
+TRUSTED = frozenset(
     {
         "77bf8ea4f8dfb60c99bc0ca2cbd8a80da105b2e23929600f59782caf2e5b6778",  # side
         "cd25301389c78c94ffe6c2c37db31d7daf0a99a103da8975332130dc9cba32bc",  # push
@@ -35,17 +38,17 @@ OWN = frozenset(
         "81f44b9a814836a281074662bd9a325e8868558b5d270afec19c2c13f4ae0b91",  # intrude
         "feb689cd98b768a336d9bd7943cc23ba8b7f6510a8d431142de0c6e60c8aa07a",  # straddle
         "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
-        "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail (a lane shift's)
+        "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail of the lane shift
     }
 )
-"""SHA-256 of the bodies of the planners in ``memory_bank/``, written down here: no bank can say what is ours."""
+"""Fingerprints of the planners in ``memory_bank/``. They are listed here so that no bank can claim to be trusted."""
 
 FIELDS = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 
 def body(source: str) -> str:
-    """A planner's text from behind its table on. Raises PlannerSyntaxError."""
+    """A planner's text after its table. Raises PlannerSyntaxError."""
     read_source(source)  # the table is the first statement
     tree = ast.parse(source)
     table = next(node for node in tree.body if not isinstance(node, ast.Expr))
@@ -55,44 +58,45 @@ def body(source: str) -> str:
 
 
 def fingerprint(source: str) -> str:
-    """What ``OWN`` has of a planner's text: SHA-256 of its body, whatever its movement. Raises PlannerSyntaxError."""
+    """SHA-256 of the body of a planner's text, equal for all movements. Raises PlannerSyntaxError."""
     return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(source)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1024)
-def _owned(source: str) -> bool:
+def _is_trusted_text(source: str) -> bool:
     try:
-        return fingerprint(source) in OWN
+        return fingerprint(source) in TRUSTED
     except SandboxError:
         return False
 
 
-def is_own(planner: Planner) -> bool:
-    """Whether the text is one of ours, but for its numbers."""
-    return _owned(planner.source)
+def is_trusted(planner: Planner) -> bool:
+    """Whether the planner's text is a shipped one, apart from its numbers and its movement."""
+    return _is_trusted_text(planner.source)
 
 
 class InProcessSession:
-    """Answers as a ``PlannerSession`` does, for a planner that is our own; ``sandboxed`` opens one, where a call fails
-    here. Of the text the body alone is run, which is the part that was compared.
+    """Answers as a ``PlannerSession`` does, for a trusted planner. It runs the body alone, the part that was compared.
+
+    ``open_sandboxed`` opens a session in the sandbox. That session answers once a call has failed here.
 
     Raises:
-        SandboxError: the planner is none of ours.
+        SandboxError: the planner is not trusted.
     """
 
     def __init__(
-        self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], sandboxed: Callable[[], PlannerSession]
+        self, planner: Planner, roads: Mapping[str, Mapping[str, Any]], open_sandboxed: Callable[[], PlannerSession]
     ) -> None:
-        if not is_own(planner):
-            raise SandboxError(f"The planner {planner.label}/{planner.mode} is none of ours: run it in the sandbox.")
-        self._endpoint, self._roads, self._sandboxed = _loaded(planner.source), roads, sandboxed
-        self._who = f"Planner {planner.label}/{planner.mode}"
-        self._instead: PlannerSession | None = None
+        self._subject = subject_of(planner)
+        if not is_trusted(planner):
+            raise SandboxError(f"{self._subject} is not trusted: run it in the sandbox.")
+        self._endpoint, self._roads, self._open_sandboxed = _loaded(planner.source), roads, open_sandboxed
+        self._sandboxed: PlannerSession | None = None
 
     def close(self) -> None:
-        """Close what was opened. May be called twice."""
-        if self._instead is not None:
-            self._instead.close()
+        """Close the session in the sandbox, if there is one. May be called twice."""
+        if self._sandboxed is not None:
+            self._sandboxed.close()
 
     def endpoint(self, *call: Any) -> dict[str, float]:
         """As ``PlannerSession.endpoint``."""
@@ -103,17 +107,44 @@ class InProcessSession:
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
         """As ``PlannerSession.endpoints``."""
-        if self._instead is None:
+        if self._sandboxed is None:
             try:
                 return [self._answer(call) for call in calls]
             except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, SandboxError):
-                self._instead = self._sandboxed()
-        return self._instead.endpoints(calls)
+                self._sandboxed = self._open_sandboxed()
+        return self._sandboxed.endpoints(calls)
 
     def _answer(self, call: Call) -> dict[str, float]:
         key, bv, ego, parameters, acc, horizon = call
         value = self._endpoint(bv, ego, self._roads[key], dict(parameters), acc, horizon)
-        return check_endpoint(self._who, FIELDS(value))
+        return check_endpoint(self._subject, FIELDS(value))
+
+
+ROAD = "road"
+
+
+def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> AskOne:
+    """A function that asks the proposal's planner in this process, without the connections to its sandbox.
+
+    It is ``fallback`` itself if the planner is not trusted or the motion is prescribed. ``fallback`` also answers the
+    calls that fail.
+    """
+    if proposal.course is not None or not is_trusted(proposal.planner):
+        return fallback
+    session = InProcessSession(proposal.planner, {ROAD: road_of(situation, proposal.bv)}, _no_session)
+
+    def ask(observation: PlannerObservation) -> Answer | str:
+        try:
+            end = session.endpoint(*call_of(proposal, ROAD, observation, situation.horizon))
+            return Answer(world_endpoint(situation, end))
+        except SandboxError:
+            return fallback(observation)
+
+    return ask
+
+
+def _no_session() -> NoReturn:
+    raise SandboxError("The call failed here, and its sandbox is in another process.")
 
 
 @lru_cache(maxsize=256)

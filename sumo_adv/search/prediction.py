@@ -10,7 +10,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.planners.trusted import is_own
+from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.search.driver_identification import DriverIdentification, apart
 from sumo_adv.search.rollouts import Rollouts, part, predict
 from sumo_adv.search.scoring import judge_all, touch_of
@@ -84,10 +84,10 @@ class Predictor:
         """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, predicting=True
+            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, in_process=True
         ) as sessions:
             rollouts = predict(
-                situations, proposals, lambda rows, told: sessions.ask(proposals, rows, told),
+                situations, proposals, lambda rows, observations: sessions.answers(proposals, rows, observations),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan), motions=motions,
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
@@ -111,7 +111,7 @@ class Predictor:
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
     """Hashes of planners that are predicted together: at most ``TOGETHER`` that need the sandbox, a session each."""
     planners = {p.planner.hash: p.planner for p in proposals}
-    ours = [name for name, planner in planners.items() if is_own(planner)]
+    ours = [name for name, planner in planners.items() if is_trusted(planner)]
     others = [name for name in planners if name not in ours]
     results = [set(others[k : k + TOGETHER]) for k in range(0, len(others), TOGETHER)]
     return [results[0].union(ours), *results[1:]] if results else [set(ours)] if ours else []

@@ -15,13 +15,13 @@ from sumo_adv.datatypes import Bools, Floats, Limits, ObservedMotion, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, Told, local_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
 from sumo_adv.search.early_termination import EarlyTermination
 from sumo_adv.situation import Situation
 
-Ask = Callable[[Sequence[int], Sequence[Told]], Sequence[Answer | None]]
+Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
 Touch = Callable[[Floats, Floats, Bools], Bools]
 """Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of the rows given, ``(n,)``."""
 
@@ -99,8 +99,8 @@ def _replan(
     ground: AdversaryBatch, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: Goal,
     last: list[Mapping[str, float] | None], followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[Goal, Motion]:  # fmt: skip
-    told = ground.tell(motion, now, ego, last, rows)
-    answers = ask(rows, told)
+    observations = ground.observe(motion, now, ego, last, rows)
+    answers = ask(rows, observations)
     for k in rows:
         answer = answers[k]
         last[k] = None if answer is None else local_endpoint(ground.scenes.of[k], answer.endpoint)

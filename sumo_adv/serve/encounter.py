@@ -141,7 +141,7 @@ class LiveAttempts:
         with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
             return attack(
                 session, leader(situation, proposal, settings.limits.limits()),
-                lambda told: answer_of(proposal, planners, told), steps=settings.steps(settings.duration),
+                lambda observation: answer_of(proposal, planners, observation), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan),
             )  # fmt: skip
 

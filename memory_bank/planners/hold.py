@@ -1,14 +1,14 @@
-# Intersection Rush-through Turn Left, mode "ambush"
-# Waits short of the conflict point until the ego is near and committed, then rushes.
+# $label, mode "hold"
+# First hangs back as if it would give way, then rushes.
 PARAMETERS = {
     "offset": (0.0, -0.9, 1.3, "s", "how much later than the ego's centre it is at the place where they meet"),
-    "short": (8.0, 4.0, 24.0, "m", "how far short of the conflict point it waits"),
-    "go": (2.5, 1.2, 4.0, "s", "the ego's time to the conflict point at which it goes"),
+    "hold": (2.0, 0.8, 3.5, "s", "time it hangs back"),
+    "slow": (0.5, 0.2, 0.8, "", "share of its speed it slows down to meanwhile"),
 }
 
 import math
 
-MOVEMENT = "left"
+MOVEMENT = "$movement"
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):
@@ -23,11 +23,10 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
         arrival = 0.0
     if arrival > 100.0:
         arrival = max(conflict["ego_distance"] / max(ego["speed"], 4.0), 4.0)
-    gone = bv["last"] is not None and bv["last"]["speed"] > 0.0
-    stop = left_over - parameters["short"]
-    if not gone and arrival > parameters["go"] and stop > -2.0:
-        time = clip(2.0 * max(stop, 0.3) / max(bv["speed"], 0.5), 1.0, 15.0)
-        return along(way, bv["travelled"] + max(stop, 0.0), 0.0, time)
+    if bv["time"] < parameters["hold"]:
+        speed = road["start"]["speed"] * parameters["slow"]
+        distance = min((bv["speed"] + speed) / 2 * 1.5, max(left_over - 6.0, 0.5))
+        return along(way, bv["travelled"] + distance, speed, 1.5)
     time = clip(arrival + parameters["offset"], 0.6, 20.0)
     speed = clip(2.0 * left_over / time - bv["speed"], 0.5, road["fastest"])
     return {"x": conflict["x"], "y": conflict["y"], "heading": conflict["heading"], "speed": speed, "time": time}

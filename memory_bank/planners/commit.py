@@ -1,4 +1,4 @@
-# Intersection Rush-through Turn Left, mode "commit"
+# $label, mode "commit"
 # Waits well short of the junction, where the ego does not count it as waiting, and rushes once the ego has set off.
 PARAMETERS = {
     "short": (16.0, 9.0, 26.0, "m", "how far short of the conflict point it waits"),
@@ -8,7 +8,7 @@ PARAMETERS = {
 
 import math
 
-MOVEMENT = "left"
+MOVEMENT = "$movement"
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):

@@ -1,4 +1,4 @@
-# Intersection Rush-through Turn Left, mode "tail"
+# $label, mode "tail"
 # Drives through where it meets the ego's path, then slows down while it pulls over, and comes to a stand, or nearly,
 # before it is quite out of the lane: its tail stays in the way of an ego that goes the same way.
 PARAMETERS = {
@@ -14,7 +14,7 @@ PARAMETERS = {
 
 import math
 
-MOVEMENT = "left"
+MOVEMENT = "$movement"
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):

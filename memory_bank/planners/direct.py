@@ -1,4 +1,4 @@
-# Intersection Rush-through Go-straight, mode "direct"
+# $label, mode "direct"
 # Drives at the conflict point so as to be there with the ego.
 PARAMETERS = {
     "offset": (0.0, -0.9, 1.3, "s", "how much later than the ego's centre it is at the place where they meet"),
@@ -6,7 +6,7 @@ PARAMETERS = {
 
 import math
 
-MOVEMENT = "straight"
+MOVEMENT = "$movement"
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):

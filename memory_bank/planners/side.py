@@ -1,15 +1,15 @@
-# Aggressive Cut-in, mode "side"
+# $label, mode "side"
 # Leads the adversary to a place beside or just ahead of the ego, then moves it sideways into the ego's lane.
 # One that drives in the ego's own lane first leaves it to a free side and comes back from there.
 # Times s, distances m, speeds m/s; "gap" is the adversary's front minus the ego's front when they meet.
 PARAMETERS = {
-    "gap": (3.0, 1.5, 9.0, "m", "adversary's front minus ego's front when they meet"),
+    "gap": ($gap, "m", "adversary's front minus ego's front when they meet"),
     "speed": (0.0, -1.5, 1.5, "m/s", "speed relative to the ego when they meet"),
     "drift": (4.5, 2.5, 7.0, "s", "duration of the move into the ego's lane"),
     "gate": (1.2, 0.8, 2.0, "m", "how exact the place must be before the move begins"),
     "side": (1.0, -1.0, 1.0, "", "side to come from where it drives in the ego's lane: -1 right, 1 left"),
-    "across": (-0.6, -1.0, 0.6, "m", "how far beyond the ego's lane centre it moves"),
-    "brake": (3.0, 0.0, 7.0, "m/s2", "braking once it is in the ego's lane"),
+    "across": ($across, "m", "how far beyond the ego's lane centre it moves"),
+    "brake": ($brake, "m/s2", "braking once it is in the ego's lane"),
 }
 
 import math

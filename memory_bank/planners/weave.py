@@ -1,4 +1,4 @@
-# Intersection Rush-through Turn Left, mode "weave"
+# $label, mode "weave"
 # Two stretches of even acceleration and two moves sideways, each to a lane or a little off its middle; it does not
 # wait for the ego, so it is the prediction that finds numbers with which they meet.
 PARAMETERS = {
@@ -17,7 +17,7 @@ PARAMETERS = {
 
 import math
 
-MOVEMENT = "left"
+MOVEMENT = "$movement"
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):
