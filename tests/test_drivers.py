@@ -6,15 +6,14 @@ Everywhere the ego starts at station 0 with 10 m/s and is 5 m long, so its front
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from situation_samples import KRAUSS, leader, situation
 
-from sumo_adv.datatypes import Floats, ObservedMotion
+from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.junctions import Blocked, seconds
 from sumo_adv.drivers.prediction import PredictedEgos
@@ -24,9 +23,7 @@ from sumo_adv.situation import Situation
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
 
 
-def crossroads(
-    line: float = math.inf, model: Mapping[str, Any] = KRAUSS, rule: str = "m", speed: float = 10.0
-) -> Situation:
+def crossroads(line: float = math.inf, model: DriverModel = KRAUSS, rule: str = "m", speed: float = 10.0) -> Situation:
     """The ego on a road whose junction begins at a station [m], inf: nothing is known of one."""
     found = situation([leader()], model=model, speed=speed)
     return replace(found, junction=line, rule=rule if math.isfinite(line) else "")
@@ -120,7 +117,7 @@ def test_idm_s_speeds() -> None:
     """At 10 of 20 m/s it accelerates by 2.6 * (1 - 1/16) = 2.4375 m/s2. Before a line its gap is
     v tau + v^2 / (2 sqrt(a b)) = 10 + 100 / 6.841 = 24.62 m, behind a car of its speed 2.5 + 10 m:
     at such gaps it brakes by 2.6 / 16 m/s2."""
-    driver, v = CarFollowing({**KRAUSS, "kind": "idm", "speed": 20.0}, 0.1), np.array([10.0])
+    driver, v = CarFollowing(replace(KRAUSS, kind="idm", speed=20.0), 0.1), np.array([10.0])
     assert driver.free(v)[0] == pytest.approx(10.24375)
     assert driver.stopping(v, np.array([24.62]))[0] == pytest.approx(10.0 - 0.01625, abs=1e-4)
     assert driver.behind(v, np.array([12.5]), v)[0] == pytest.approx(10.0 - 0.01625)
@@ -134,7 +131,7 @@ def test_idm_s_speeds() -> None:
 @pytest.mark.parametrize("junction", [26.0, math.inf])
 def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_left(kind: str, junction: float) -> None:
     """The ways cross at 34 m, what is taken up there begins at 32.4 m: it stops 2.5 m before."""
-    egos = egos_of(crossroads(junction, {**KRAUSS, "kind": kind}, "M"))
+    egos = egos_of(crossroads(junction, replace(KRAUSS, kind=kind), "M"))
     drive(egos, 30.0, lambda _: blocked(True, before=-3.0), 0.0)
     assert egos.disturbed[0]
     assert egos.v[0] < 0.2
@@ -287,7 +284,7 @@ def test_beside_a_lane_of_the_other_direction_others_count_as_in_the_lane_for_lo
 def test_it_waits_at_its_line_for_one_who_comes_and_goes_on_behind_it(kind: str) -> None:
     """One who comes from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands at its line; it goes when that
     one has done its 35 m, which is after 11.7 s."""
-    egos = egos_of(crossroads(6.0, {**KRAUSS, "kind": kind}, speed=5.0))
+    egos = egos_of(crossroads(6.0, replace(KRAUSS, kind=kind), speed=5.0))
     coming = crossing_at(3.0, before=15.0, behind=35.0)
     drive(egos, 10.0, coming, 3.0)
     assert egos.disturbed[0]
@@ -416,7 +413,7 @@ def test_who_was_in_the_lane_to_the_left_is_followed_as_long_as_it_is_partly_the
 
 
 def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
-    sit = situation([leader()], model={**KRAUSS, "ignores_sumo_lane_rules": True})
+    sit = situation([leader()], model=replace(KRAUSS, ignores_sumo_lane_rules=True))
     sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), blocked())
@@ -426,7 +423,7 @@ def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
 @pytest.mark.parametrize(("sees", "brakes"), [(0.0, False), (2.5, True)])
 def test_a_driver_may_have_whoever_is_beside_its_lane_for_its_leader(sees: float, brakes: bool) -> None:
     """A car that stands 12.5 m before the ego's front, its middle 2.2 m to the left: the lane ends at 1.6 m."""
-    egos = egos_of(situation([leader()], model={**KRAUSS, "sees": sees, "ignores_sumo_lane_rules": True}))
+    egos = egos_of(situation([leader()], model=replace(KRAUSS, sees=sees, ignores_sumo_lane_rules=True)))
     for k in range(10):
         egos.step(0.1 * k, (np.array([17.5]), np.array([2.2]), np.array([0.0])), np.array([0.0]), blocked())
     assert bool(egos.v[0] < 9.0) is brakes

@@ -7,15 +7,13 @@ Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from situation_samples import KRAUSS, leader, line, situation
 
-from sumo_adv.datatypes import Role, Track
+from sumo_adv.datatypes import DriverModel, Role, Track
 from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.leaders import Leaders
 from sumo_adv.drivers.prediction import PredictedEgos
@@ -31,7 +29,7 @@ def other(name: str, s: float, d: float = 0.0, speed: float = 10.0) -> OnPath:
     return OnPath(name, s + speed * time, np.full(51, d), np.zeros(51), np.full(51, speed), 5.0)
 
 
-def behind(*others: OnPath, model: Mapping[str, Any] = KRAUSS) -> Situation:
+def behind(*others: OnPath, model: DriverModel = KRAUSS) -> Situation:
     return replace(situation([leader(12.5)], model=model), ahead=others)
 
 
@@ -72,16 +70,16 @@ def test_one_far_ahead_or_in_another_lane_holds_nobody_up() -> None:
 
 def test_faster_than_60_km_h_one_in_the_lane_to_the_left_holds_it_up_as_well() -> None:
     """At 20 m/s the gap is 22.5 m."""
-    fast = {**KRAUSS, "speed": 30.0}
+    fast = replace(KRAUSS, speed=30.0)
     beside = other("bv", 27.5, d=3.2, speed=20.0)
     sit = replace(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
     assert leaders(sit).held(np.array([0.0]))[0]
-    passes = replace(sit, ego_model={**fast, "ignores_sumo_lane_rules": True})
+    passes = replace(sit, ego_model=replace(fast, ignores_sumo_lane_rules=True))
     assert not leaders(passes).held(np.array([0.0]))[0]
 
 
-@pytest.mark.parametrize("model", [{**KRAUSS, "kind": "eidm"}, {**KRAUSS, "unknown": True}])
-def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model: Mapping[str, Any]) -> None:
+@pytest.mark.parametrize("model", [replace(KRAUSS, kind="eidm"), replace(KRAUSS, known=False)])
+def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model: DriverModel) -> None:
     assert not leaders(behind(other("bv", HERE), model=model)).held(np.array([0.0]))[0]
 
 

@@ -5,36 +5,29 @@ Krauss after ``MSCFModel_Krauss`` (Krauß 1998), all others after ``MSCFModel_ID
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import DriverModel, Floats
 
 EMERGENCY, AMPLIFIED = 9.0, 1.2  # m/s2, SUMO's emergencyDecel of our drivers; how much more than is needed they brake
 # SUMO's DEFAULT_VEHTYPE (m/s2, s, m), with a speed [m/s] that nobody exceeds
-DEFAULT_DRIVER = {"kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 60.0}
+DEFAULT_DRIVER = DriverModel("krauss", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=60.0)
 NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
 EXACT = ("krauss", "idm", "careful")  # drivers whose following is known as SUMO has it
 
 
-def exact(model: Mapping[str, Any]) -> bool:
+def exact(model: DriverModel) -> bool:
     """Whether a driver's following is known exactly; not where nobody knows which driver it is."""
-    return model["kind"] in EXACT and not model.get("unknown", False)
+    return model.kind in EXACT and model.known
 
 
 class CarFollowing:
     """A driver's ``model``: kind, acceleration, deceleration [m/s2], tau [s], min_gap [m], speed [m/s]."""
 
-    def __init__(self, model: Mapping[str, Any], dt: float) -> None:
-        self.krauss = model["kind"] == "krauss"
-        self.acceleration, self.deceleration = float(model["acceleration"]), float(model["deceleration"])
-        self.tau, self.min_gap, self.most = (
-            float(model["tau"]),
-            float(model["min_gap"]),
-            max(float(model["speed"]), 1.0),
-        )
+    def __init__(self, model: DriverModel, dt: float) -> None:
+        self.krauss = model.kind == "krauss"
+        self.acceleration, self.deceleration = model.acceleration, model.deceleration
+        self.tau, self.min_gap, self.most = model.tau, model.min_gap, max(model.speed, 1.0)
         self._dt = dt
 
     def free(self, v: Floats) -> Floats:

@@ -28,7 +28,7 @@ class LateralGap:
         self._room = np.maximum(self._lane - scenes.ego.width, 0.0) / 2
         left, right = scenes.has_lane(1), scenes.has_lane(-1)
         self._may = left & ~right, right
-        self._gap = scenes.driver.get("min_gap", 0.0)
+        self._gap = scenes.driver.min_gap
         self.d, self._rate = np.zeros(len(length)), np.zeros(len(length))
 
     def step(self, ahead: Floats, front_d: Floats, was_inside: Bools) -> None:

@@ -60,7 +60,7 @@ class Leaders:
         self._late, self._v = np.zeros((2, len(keys), most))  # metres that they are behind, and speeds where they are
         known = np.where(self._unattacked[2] < FAR, self._unattacked[2], 0.0)
         self._fastest = known.max(axis=2, initial=0.0)[self._row]
-        self._passes_right = bool(scenes.driver.get("ignores_sumo_lane_rules", False))
+        self._passes_right = scenes.driver.ignores_sumo_lane_rules
 
     def held(self, station: Floats) -> Bools:
         """Whether the adversary held the unattacked ego up at stations ``(n,)``."""
@@ -150,7 +150,7 @@ def _held_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
     d, half = other.d[:-1], situation.lane_width / 2
     follows = np.abs(d) < half
     along = (other.s[:-1] > s[:-1]) & (np.abs(other.heading[:-1]) < ALONG)
-    left = along & (d >= half) & (d < 3 * half) & (not model.get("ignores_sumo_lane_rules", False))
+    left = along & (d >= half) & (d < 3 * half) & (not model.ignores_sumo_lane_rules)
     follows = along & (follows | (left & (v[:-1] > JAM)))
     if not follows.any():
         return found

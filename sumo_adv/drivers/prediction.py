@@ -8,14 +8,13 @@ follow ``MSLink``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import EMERGENCY, CarFollowing
-from sumo_adv.drivers.careful_model import REACTION, CarefulDrivers
+from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.junctions import Blocked, Junctions
 from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
@@ -43,7 +42,7 @@ class PredictedEgos:
         self._seen = None if seen is None else np.stack([np.stack([c.s, c.d, c.v]) for c in seen])
         self.scenes, self._length, self._width = scenes, length, width
         n = len(length)
-        self.model: Mapping[str, Any] = scenes.driver
+        self.model = scenes.driver
         self.s, self.v, self.a = (
             scenes.each(lambda s, name=name: getattr(s, name)[0]) for name in ("profile_s", "profile_v", "profile_a")
         )  # fmt: skip
@@ -54,20 +53,19 @@ class PredictedEgos:
         mine = (scenes.ego.length, scenes.ego.width)
         self._lane = scenes.each(lambda s: s.lane_width)
         self._beside = scenes.has_lane(1), scenes.has_lane(-1)
-        self._passes_right = bool(self.model.get("ignores_sumo_lane_rules", False))
+        self._passes_right = self.model.ignores_sumo_lane_rules
         if self._passes_right:  # no driver of SUMO's: the directions of lanes are nothing to it
             self._beside = np.ones(n, bool), np.ones(n, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(scenes, self._driver)
         self._leaders = Leaders(scenes, names, length, self._driver)
-        careful = self.model["kind"] == "careful"
-        reaction = self.model.get("reaction", REACTION)
-        self._careful = CarefulDrivers(mine, length, width, scenes.dt, reaction) if careful else None
-        lattice = self.model["kind"] == "lattice"
+        careful = self.model.kind == "careful"
+        self._careful = CarefulDrivers(mine, length, width, scenes.dt, self.model.reaction) if careful else None
+        lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._sidestep = LateralGap(scenes, length, width)
         self._edges_at, self._seen_edges = self.d, seen_edges(self._lane, scenes.ego.width, self.d)  # of these offsets
-        self._sees = np.maximum(self._lane / 2, self.model.get("sees", 0.0))
+        self._sees = np.maximum(self._lane / 2, self.model.sees)
         self._opposed = np.zeros(n, bool) if self._passes_right else scenes.opposed()
         self._gone_over = np.zeros(n, bool)
 
@@ -82,7 +80,7 @@ class PredictedEgos:
             self._as_seen(now, self._seen)
             return
         next_s, next_v = self.scenes.profile_now(now + dt)
-        if self.model["kind"] == "replay":
+        if self.model.kind == "replay":
             self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
             return
         (s, d, h), half = adversary, self._length / 2
@@ -130,7 +128,7 @@ class PredictedEgos:
         gap = s - self.s - (self._length + self.scenes.ego.length) / 2
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
-            bound = np.minimum(bound, self._careful.bound(now, (self.s, self.v, self.a), adversary, speed))
+            bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))
         if blocked is not None:
             bound = np.minimum(bound, self._junctions.bound(blocked, self.s, self.v))
         return np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
