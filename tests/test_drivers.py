@@ -15,7 +15,7 @@ from situation_samples import KRAUSS, leader, situation
 
 from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import CarFollowing
-from sumo_adv.drivers.junctions import Blocked, seconds
+from sumo_adv.drivers.junctions import AtJunction, seconds
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import Situation
@@ -33,15 +33,15 @@ def blocked(
     on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
     meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
     first: bool = True, joins: float = math.inf, turns: bool = False,
-) -> Blocked:  # fmt: skip
+) -> AtJunction:  # fmt: skip
     """A car of 5 m; ``before``: metres from its front to the zone."""
     flags = (np.array([q]) for q in (on, on, turns, yields, first, merging))
-    places = (meets, zone, min(joins, meets), before, before + 5.0, behind, begins, speed, 5.0)
-    return Blocked(*flags, *(np.array([float(q)]) for q in places))
+    places = (meets, zone, min(joins, meets), before, before + 5.0, behind, begins, speed)
+    return AtJunction(*flags, *(np.array([float(q)]) for q in places))
 
 
 def drive(
-    egos: PredictedEgos, seconds: float, way: Callable[[float], Blocked], speed: float, begin: float = 0.0
+    egos: PredictedEgos, seconds: float, way: Callable[[float], AtJunction], speed: float, begin: float = 0.0
 ) -> None:
     """Steps of 0.1 s beside a vehicle that is never in the ego's lane, and on the junction as ``way`` says."""
     aside = (np.array([0.0]), np.array([50.0]), np.array([0.0]))
@@ -54,7 +54,7 @@ def egos_of(sit: Situation) -> PredictedEgos:
     return PredictedEgos(Scenes([sit]), ["bv"], np.array([5.0]), np.array([2.0]))
 
 
-def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], Blocked]:
+def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], AtJunction]:
     """A vehicle that drives over the junction at an even speed, and is never in the way yet."""
     return lambda now: blocked(before=before - 1.6 - speed * now, behind=behind - speed * now, meets=10.0, speed=speed)
 
@@ -363,7 +363,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     other = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, other])
-    here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
+    here = AtJunction(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
         assert egos.s == pytest.approx([course.s[k + 1], other.s[k + 1]])

@@ -107,7 +107,7 @@ def braked_speed(drivers: CcHuman, egos: Egos, others: Others, dt: float) -> Flo
 
 
 class CarefulEgo:
-    """The controller. Its state: the vehicles it watches, their past poses, its decisions."""
+    """The controller. It remembers the vehicles it watches, their past poses, and its decisions."""
 
     name = "careful"
     forkable = True
