@@ -42,11 +42,11 @@ class UserEgo:
 
     def reset(self, seed: int) -> None:
         """Raises SimulationError if the user's code fails."""
-        self._call("reset", lambda: self._driver.reset(seed))
+        self._call("failed in reset", lambda: self._driver.reset(seed))
 
     def act(self, observation: Observation) -> Action:
         """Raises SimulationError if the user's code fails, or returns something other than a valid action."""
-        action = self._call(f"act at {observation.time:.1f} s", lambda: self._driver.act(observation))
+        action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
         if action is None:
             return None
         if not isinstance(action, Steer | LaneSpeed | Pose):
@@ -63,16 +63,16 @@ class UserEgo:
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
         """Raises SimulationError if the user's code fails, or returns something other than a DriverModel."""
-        model = self._call("model_of", lambda: model_of(self._driver, numbers))
+        model = self._call("failed in model_of", lambda: model_of(self._driver, numbers))
         if not isinstance(model, DriverModel):
             raise SimulationError(f"The ego {self._spec!r} returned {model!r}; model_of must return a DriverModel.")
         return model
 
-    def _call(self, where: str, call: Callable[[], T]) -> T:
+    def _call(self, failure: str, call: Callable[[], T]) -> T:
         try:
             return call()
         except Exception as error:  # user code
-            raise SimulationError(f"The ego {self._spec!r} failed in {where}: {in_one_line(error)}.") from error
+            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}.") from error
 
 
 def find_class(kind: str, spec: str) -> type:
