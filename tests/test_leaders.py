@@ -1,6 +1,6 @@
-"""Whom an ego follows besides the adversary, and when the adversary was why it went no faster.
+"""Leaders of the ego other than the adversary, and when the adversary held the ego up.
 
-Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's driver, who would go 15 m/s, keeps
+Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's driver would go 15 m/s, and keeps
 10 m/s behind a car of that speed at a gap of 12.5 m (2.5 m and one second).
 """
 
@@ -55,7 +55,7 @@ def test_an_ego_whose_leader_leaves_goes_faster_than_it_did() -> None:
 
 
 def test_where_somebody_else_is_why_it_goes_no_faster_it_stays_behind_that_one() -> None:
-    """The other keeps 10 m/s, 20 m before the one that leaves: at first there is room, then there are 12.5 m again."""
+    """The other keeps 10 m/s, 20 m ahead of the leader that leaves: at first there is room, then 12.5 m again."""
     assert gone(behind(other("bv", HERE), other("second", HERE + 20.0)), 4.9).v[0] < 13.0
     sit = replace(behind(other("bv", 60.0), other("second", HERE)))
     assert not leaders(sit).held_up(np.array([0.0]))[0]
@@ -97,7 +97,7 @@ def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
 
 
 def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
-    """12.5 m behind a car of 10 m/s: 10 m/s; with nobody ahead in the lane there is no such speed; a second later the
+    """12.5 m behind a car of 10 m/s: 10 m/s; without a leader in the lane there is no such speed; a second later the
     others are 10 m farther."""
     found = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
     at, v, disturbed = np.array([0.0]), np.array([10.0]), np.array([True])

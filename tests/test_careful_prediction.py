@@ -1,4 +1,4 @@
-"""The careful driver as it is foreseen brakes when, and as, the real controller does (on a straight road along x)."""
+"""The predicted careful driver brakes when, and as, the real controller does, on a straight road along x."""
 
 from __future__ import annotations
 
