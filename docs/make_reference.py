@@ -1,6 +1,6 @@
 """Write ``docs/reference.md``, the API reference, from the docstrings of what ``sumo_adv`` exports.
 
-    python docs/make_reference.py
+python docs/make_reference.py
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import sumo_adv
 PAGE = Path(__file__).with_name("reference.md")
 HEAD = """# API reference
 
-With this page you can use `import sumo_adv` without reading the source. It is made of the docstrings by `python docs/make_reference.py`.
+With this page you can use `import sumo_adv` without reading the source.
+It is made of the docstrings by `python docs/make_reference.py`.
 """
 
 

@@ -314,6 +314,29 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
+class DriverModel:
+    """How the ego's driver is predicted: which rules it follows, and the numbers of its car following.
+
+    kind: ``krauss``, ``idm``, ``eidm``, ``careful``, ``lattice`` or ``replay``. acceleration, deceleration: both
+    positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
+    known: False if the model is an assumption. ignores_sumo_lane_rules: it may overtake on the right, and the direction
+    of lanes is nothing to it. reaction: time from a danger to the first braking [s], None = that of UN R157.
+    sees: a vehicle ahead within this offset from the ego's path is a leader [m]; half the lane is the minimum.
+    """
+
+    kind: str
+    acceleration: float
+    deceleration: float
+    tau: float
+    min_gap: float
+    speed: float
+    known: bool = True
+    ignores_sumo_lane_rules: bool = False
+    reaction: float | None = None
+    sees: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class PrescribedMotion:
     """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on.
 

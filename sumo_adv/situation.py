@@ -9,12 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Floats, Track, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap_all
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
@@ -140,7 +139,7 @@ class Situation:
     profile_s: Floats
     profile_v: Floats
     profile_a: Floats
-    ego_model: Mapping[str, Any]
+    ego_model: DriverModel
     targets: Mapping[str, Target]
     others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
     lane_width: float

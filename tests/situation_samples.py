@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.geometry import Frame, Path, make_path
 from sumo_adv.situation import Situation, Target, relate
 
-KRAUSS: Mapping[str, Any] = {
-    "kind": "krauss", "acceleration": 2.6, "deceleration": 4.5, "tau": 1.0, "min_gap": 2.5, "speed": 15.0,
-}  # fmt: skip
+KRAUSS = DriverModel("krauss", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=15.0)
 
 
 def line(*points: tuple[float, float]) -> Path:
@@ -37,13 +34,13 @@ def target(
     return Target(state, relation, lines, 0.0, offset, 0.0, ((3.2, "same"),), 0.5)
 
 
-def situation(targets: Sequence[Target], *, model: Mapping[str, Any] = KRAUSS, speed: float = 10.0) -> Situation:
+def situation(targets: Sequence[Target], *, model: DriverModel = KRAUSS, speed: float = 10.0) -> Situation:
     """The ego at the origin with an unattacked profile of 5 s at constant ``speed`` in steps of 0.1 s."""
     k = np.arange(51.0)
     ego_path = line((0.0, 0.0), (400.0, 0.0))
     return Situation(
         100.0, 0.1, 3.0, Frame(0.0, 0.0, 0.0), car("ego", 0.0, 0.0, speed=speed), ego_path, 0.1 * speed * k,
-        0.0 * k + speed, 0.0 * k, dict(model), {t.state.id: t for t in targets}, (), 3.2,
+        0.0 * k + speed, 0.0 * k, model, {t.state.id: t for t in targets}, (), 3.2,
     )  # fmt: skip
 
 

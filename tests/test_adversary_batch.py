@@ -146,22 +146,21 @@ def test_a_vehicle_on_a_crossing_takes_up_half_a_lane_before_the_place_until_its
     """Its junction begins after 15 m, the ways meet at right angles after 25 m (at 30 m of the ego's path), so the
     junction is taken to end after 35 m; the lane is 3.2 m wide, the car 5 m long."""
     batch = AdversaryBatch([situation([crossing()])], ["bv"])
-    before = batch.blocked(at_station(batch, 0.0))
-    assert (before.on[0], before.merging[0], before.meets[0]) == (False, False, pytest.approx(30.0))
-    assert (before.before[0], before.back[0], before.behind[0]) == pytest.approx((20.9, 25.9, 37.5))
-    assert (before.zone[0], before.speed[0], before.length[0]) == pytest.approx((1.6, 8.0, 5.0))
+    before = batch.at_junction(at_station(batch, 0.0))
+    assert (before.on_junction[0], before.merging[0], before.meets_at[0]) == (False, False, pytest.approx(30.0))
+    assert (before.front_to_zone[0], before.rear_to_zone[0], before.rear_to_exit[0]) == pytest.approx(
+        (20.9, 25.9, 37.5)
+    )
+    assert (before.half_zone[0], before.speed[0]) == pytest.approx((1.6, 8.0))
 
     stations = (17.4, 12.5 - 0.1, 12.5 + 0.1, 29.0, 29.2)
-    assert [bool(batch.blocked(at_station(batch, s)).on[0]) for s in stations] == [
-        True,
-        False,
-        True,
-        True,
-        False,
-    ]
-    leaving = batch.blocked(at_station(batch, 28.4))
-    assert (leaving.before[0], leaving.back[0], leaving.behind[0]) == pytest.approx((-7.5, -2.5, 9.1))
-    assert batch.blocked(at_station(batch, 38.0)).behind[0] == pytest.approx(-0.5)
+    on = [bool(batch.at_junction(at_station(batch, s)).on_junction[0]) for s in stations]
+    assert on == [True, False, True, True, False]
+    leaving = batch.at_junction(at_station(batch, 28.4))
+    assert (leaving.front_to_zone[0], leaving.rear_to_zone[0], leaving.rear_to_exit[0]) == pytest.approx(
+        (-7.5, -2.5, 9.1)
+    )
+    assert batch.at_junction(at_station(batch, 38.0)).rear_to_exit[0] == pytest.approx(-0.5)
 
 
 @pytest.mark.parametrize(
@@ -182,9 +181,9 @@ def test_on_a_junction_a_vehicle_counts_as_on_the_way_nearest_to_its_front(
     """Of the two ways on from the south only the one straight on meets the ego's path, at 30 m. The other way turns
     left 2 m before that; a rad of another heading counts as 2.2 m, having been on a way as 2 m."""
     batch = AdversaryBatch([situation([replace(crossing(), unattacked=unattacked)])], ["bv"])
-    batch.blocked(at_station(batch, 5.0))
-    result = batch.blocked(at_station(batch, station)._replace(d=row(offset)))
-    assert result.meets[0] == pytest.approx(30.0 if straight else math.inf)
+    batch.at_junction(at_station(batch, 5.0))
+    found = batch.at_junction(at_station(batch, station)._replace(d=row(offset)))
+    assert found.meets_at[0] == pytest.approx(30.0 if straight else math.inf)
 
 
 def test_a_vehicle_that_waits_to_turn_on_a_junction_is_not_yet_in_the_way() -> None:
@@ -192,13 +191,10 @@ def test_a_vehicle_that_waits_to_turn_on_a_junction_is_not_yet_in_the_way() -> N
     turns = crossing()
     turns = replace(turns, ways=tuple(replace(w, bay=20.0) for w in turns.ways))
     batch = AdversaryBatch([situation([turns])], ["bv"])
-    assert [bool(batch.blocked(at_station(batch, s, 0.0)).on[0]) for s in (13.0, 17.0, 18.0)] == [
-        False,
-        False,
-        True,
-    ]
+    on = [bool(batch.at_junction(at_station(batch, s, 0.0)).on_junction[0]) for s in (13.0, 17.0, 18.0)]
+    assert on == [False, False, True]
     batch = AdversaryBatch([situation([crossing()])], ["bv"])
-    assert batch.blocked(at_station(batch, 13.0, 0.0)).on[0]
+    assert batch.at_junction(at_station(batch, 13.0, 0.0)).on_junction[0]
 
 
 def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> None:
@@ -210,9 +206,9 @@ def test_the_flatter_the_angle_the_longer_is_the_place_where_ways_cross() -> Non
             (60.0 + 90.0 * math.cos(angle), 90.0 * math.sin(angle)),
         )
         state = car("bv", float(way.x[0]), float(way.y[0]), angle)
-        crosses = target(state, "crossing", [(way, "straight", 20.0)], EGO_PATH)
-        batch = AdversaryBatch([situation([crosses])], ["bv"])
-        assert batch.blocked(at_station(batch, 0.0)).zone[0] == pytest.approx(zone, rel=1e-3)
+        one_of = target(state, "crossing", [(way, "straight", 20.0)], EGO_PATH)
+        batch = AdversaryBatch([situation([one_of])], ["bv"])
+        assert batch.at_junction(at_station(batch, 0.0)).half_zone[0] == pytest.approx(zone, rel=1e-3)
 
 
 def test_a_merging_vehicle_takes_up_its_distance_ahead_and_moves_on() -> None:
@@ -224,23 +220,25 @@ def test_a_merging_vehicle_takes_up_its_distance_ahead_and_moves_on() -> None:
     assert conflict is not None and conflict.kind == "merging"
     assert (conflict.bv_s, conflict.ego_s) == pytest.approx((67.1, 60.0), abs=1.0)
 
-    assert not batch.blocked(at_station(batch, 52.0, 9.0)).on[0]
-    on = batch.blocked(at_station(batch, 57.0, 9.0))
-    assert (on.on[0], on.merging[0], on.speed[0], on.zone[0]) == (True, True, 9.0, 0.0)
-    assert on.begins[0] == pytest.approx(conflict.ego_s - (conflict.bv_s - 57.0) - 2.5)  # its rear, on the ego's path
-    assert on.begins[0] == pytest.approx(47.5, abs=1.0)
-    assert on.before[0] == pytest.approx(conflict.bv_s - 59.5)
-    assert not batch.blocked(at_station(batch, 69.0, 9.0)).on[0]  # from there on it is a leader
+    assert not batch.at_junction(at_station(batch, 52.0, 9.0)).on_junction[0]
+    on = batch.at_junction(at_station(batch, 57.0, 9.0))
+    assert (on.on_junction[0], on.merging[0], on.speed[0], on.half_zone[0]) == (True, True, 9.0, 0.0)
+    assert on.rear_station[0] == pytest.approx(
+        conflict.ego_s - (conflict.bv_s - 57.0) - 2.5
+    )  # its rear, on the ego's path
+    assert on.rear_station[0] == pytest.approx(47.5, abs=1.0)
+    assert on.front_to_zone[0] == pytest.approx(conflict.bv_s - 59.5)
+    assert not batch.at_junction(at_station(batch, 69.0, 9.0)).on_junction[0]  # from there on it is a leader
 
 
 def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
     both = situation([neighbour(), replace(crossing(), state=replace(crossing().state, id="other"))])
     beside = AdversaryBatch([both], ["bv"])
-    assert beside.blocked(at_station(beside, 50.0, 12.0)) is None
+    assert beside.at_junction(at_station(beside, 50.0, 12.0)) is None
     batch = AdversaryBatch([both, both], ["bv", "other"])
-    result = batch.blocked(batch.begin()._replace(s=row(50.0, 20.0)))
-    assert result is not None
-    assert (result.on.tolist(), result.meets.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
+    found = batch.at_junction(batch.begin()._replace(s=row(50.0, 20.0)))
+    assert found is not None
+    assert (found.on_junction.tolist(), found.meets_at.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
 
 
 def test_a_move_that_hardly_goes_on_is_observed_as_one_of_20_s() -> None:
@@ -255,20 +253,18 @@ def test_a_move_that_hardly_goes_on_is_observed_as_one_of_20_s() -> None:
 
 def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
     batch = AdversaryBatch([situation([crossing()])] * 2, ["bv", "bv"])
-    batch.rows.row = np.array([0, 1])  # the second vehicle turns left before the ego's path
+    batch.rows.row = np.array([0, 1])  # the second one turns left before the ego's path
     motion = batch.begin()._replace(s=row(20.0, 20.0))
-    assert batch.blocked(motion).on.tolist() == [True, False]
+    assert batch.at_junction(motion).on_junction.tolist() == [True, False]
 
 
 @pytest.mark.parametrize(
     ("ego", "bv", "yields"), [("G", "r", True), ("G", "g", False), ("g", "r", True), (None, "r", False)]
 )
-def test_a_vehicle_that_comes_against_red_yields_where_the_ego_has_green(
-    ego: str | None, bv: str, yields: bool
-) -> None:
+def test_an_adversary_that_runs_red_yields_where_the_ego_has_green(ego: str | None, bv: str, yields: bool) -> None:
     lights = {"bv": (("tl", 20.0, bv),), "ego": () if ego is None else (("tl", 30.0, ego),)}
     batch = AdversaryBatch([replace(situation([crossing()]), signals=lights)], ["bv"])
-    assert bool(batch.blocked(at_station(batch, 0.0)).yields[0]) is yields
+    assert bool(batch.at_junction(at_station(batch, 0.0)).ran_red[0]) is yields
 
 
 # ---- observations

@@ -25,7 +25,7 @@ from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Target
 
 DT = 0.1
-REPLAY = {**KRAUSS, "kind": "replay"}
+REPLAY = replace(KRAUSS, kind="replay")
 
 
 def course_of(proposal: Proposal | None) -> PrescribedMotion:
@@ -90,7 +90,7 @@ def test_an_ego_that_is_no_replay_is_taken_to_keep_its_speed() -> None:
     ends = []
     for model in (KRAUSS, REPLAY):
         row = Bezier()
-        row.begin(replace(one, situations={0.0: replace(slows, ego_model=dict(model))}))
+        row.begin(replace(one, situations={0.0: replace(slows, ego_model=model)}))
         ends.append(course_of(row.propose([])).x[-1])
     # At its speed 60 m; along the profile 0.2 x 50 m in 5 s and then 1 s at the profile's last speed, 10 m/s.
     assert ends == pytest.approx([60.0, 20.0])

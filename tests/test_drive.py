@@ -72,11 +72,11 @@ def test_the_egos_type_is_written_as_sumo_reads_it(tmp_path: Path) -> None:
 
 def test_a_sumo_ego_gets_the_driver_under_test_and_keeps_its_body(tmp_path: Path) -> None:
     with driving(tmp_path, SumoEgo("krauss", {"tau": 0.6, "decel": 3.5}), take_over=False) as drive:
-        assert drive.simulation.model("ego")["tau"] == 1.0
+        assert drive.simulation.model("ego").tau == 1.0
         drive.take_over("ego")
         drive.tick()
         model = drive.simulation.model("ego")
-        assert (model["tau"], model["deceleration"]) == (0.6, 3.5)
+        assert (model.tau, model.deceleration) == (0.6, 3.5)
         assert (drive.state("ego").length, drive.state("ego").width) == (5.0, 2.0)
 
 

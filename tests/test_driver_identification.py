@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,8 +18,8 @@ from sumo_adv.search.driver_identification import WIDE, DriverIdentification, ap
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import predict
 
-IDM = {**KRAUSS, "kind": "idm"}
-UNKNOWN = {**IDM, "unknown": True}
+IDM = replace(KRAUSS, kind="idm")
+UNKNOWN = replace(IDM, known=False)
 SQUEEZE = """
 PARAMETERS = {}
 
@@ -43,22 +44,20 @@ def course(x: list[float], seen: int) -> ObservedMotion:
 
 
 def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
-    assert models_of({**IDM, "unknown": False}) == [{**IDM, "unknown": False}] and not DriverIdentification(IDM).open
-    assert [(m["kind"], m.get("sees"), m.get("reaction")) for m in models_of(UNKNOWN)] == [
-        ("idm", None, None), ("careful", None, 0.1), ("idm", WIDE, None), ("replay", None, None)
+    assert models_of(IDM) == [IDM] and not DriverIdentification(IDM).open
+    assert [(m.kind, m.sees, m.reaction) for m in models_of(UNKNOWN)] == [
+        ("idm", 0.0, None), ("careful", 0.0, 0.1), ("idm", WIDE, None), ("replay", 0.0, None)
     ]  # fmt: skip
-    assert len(models_of({**UNKNOWN, "kind": "replay"})) == 1  # a forecast at constant velocity was asked for
+    assert len(models_of(replace(UNKNOWN, kind="replay"))) == 1  # a forecast at constant velocity was asked for
 
 
 def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
     driver = DriverIdentification(UNKNOWN)
     assert driver.observe([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
-    assert driver.observe([3.0, 2.0, 1.0, 4.0]) is True and driver.model["kind"] == "careful"  # 5, 4, 4, 8
+    assert driver.observe([3.0, 2.0, 1.0, 4.0]) is True and driver.model.kind == "careful"  # 5, 4, 4, 8
     assert driver.observe([0.0, 3.0, 1.5, 4.0]) is True and driver.model == UNKNOWN  # 5, 7, 5.5, 12
     assert driver.observe([0.6, 0.0, 0.0, 0.0]) is False  # 5.6, 7, 5.5, 12: not clearly
-    assert (
-        driver.observe([0.6, 0.0, 0.0, 0.0]) is True and driver.model.get("sees") == WIDE
-    )  # 6.2, 7, 5.5: less than 5.58
+    assert driver.observe([0.6, 0.0, 0.0, 0.0]) is True and driver.model.sees == WIDE  # 6.2, 7, 5.5: less than 5.58
 
 
 def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_most() -> None:
@@ -71,7 +70,7 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
     """A car 20 m ahead slows down to 5 m/s with its middle 2.2 m to the left: IDM's driver goes on with 10 m/s, since
     its lane ends at 1.6 m; one that minds 2.5 m to either side brakes, and that was seen."""
     tried = Proposal("bv", "Squeeze", make_planner("Squeeze", "side", SQUEEZE, "person"), {}, 0.0, 0.0)
-    wide, unknown = (situation([neighbour()], model=m) for m in ({**IDM, "sees": WIDE}, UNKNOWN))
+    wide, unknown = (situation([neighbour()], model=m) for m in (replace(IDM, sees=WIDE), UNKNOWN))
     with Sessions(sandbox, Roads({0.0: wide}), [tried], 0) as sessions:
         real = predict(
             {0.0: wide}, [tried], lambda rows, seen: sessions.answers([tried], rows, seen), limits=Limits(), steps=60,

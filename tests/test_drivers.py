@@ -1,4 +1,4 @@
-"""Egos at junctions as they are foreseen: they keep clear of who is on it, and wait at their line where they must.
+"""Predicted egos at junctions: they keep clear of a vehicle on it, and wait at their line where they give way.
 
 Everywhere the ego starts at station 0 with 10 m/s and is 5 m long, so its front is at 2.5 m.
 """
@@ -6,17 +6,16 @@ Everywhere the ego starts at station 0 with 10 m/s and is 5 m long, so its front
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from situation_samples import KRAUSS, leader, situation
 
-from sumo_adv.datatypes import Floats, ObservedMotion
+from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import CarFollowing
-from sumo_adv.drivers.junctions import Blocked, seconds
+from sumo_adv.drivers.junctions import AtJunction, seconds
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import Situation
@@ -24,27 +23,28 @@ from sumo_adv.situation import Situation
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
 
 
-def crossroads(
-    line: float = math.inf, model: Mapping[str, Any] = KRAUSS, rule: str = "m", speed: float = 10.0
-) -> Situation:
-    """The ego on a road whose junction begins at a station [m], inf: nothing is known of one."""
+def crossroads(line: float = math.inf, model: DriverModel = KRAUSS, rule: str = "m", speed: float = 10.0) -> Situation:
+    """The ego on a road with a junction that begins at a station [m], inf: no junction is known."""
     found = situation([leader()], model=model, speed=speed)
     return replace(found, junction=line, rule=rule if math.isfinite(line) else "")
 
 
-def blocked(
-    on: bool = False, *, merging: bool = False, begins: float = 0.0, before: float = 0.0, behind: float = 0.0,
-    meets: float = 34.0, zone: float = 1.6, speed: float = 0.0, yields: bool = False,
-    first: bool = True, joins: float = math.inf, turns: bool = False,
-) -> Blocked:  # fmt: skip
-    """A car of 5 m; ``before``: metres from its front to the zone."""
-    flags = (np.array([q]) for q in (on, on, turns, yields, first, merging))
-    places = (meets, zone, min(joins, meets), before, before + 5.0, behind, begins, speed, 5.0)
-    return Blocked(*flags, *(np.array([float(q)]) for q in places))
+def at_junction(
+    on_junction: bool = False, *, merging: bool = False, rear_station: float = 0.0, front_to_zone: float = 0.0,
+    rear_to_exit: float = 0.0, meets_at: float = 34.0, half_zone: float = 1.6, speed: float = 0.0,
+    ran_red: bool = False, goes_first: bool = True, joins_at: float = math.inf, has_bay: bool = False,
+) -> AtJunction:  # fmt: skip
+    """A car of 5 m."""
+    flags = (np.array([q]) for q in (on_junction, on_junction, has_bay, ran_red, goes_first, merging))
+    rear_to_zone = front_to_zone + 5.0
+    places = (
+        meets_at, half_zone, min(joins_at, meets_at), front_to_zone, rear_to_zone, rear_to_exit, rear_station, speed,
+    )  # fmt: skip
+    return AtJunction(*flags, *(np.array([float(q)]) for q in places))
 
 
 def drive(
-    egos: PredictedEgos, seconds: float, way: Callable[[float], Blocked], speed: float, begin: float = 0.0
+    egos: PredictedEgos, seconds: float, way: Callable[[float], AtJunction], speed: float, begin: float = 0.0
 ) -> None:
     """Steps of 0.1 s beside a vehicle that is never in the ego's lane, and on the junction as ``way`` says."""
     aside = (np.array([0.0]), np.array([50.0]), np.array([0.0]))
@@ -57,9 +57,11 @@ def egos_of(sit: Situation) -> PredictedEgos:
     return PredictedEgos(Scenes([sit]), ["bv"], np.array([5.0]), np.array([2.0]))
 
 
-def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], Blocked]:
+def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], AtJunction]:
     """A vehicle that drives over the junction at an even speed, and is never in the way yet."""
-    return lambda now: blocked(before=before - 1.6 - speed * now, behind=behind - speed * now, meets=10.0, speed=speed)
+    return lambda now: at_junction(
+        front_to_zone=before - 1.6 - speed * now, rear_to_exit=behind - speed * now, meets_at=10.0, speed=speed
+    )
 
 
 # ---- seconds for a distance
@@ -74,7 +76,7 @@ def crossing_at(speed: float, before: float, behind: float) -> Callable[[float],
         (20.8, 0.0, 4.0),
         (22.6, 8.7, 2.0),  # from 8.7 to 13.9 m/s in 2 s, at 11.3 m/s in the mean
         (64.3, 8.7, 5.0),  # 3 s more at 13.9 m/s: 41.7 m
-        (40.0, 20.0, 2.0),  # who is faster than that keeps its speed
+        (40.0, 20.0, 2.0),  # a faster vehicle keeps its speed
     ],
 )
 def test_the_seconds_for_a_distance_with_acceleration_up_to_13_9_metres_a_second(
@@ -104,8 +106,8 @@ def test_krauss_s_safe_speeds() -> None:
     ("gap", "leader", "speed"),
     [
         (12.5, 0.0, 10.0 - 0.1 * 1.2 * 5.0),  # 10 m beyond 2.5 m: 10^2 / (2 * 10) = 5 m/s2
-        (7.5, 5.0, 10.0 - 0.1 * 1.2 * 7.5),  # (10^2 - 5^2) / (2 * 5) = 7.5 m/s2: one that brakes as hard
-        (3.5, 0.0, 10.0 - 6.0),  # 50 m/s2: what no car can do is somebody else's to see
+        (7.5, 5.0, 10.0 - 0.1 * 1.2 * 7.5),  # (10^2 - 5^2) / (2 * 5) = 7.5 m/s2: the leader brakes as hard
+        (3.5, 0.0, 10.0 - 6.0),  # 50 m/s2: more than any car can do; the caller limits it
         (2.4, 0.0, 10.0 - 0.9),  # nearer than it wants to stand: 9 m/s2
     ],
 )
@@ -120,39 +122,39 @@ def test_idm_s_speeds() -> None:
     """At 10 of 20 m/s it accelerates by 2.6 * (1 - 1/16) = 2.4375 m/s2. Before a line its gap is
     v tau + v^2 / (2 sqrt(a b)) = 10 + 100 / 6.841 = 24.62 m, behind a car of its speed 2.5 + 10 m:
     at such gaps it brakes by 2.6 / 16 m/s2."""
-    driver, v = CarFollowing({**KRAUSS, "kind": "idm", "speed": 20.0}, 0.1), np.array([10.0])
+    driver, v = CarFollowing(replace(KRAUSS, kind="idm", speed=20.0), 0.1), np.array([10.0])
     assert driver.free(v)[0] == pytest.approx(10.24375)
     assert driver.stopping(v, np.array([24.62]))[0] == pytest.approx(10.0 - 0.01625, abs=1e-4)
     assert driver.behind(v, np.array([12.5]), v)[0] == pytest.approx(10.0 - 0.01625)
     assert driver.stopping(v, np.array([0.0]))[0] == 0.0
 
 
-# ---- somebody stands in the way
+# ---- a vehicle stands in the way
 
 
 @KINDS
 @pytest.mark.parametrize("junction", [26.0, math.inf])
 def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_left(kind: str, junction: float) -> None:
     """The ways cross at 34 m, what is taken up there begins at 32.4 m: it stops 2.5 m before."""
-    egos = egos_of(crossroads(junction, {**KRAUSS, "kind": kind}, "M"))
-    drive(egos, 30.0, lambda _: blocked(True, before=-3.0), 0.0)
+    egos = egos_of(crossroads(junction, replace(KRAUSS, kind=kind), "M"))
+    drive(egos, 30.0, lambda _: at_junction(True, front_to_zone=-3.0), 0.0)
     assert egos.disturbed[0]
     assert egos.v[0] < 0.2
     assert egos.s[0] + 2.5 == pytest.approx(29.9, abs=0.3)
     before = float(egos.v[0])
-    drive(egos, 2.0, lambda _: blocked(), 0.0, begin=30.0)
+    drive(egos, 2.0, lambda _: at_junction(), 0.0, begin=30.0)
     assert egos.v[0] == pytest.approx(before + 2 * 2.6, abs=0.1)  # with all it has
-    drive(egos, 8.0, lambda _: blocked(), 0.0, begin=32.0)
+    drive(egos, 8.0, lambda _: at_junction(), 0.0, begin=32.0)
     assert egos.v[0] == pytest.approx(10.0, abs=0.05)  # and no faster than before
 
 
 def test_before_one_that_will_be_gone_in_time_it_does_not_brake() -> None:
     """The zone begins 14 m before the ego's front, which wants to stop after 11.5 m: for that 22 steps take 11.385 m,
-    so it may have 9.9 + 0.114 / 2.3 = 9.95 m/s. Who is 2 m from being past it is followed, 11.5 - 2 m behind, which at
-    12 m/s is no reason to brake."""
+    so it may have 9.9 + 0.114 / 2.3 = 9.95 m/s. A vehicle with 2 m left to be past it is followed, 11.5 - 2 m behind:
+    at 12 m/s no reason to brake."""
     for speed, brakes in ((12.0, False), (0.0, True)):
         egos = egos_of(crossroads(12.0))
-        drive(egos, 0.1, lambda _, v=speed: blocked(True, before=-6.2, speed=v, meets=18.1), speed)  # type: ignore[misc]
+        drive(egos, 0.1, lambda _, v=speed: at_junction(True, front_to_zone=-6.2, speed=v, meets_at=18.1), speed)  # type: ignore[misc]
         assert bool(egos.disturbed[0]) is brakes
 
 
@@ -165,12 +167,14 @@ def test_before_one_that_will_be_gone_in_time_it_does_not_brake() -> None:
         (2.6, True, 6.0, True),  # against a red light too, as long as the ego is not on the junction itself
     ],
 )
-def test_who_came_on_the_junction_first_goes_first(junction: float, yields: bool, before: float, brakes: bool) -> None:
+def test_the_first_vehicle_on_the_junction_goes_first(
+    junction: float, yields: bool, before: float, brakes: bool
+) -> None:
     """The ego's front is at 2.5 m, the zone begins at 12 m, that one stands; after a tenth of a second."""
     egos = egos_of(crossroads(junction))
     if junction < 2.5:
-        drive(egos, 0.1, lambda _: blocked(meets=13.6), 0.0)
-    drive(egos, 0.1, lambda _: blocked(True, before=before, meets=14.6, yields=yields), 0.0, begin=0.1)
+        drive(egos, 0.1, lambda _: at_junction(meets_at=13.6), 0.0)
+    drive(egos, 0.1, lambda _: at_junction(True, front_to_zone=before, meets_at=14.6, ran_red=yields), 0.0, begin=0.1)
     assert bool(egos.disturbed[0]) is brakes
 
 
@@ -179,19 +183,19 @@ def test_where_it_waits_on_the_junction_for_others_it_is_not_there_first(bay: fl
     """The ego's front is at 2.5 m, over the line of its junction at 2 m. Then another one comes, and stands; where the
     ego waits on the junction, at 6 m, and that one goes first, it is in its way as before the junction."""
     egos = egos_of(replace(crossroads(2.0), bay=bay))
-    drive(egos, 0.1, lambda _: blocked(meets=13.6, first=first), 0.0)
-    drive(egos, 0.2, lambda _: blocked(True, before=6.0, meets=13.6, first=first), 0.0, begin=0.1)
+    drive(egos, 0.1, lambda _: at_junction(meets_at=13.6, goes_first=first), 0.0)
+    drive(egos, 0.2, lambda _: at_junction(True, front_to_zone=6.0, meets_at=13.6, goes_first=first), 0.0, begin=0.1)
     assert bool(egos.disturbed[0]) is held
 
 
 def test_one_that_drives_off_on_the_ego_s_path_is_followed() -> None:
-    """40 m on the other way: at its own speed nobody is held up, at 2 m/s the ego comes down to that."""
+    """40 m on the other way: at the ego's own speed it is not held up; behind 2 m/s it slows down to that."""
     for speed, disturbed in ((10.0, False), (2.0, True)):
         egos = egos_of(crossroads())
         drive(
             egos,
             20.0,
-            lambda now, v=speed: blocked(True, merging=True, begins=40.0 + v * now, meets=300.0, speed=v),
+            lambda now, v=speed: at_junction(True, merging=True, rear_station=40.0 + v * now, meets_at=300.0, speed=v),
             speed,
         )  # type: ignore[misc]
         assert egos.disturbed[0] == disturbed
@@ -203,14 +207,14 @@ def test_while_one_merges_that_is_not_ahead_the_ego_does_not_drive_onto_the_junc
     """The other's rear is 20 m behind the ego's front (2.5 m). It has 11.4, 8.4 or 37.4 m to the line: for the first it
     may have 9.95 m/s as before any line, for the second 8.5 m/s, which is more than 9 m/s2."""
     egos = egos_of(crossroads(junction))
-    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=-17.5, meets=60.0, speed=8.0), 8.0)
+    drive(egos, 0.1, lambda _: at_junction(True, merging=True, rear_station=-17.5, meets_at=60.0, speed=8.0), 8.0)
     assert egos.v[0] == pytest.approx(v, abs=0.05)
 
 
 def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
     """The zone ends 0.1 m behind its front."""
     egos = egos_of(crossroads())
-    drive(egos, 2.0, lambda _: blocked(True, meets=0.8), 0.0)
+    drive(egos, 2.0, lambda _: at_junction(True, meets_at=0.8), 0.0)
     assert not egos.disturbed[0]
     assert egos.s[0] == pytest.approx(20.0)
 
@@ -220,40 +224,46 @@ def test_beside_one_that_merges_it_brakes_as_hard_as_it_can_until_it_is_past_tha
     Past the place where their ways become one, or where they merge, it drives on."""
     egos = egos_of(crossroads(1.0))
     v = float(egos.v[0])
-    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=1.5, speed=12.0), 12.0)
+    drive(egos, 0.1, lambda _: at_junction(True, merging=True, rear_station=1.5, speed=12.0), 12.0)
     assert egos.v == pytest.approx([v - 0.9])
-    for place in ({"meets": 2.4}, {"joins": 2.4, "before": 6.0}):
+    for place in ({"meets_at": 2.4}, {"joins_at": 2.4, "front_to_zone": 6.0}):
         past = egos_of(crossroads(1.0))
-        drive(past, 0.1, lambda _, p=place: blocked(True, merging=True, begins=1.5, speed=12.0, **p), 12.0)
+        drive(past, 0.1, lambda _, p=place: at_junction(True, merging=True, rear_station=1.5, speed=12.0, **p), 12.0)
         assert past.v == pytest.approx([v])
 
 
 @pytest.mark.parametrize(("theirs", "brakes"), [(9.9, False), (10.1, True)])
-def test_of_two_who_come_onto_a_junction_in_one_step_the_slower_one_yields(theirs: float, brakes: bool) -> None:
+def test_if_two_enter_a_junction_in_one_step_the_slower_one_yields(theirs: float, brakes: bool) -> None:
     """The ego's front (2.5 m, then 3.5 m at 10 m/s) is past its line (3 m) in the step in which the other one's is."""
     egos = egos_of(crossroads(3.0))
-    drive(egos, 0.1, lambda _: blocked(merging=True, before=2.0, speed=theirs), theirs)
-    drive(egos, 0.1, lambda _: blocked(True, merging=True, begins=4.0, before=1.0, speed=theirs), theirs, begin=0.1)
+    drive(egos, 0.1, lambda _: at_junction(merging=True, front_to_zone=2.0, speed=theirs), theirs)
+    drive(
+        egos,
+        0.1,
+        lambda _: at_junction(True, merging=True, rear_station=4.0, front_to_zone=1.0, speed=theirs),
+        theirs,
+        begin=0.1,
+    )
     assert (egos.v[0] < 10.0 - 1e-6) == brakes
 
 
-def test_who_was_on_one_junction_first_was_not_on_the_next() -> None:
-    """Its way leads over a junction at 1 m and another one at 20 m; ways that merge at 30 m do so on that. Held back by
-    one who is on it, it does not drive on to it."""
+def test_being_first_on_one_junction_says_nothing_about_the_next() -> None:
+    """Its way leads over a junction at 1 m and another one at 20 m; ways that merge at 30 m do so on that. A vehicle
+    on that junction keeps the ego from driving onto it."""
     sit = replace(crossroads(1.0, rule="M"), later=(20.0,))
     egos = egos_of(sit)
-    drive(egos, 4.0, lambda _: blocked(True, merging=True, begins=5.0, meets=30.0), 0.0)
+    drive(egos, 4.0, lambda _: at_junction(True, merging=True, rear_station=5.0, meets_at=30.0), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(19.9, abs=0.05)  # 0.1 m before it
     alone = egos_of(replace(sit, later=()))
-    drive(alone, 4.0, lambda _: blocked(True, merging=True, begins=5.0, meets=30.0), 0.0)
+    drive(alone, 4.0, lambda _: at_junction(True, merging=True, rear_station=5.0, meets_at=30.0), 0.0)
     assert alone.s[0] > 30.0
 
 
-def test_who_turns_left_waits_in_its_bay_for_whoever_is_on_the_junction() -> None:
+def test_an_ego_that_turns_left_waits_in_its_bay_for_a_vehicle_on_the_junction() -> None:
     """Its line is at 3 m, its bay at 12 m, the ways cross at 25 m: it stops 0.1 m before the end of the bay, although
-    there is room for it up to the other one, who stands."""
+    there is room up to the other vehicle, which stands."""
     egos = egos_of(replace(crossroads(3.0, rule="m"), bay=12.0))
-    drive(egos, 8.0, lambda _: blocked(True, meets=25.0, before=3.0, first=False), 0.0)
+    drive(egos, 8.0, lambda _: at_junction(True, meets_at=25.0, front_to_zone=3.0, goes_first=False), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(11.9, abs=0.05)
 
 
@@ -284,10 +294,10 @@ def test_beside_a_lane_of_the_other_direction_others_count_as_in_the_lane_for_lo
 
 
 @KINDS
-def test_it_waits_at_its_line_for_one_who_comes_and_goes_on_behind_it(kind: str) -> None:
-    """One who comes from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands at its line; it goes when that
-    one has done its 35 m, which is after 11.7 s."""
-    egos = egos_of(crossroads(6.0, {**KRAUSS, "kind": kind}, speed=5.0))
+def test_it_waits_at_its_line_for_a_vehicle_and_goes_on_behind_it(kind: str) -> None:
+    """A vehicle from 15 m at 3 m/s is expected there in 2.43 s. The ego then stands at its line; it goes when the
+    vehicle has driven its 35 m, which is after 11.7 s."""
+    egos = egos_of(crossroads(6.0, replace(KRAUSS, kind=kind), speed=5.0))
     coming = crossing_at(3.0, before=15.0, behind=35.0)
     drive(egos, 10.0, coming, 3.0)
     assert egos.disturbed[0]
@@ -314,10 +324,10 @@ def test_it_waits_where_both_would_be_there_at_once(speed: float, before: float,
 
 
 def test_it_waits_at_its_line_for_one_on_the_junction_that_turns_over_a_bay() -> None:
-    """Its line is at 6 m; the ways cross at 14 m, and for one that goes straight on it drives up to there."""
+    """Its line is at 6 m; the ways cross at 14 m, if the vehicle goes straight on, the ego drives up to there."""
     for turns, front in ((True, 6.0), (False, 14.0 - 1.6 - 2.5)):
         egos = egos_of(crossroads(6.0, speed=5.0))
-        here = blocked(True, meets=14.0, before=-1.0, behind=3.0, turns=turns)
+        here = at_junction(True, meets_at=14.0, front_to_zone=-1.0, rear_to_exit=3.0, has_bay=turns)
         drive(egos, 6.0, lambda _, b=here: b, 0.0)
         assert egos.s[0] + 2.5 == pytest.approx(front, abs=0.3)
 
@@ -331,7 +341,7 @@ def test_it_decides_where_it_sees_the_others_and_can_still_stop(line: float, wai
     assert bool(egos.disturbed[0]) is waits
 
 
-def test_at_an_all_way_stop_it_does_not_wait_for_one_who_does_not_stop() -> None:
+def test_at_an_all_way_stop_it_does_not_wait_for_a_vehicle_that_does_not_stop() -> None:
     egos = egos_of(crossroads(6.0, rule="w", speed=5.0))
     drive(egos, 2.0, crossing_at(3.0, before=15.0, behind=35.0), 3.0)
     assert not egos.disturbed[0]
@@ -344,29 +354,34 @@ def test_one_with_priority_does_not_wait_at_a_line() -> None:
     assert egos.s[0] == pytest.approx(50.0)
 
 
-def test_nobody_waits_for_one_who_has_to_give_way_to_them() -> None:
+def test_it_does_not_wait_for_a_vehicle_that_gives_way_to_it() -> None:
     """At 6 m there is a line at which it gives way, but not to this one."""
     egos = egos_of(crossroads(6.0, speed=5.0))
-    drive(egos, 2.0, lambda _: blocked(before=15.0, behind=35.0, meets=10.0, speed=3.0, first=False), 3.0)
+    drive(
+        egos,
+        2.0,
+        lambda _: at_junction(front_to_zone=15.0, rear_to_exit=35.0, meets_at=10.0, speed=3.0, goes_first=False),
+        3.0,
+    )
     assert not egos.disturbed[0]
 
 
-def test_nobody_waits_for_one_whose_way_does_not_meet_theirs() -> None:
+def test_it_does_not_wait_for_a_vehicle_if_their_ways_do_not_meet() -> None:
     egos = egos_of(crossroads(30.0))
-    drive(egos, 5.0, lambda _: blocked(before=5.0, behind=25.0, meets=math.inf), 3.0)
+    drive(egos, 5.0, lambda _: at_junction(front_to_zone=5.0, rear_to_exit=25.0, meets_at=math.inf), 3.0)
     assert not egos.disturbed[0]
 
 
-# ---- egos that were seen
+# ---- observed egos
 
 
-def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
+def test_an_observed_ego_repeats_its_motion_whatever_is_in_its_way() -> None:
     speed = np.array([10.0, 9.0, 7.0, 4.0])
     course = ObservedMotion(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
     other = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
     egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, other])
-    here = Blocked(*(np.repeat(q, 2) for q in blocked(True, before=-1.0, meets=6.0)))
+    here = AtJunction(*(np.repeat(q, 2) for q in at_junction(True, front_to_zone=-1.0, meets_at=6.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
         assert egos.s == pytest.approx([course.s[k + 1], other.s[k + 1]])
@@ -376,7 +391,7 @@ def test_an_ego_that_was_seen_goes_as_it_did_whoever_is_in_its_way() -> None:
     assert egos.s == pytest.approx([2.0, 4.0])  # nothing more is known
 
 
-# ---- above 60 km/h nobody passes on the right
+# ---- above 60 km/h SUMO's drivers do not overtake on the right
 
 
 @pytest.mark.parametrize(
@@ -397,36 +412,36 @@ def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
     sit = situation([leader()], model=KRAUSS)
     sit = replace(sit, ego=replace(sit.ego, speed=ego), profile_s=np.arange(51) * 0.1 * ego, profile_v=np.full(51, ego))
     egos = egos_of(sit)
-    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), blocked())
+    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), at_junction())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
 
 
-def test_who_was_in_the_lane_to_the_left_is_followed_as_long_as_it_is_partly_there() -> None:
+def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_partly_there() -> None:
     """A car 2 m wide goes on to the next lane but one: at 5.7 m to the left its right side is 0.1 m over the line at
-    4.8 m, at 5.9 m no more. One that comes from there is not followed until its middle is over the line."""
+    4.8 m, at 5.9 m no more. Coming from there, it is not followed until its middle is over the line."""
     sit = situation([leader()], model=KRAUSS)
     sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
     for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
         egos = egos_of(sit)
-        egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), blocked())
-        egos.step(0.1, (np.array([80.0]), np.array([now]), np.array([0.0])), np.array([20.0]), blocked())
+        egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), at_junction())
+        egos.step(0.1, (np.array([80.0]), np.array([now]), np.array([0.0])), np.array([20.0]), at_junction())
         assert egos.v[0] == pytest.approx(20.0)  # SUMO's drivers look aside at the end of a step
-        egos.step(0.2, (np.array([24.0]), np.array([now]), np.array([0.0])), np.array([15.0]), blocked())
+        egos.step(0.2, (np.array([24.0]), np.array([now]), np.array([0.0])), np.array([15.0]), at_junction())
         assert egos.v[0] == pytest.approx(19.55 if brakes else 20.0)
 
 
 def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
-    sit = situation([leader()], model={**KRAUSS, "ignores_sumo_lane_rules": True})
+    sit = situation([leader()], model=replace(KRAUSS, ignores_sumo_lane_rules=True))
     sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
     egos = egos_of(sit)
-    egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), blocked())
+    egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), at_junction())
     assert egos.v[0] == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(("sees", "brakes"), [(0.0, False), (2.5, True)])
-def test_a_driver_may_have_whoever_is_beside_its_lane_for_its_leader(sees: float, brakes: bool) -> None:
+def test_for_a_driver_that_sees_wider_a_vehicle_beside_its_lane_is_a_leader(sees: float, brakes: bool) -> None:
     """A car that stands 12.5 m before the ego's front, its middle 2.2 m to the left: the lane ends at 1.6 m."""
-    egos = egos_of(situation([leader()], model={**KRAUSS, "sees": sees, "ignores_sumo_lane_rules": True}))
+    egos = egos_of(situation([leader()], model=replace(KRAUSS, sees=sees, ignores_sumo_lane_rules=True)))
     for k in range(10):
-        egos.step(0.1 * k, (np.array([17.5]), np.array([2.2]), np.array([0.0])), np.array([0.0]), blocked())
+        egos.step(0.1 * k, (np.array([17.5]), np.array([2.2]), np.array([0.0])), np.array([0.0]), at_junction())
     assert bool(egos.v[0] < 9.0) is brakes

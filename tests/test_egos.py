@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sumo_adv.datatypes import Role, Track, VehicleState
+from sumo_adv.datatypes import DriverModel, Role, Track, VehicleState
 from sumo_adv.drivers import (
     CarefulEgo,
     LaneSpeed,
@@ -20,6 +21,7 @@ from sumo_adv.drivers import (
     Steer,
     apply_steer,
     make_ego,
+    model_of,
 )
 from sumo_adv.errors import SimulationError, UsageError
 
@@ -62,6 +64,38 @@ def test_defaults_are_written_out_and_parameters_override() -> None:
 def test_wrong_names_and_values_are_named(name: str, parameters: dict[str, object], said: str) -> None:
     with pytest.raises(UsageError, match=said):
         make_ego(name, parameters)
+
+
+def test_drivers_of_other_packages_are_found_by_their_entry_point(tmp_path: Path, user_module: str) -> None:
+    (tmp_path / "theirs-1.0.dist-info").mkdir()
+    (tmp_path / "theirs-1.0.dist-info" / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
+    entry = f"[sumo_adv.drivers]\npolite = {user_module}:Good\n"
+    (tmp_path / "theirs-1.0.dist-info" / "entry_points.txt").write_text(entry)
+    assert make_ego("polite", {"gain": 2.0}).name == f"{user_module}:Good"
+    with pytest.raises(UsageError, match="choose krauss, idm, eidm, careful, lattice, replay, polite or module:Class"):
+        make_ego("wild", {})
+
+
+# ---- how drivers are predicted
+
+NUMBERS = DriverModel("idm", 2.0, 4.0, 1.2, 2.0, 15.0, known=False, ignores_sumo_lane_rules=True)
+
+
+@pytest.mark.parametrize("name", ["krauss", "idm", "eidm", "careful", "replay"])
+def test_drivers_that_sumo_moves_are_predicted_by_their_kind_and_keep_its_lane_rules(name: str) -> None:
+    model = model_of(make_ego(name, {}), NUMBERS)
+    assert model == DriverModel(name, 2.0, 4.0, 1.2, 2.0, 15.0, known=True, ignores_sumo_lane_rules=False)
+
+
+def test_the_lattice_driver_is_known_and_keeps_no_lane_rules() -> None:
+    assert model_of(make_ego("lattice", {}), NUMBERS) == replace(NUMBERS, kind="lattice", known=True)
+
+
+def test_a_users_class_is_unknown_unless_it_says_how_it_is_predicted(user_module: str) -> None:
+    assert model_of(make_ego(f"{user_module}:Good", {}), NUMBERS) == NUMBERS
+    assert model_of(make_ego(f"{user_module}:Predicted", {}), NUMBERS) == replace(NUMBERS, kind="krauss")
+    with pytest.raises(SimulationError, match="returned 'krauss'; model_of must return a DriverModel"):
+        model_of(make_ego(f"{user_module}:Vague", {}), NUMBERS)
 
 
 # ---- the bicycle
@@ -209,6 +243,13 @@ class NoAct:
     def reset(self, seed): pass
 class Looks(Good):
     needs_road = True
+
+class Predicted(Good):
+    def model_of(self, numbers):
+        from dataclasses import replace
+        return replace(numbers, kind="krauss")
+class Vague(Good):
+    def model_of(self, numbers): return "krauss"
 
 class Touches:
     def __init__(self, path):

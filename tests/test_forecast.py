@@ -121,7 +121,7 @@ def test_a_krauss_ego_brakes_for_a_leader_that_stops_and_does_not_hit_it() -> No
 
 
 def test_a_replayed_ego_yields_to_nobody() -> None:
-    stubborn = situation([leader(gap=15.0)], model={**KRAUSS, "kind": "replay"})
+    stubborn = situation([leader(gap=15.0)], model=replace(KRAUSS, kind="replay"))
     rollouts, _ = roll(stubborn, [end(35.0, 0.0, 0.0, 2.0)])
     assert rollouts.ego[0][0] == pytest.approx(np.arange(50) * 1.0)
     assert not rollouts.disturbed[0]
@@ -130,7 +130,7 @@ def test_a_replayed_ego_yields_to_nobody() -> None:
 
 @pytest.mark.parametrize("kind", ["krauss", "idm", "careful"])
 def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind: str) -> None:
-    slow = situation([neighbour(x=20.0, speed=7.0)], model={**KRAUSS, "kind": kind})
+    slow = situation([neighbour(x=20.0, speed=7.0)], model=replace(KRAUSS, kind=kind))
     beside, cutting_in = end(48.0, 3.2, 7.0, 4.0), end(48.0, 0.0, 7.0, 4.0)
     rollouts, _ = roll(slow, [beside, cutting_in], steps=70)
     assert rollouts.disturbed.tolist() == [False, True]
@@ -167,7 +167,7 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
 ) -> None:
     """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
-    sit = situation([leader(gap=15.0)], model={**KRAUSS, "ignores_sumo_lane_rules": ignores_sumo_lane_rules})
+    sit = situation([leader(gap=15.0)], model=replace(KRAUSS, ignores_sumo_lane_rules=ignores_sumo_lane_rules))
     sit = replace(sit, ego_sides=((3.2, kind),))
     one = np.ones(2)
     egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)

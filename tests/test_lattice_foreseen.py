@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, VehicleState
 from sumo_adv.drivers import (
     LatticeEgo,
     Observation,
@@ -70,8 +70,7 @@ def states(motion: Motion, steps: int) -> list[VehicleState]:
 def driven(speed: float, motion: Motion, sides: tuple[float, ...] = (), steps: int = 50) -> tuple[Floats, Floats]:
     """x, y, heading, speed by step of the ego driven by the real controller, and as it is foreseen; ``(steps, 4)``."""
     real, road = LatticeEgo(), Road(limit=speed, sides=sides, until=400.0)
-    numbers = {"acceleration": "accel", "deceleration": "decel", "tau": "tau", "min_gap": "minGap"}
-    model = {"speed": speed, **{ours: float(real.sumo_type[sumo]) for ours, sumo in numbers.items()}}
+    model = DriverModel("lattice", *(float(real.sumo_type[n]) for n in ("accel", "decel", "tau", "minGap")), speed)
     many = LatticeDrivers(
         cast(Scenes, StraightScenes(speed, sides)), np.array([LENGTH]), np.array([WIDTH]), model
     )  # fmt: skip

@@ -1,21 +1,19 @@
-"""Whom an ego follows besides the adversary, and when the adversary was why it went no faster.
+"""Leaders of the ego other than the adversary, and when the adversary held the ego up.
 
-Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's driver, who would go 15 m/s, keeps
+Everywhere the ego goes east along y = 0 from 0 m at 10 m/s, 5 m long; Krauss's driver would go 15 m/s, and keeps
 10 m/s behind a car of that speed at a gap of 12.5 m (2.5 m and one second).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from situation_samples import KRAUSS, leader, line, situation
 
-from sumo_adv.datatypes import Role, Track
+from sumo_adv.datatypes import DriverModel, Role, Track
 from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.leaders import Leaders
 from sumo_adv.drivers.prediction import PredictedEgos
@@ -31,7 +29,7 @@ def other(name: str, s: float, d: float = 0.0, speed: float = 10.0) -> OnPath:
     return OnPath(name, s + speed * time, np.full(51, d), np.zeros(51), np.full(51, speed), 5.0)
 
 
-def behind(*others: OnPath, model: Mapping[str, Any] = KRAUSS) -> Situation:
+def behind(*others: OnPath, model: DriverModel = KRAUSS) -> Situation:
     return replace(situation([leader(12.5)], model=model), ahead=others)
 
 
@@ -51,38 +49,38 @@ def gone(sit: Situation, seconds: float) -> PredictedEgos:
 def test_an_ego_whose_leader_leaves_goes_faster_than_it_did() -> None:
     """By 2.6 m/s2 for a second: 12.6 m/s; in the end 15 m/s."""
     sit = behind(other("bv", HERE))
-    assert leaders(sit).held(np.array([0.0]))[0]
+    assert leaders(sit).held_up(np.array([0.0]))[0]
     assert gone(sit, 1.0).v[0] == pytest.approx(12.6)
     assert gone(sit, 4.0).v[0] == pytest.approx(15.0, abs=0.3)
 
 
 def test_where_somebody_else_is_why_it_goes_no_faster_it_stays_behind_that_one() -> None:
-    """The other keeps 10 m/s, 20 m before the one that leaves: at first there is room, then there are 12.5 m again."""
+    """The other keeps 10 m/s, 20 m ahead of the leader that leaves: at first there is room, then 12.5 m again."""
     assert gone(behind(other("bv", HERE), other("second", HERE + 20.0)), 4.9).v[0] < 13.0
     sit = replace(behind(other("bv", 60.0), other("second", HERE)))
-    assert not leaders(sit).held(np.array([0.0]))[0]
+    assert not leaders(sit).held_up(np.array([0.0]))[0]
     assert gone(sit, 4.0).v[0] == pytest.approx(10.0)
 
 
 def test_one_far_ahead_or_in_another_lane_holds_nobody_up() -> None:
     """At 10 m/s, below 60 km/h, SUMO's drivers pass on the right of a slower one."""
-    assert not leaders(behind(other("bv", 80.0))).held(np.array([0.0]))[0]
-    assert not leaders(behind(other("bv", HERE, d=3.2))).held(np.array([0.0]))[0]
+    assert not leaders(behind(other("bv", 80.0))).held_up(np.array([0.0]))[0]
+    assert not leaders(behind(other("bv", HERE, d=3.2))).held_up(np.array([0.0]))[0]
 
 
 def test_faster_than_60_km_h_one_in_the_lane_to_the_left_holds_it_up_as_well() -> None:
     """At 20 m/s the gap is 22.5 m."""
-    fast = {**KRAUSS, "speed": 30.0}
+    fast = replace(KRAUSS, speed=30.0)
     beside = other("bv", 27.5, d=3.2, speed=20.0)
     sit = replace(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
-    assert leaders(sit).held(np.array([0.0]))[0]
-    passes = replace(sit, ego_model={**fast, "ignores_sumo_lane_rules": True})
-    assert not leaders(passes).held(np.array([0.0]))[0]
+    assert leaders(sit).held_up(np.array([0.0]))[0]
+    passes = replace(sit, ego_model=replace(fast, ignores_sumo_lane_rules=True))
+    assert not leaders(passes).held_up(np.array([0.0]))[0]
 
 
-@pytest.mark.parametrize("model", [{**KRAUSS, "kind": "eidm"}, {**KRAUSS, "unknown": True}])
-def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model: Mapping[str, Any]) -> None:
-    assert not leaders(behind(other("bv", HERE), model=model)).held(np.array([0.0]))[0]
+@pytest.mark.parametrize("model", [replace(KRAUSS, kind="eidm"), replace(KRAUSS, known=False)])
+def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model: DriverModel) -> None:
+    assert not leaders(behind(other("bv", HERE), model=model)).held_up(np.array([0.0]))[0]
 
 
 def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
@@ -94,12 +92,12 @@ def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
     v = 10.0 + np.concatenate([[0.0], np.cumsum(a[:-1]) * 0.1])
     sit = replace(sit, profile_a=a, profile_v=v, profile_s=np.concatenate([[0.0], np.cumsum(v[:-1]) * 0.1]))
     at = sit.profile_s[[5, 25, 39, 45]]
-    held = [bool(leaders(sit).held(np.array([s]))[0]) for s in at]
+    held = [bool(leaders(sit).held_up(np.array([s]))[0]) for s in at]
     assert held == [True, True, True, False]
 
 
 def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
-    """12.5 m behind a car of 10 m/s: 10 m/s; with nobody ahead in the lane there is no such speed; a second later the
+    """12.5 m behind a car of 10 m/s: 10 m/s; without a leader in the lane there is no such speed; a second later the
     others are 10 m farther."""
     found = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
     at, v, disturbed = np.array([0.0]), np.array([10.0]), np.array([True])

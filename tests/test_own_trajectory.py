@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ DT = 0.1
 LIMITS = Limits()
 EXAMPLES = settings(max_examples=25, deadline=None, derandomize=True)
 ROAD = line((0.0, 0.0), (500.0, 0.0))
-SIT = situation([neighbour()], model={**KRAUSS, "kind": "replay"})  # the BV at x = 20 m, y = 3.2 m with 12 m/s
+SIT = situation([neighbour()], model=replace(KRAUSS, kind="replay"))  # the BV at x = 20 m, y = 3.2 m with 12 m/s
 HERE = Roads({0.0: SIT})
 
 

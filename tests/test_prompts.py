@@ -128,7 +128,7 @@ def test_states_are_ego_centred_and_rounded() -> None:
 def test_the_driver_is_told_of_as_far_as_he_is_known() -> None:
     told = situation([leader()])
     assert driver_words(told).startswith("SUMO's Krauss car-following driver; keeps its lane")
-    unknown = replace(told, ego_model={**told.ego_model, "kind": "my:Driver"})
+    unknown = replace(told, ego_model=replace(told.ego_model, kind="my:Driver"))
     assert "unknown driver" in driver_words(unknown)
 
 

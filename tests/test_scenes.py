@@ -19,7 +19,7 @@ from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
 from sumo_adv.search.rollouts import Rollouts, part, predict
 from sumo_adv.situation import Situation
 
-IDM = {**KRAUSS, "kind": "idm"}
+IDM = replace(KRAUSS, kind="idm")
 ACROSS = replace(crossing(), state=replace(crossing().state, id="across"))
 EARLY = situation([neighbour(), ACROSS], model=IDM)
 LATE = replace(  # the ego is 7 m further on and turned, and will brake

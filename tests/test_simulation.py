@@ -200,7 +200,7 @@ def test_another_driver_keeps_the_size_and_the_top_speed(tmp_path: Path) -> None
         simulation.fleet.sizes.clear()
         simulation.read()
         assert simulation.fleet.sizes["ego"] == (5.0, 2.0)
-        assert simulation.model("ego")["tau"] == 1.0
+        assert simulation.model("ego").tau == 1.0
         assert simulation.vehicle_class("ego") == "passenger"
 
 
@@ -329,7 +329,7 @@ def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> N
     again, with the 4.5 m/s2 of its type."""
     for asked in (0.0, 17.0):
         with running(pair(tmp_path)) as simulation:
-            own = simulation.model("ego")["deceleration"]
+            own = simulation.model("ego").deceleration
             if asked:
                 simulation.set_speed("leader", 0.0)
                 for _ in range(12):
@@ -342,7 +342,7 @@ def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> N
             steps = [a - b for a, b in itertools.pairwise(speeds)]
             assert max(steps) <= 0.9 + 1e-6
             assert max(steps) > (0.89 if not asked else 0.5)  # more than its own 0.45
-            assert simulation.model("ego")["deceleration"] == own == pytest.approx(4.5)
+            assert simulation.model("ego").deceleration == own == pytest.approx(4.5)
             simulation.set_speed("ego", None)
             simulation.step()
-            assert simulation.model("ego")["deceleration"] == own
+            assert simulation.model("ego").deceleration == own

@@ -91,14 +91,14 @@ def relative_words(situation: Situation, names: Names, library: Mapping[str, Seq
 def driver_words(situation: Situation) -> str:
     """What is known of the ego's driving."""
     model = situation.ego_model
-    kind = DRIVERS.get(str(model["kind"]), "an unknown driver, thought of as an IDM car-following driver")
+    kind = DRIVERS.get(model.kind, "an unknown driver, thought of as an IDM car-following driver")
     future = (
         "braking" if situation.ego.acceleration < -0.3 else ("speeding up" if situation.ego.acceleration > 0.3 else "")
     )
     return (
         f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
-        f" {model['speed']:.1f} m/s at most, headway {model['tau']:.1f} s, comfortable braking"
-        f" {model['deceleration']:.1f} m/s2{'; now ' + future if future else ''}. EGO is"
+        f" {model.speed:.1f} m/s at most, headway {model.tau:.1f} s, comfortable braking"
+        f" {model.deceleration:.1f} m/s2{'; now ' + future if future else ''}. EGO is"
         f" {situation.ego.length:.1f} m long and {situation.ego.width:.1f} m wide."
     )
 

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, VehicleState
 from sumo_adv.drivers.bicycle import MAX_STEERING
 from sumo_adv.drivers.lattice_cost import Body, costs
 from sumo_adv.drivers.lattice_frame import Others, RoadFrame, Watch, predict
@@ -86,6 +86,10 @@ class LatticeEgo:
         self._frame: RoadFrame | None = None
         self._before: Intended | None = None
         self._wanted: float | None = None
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Predicted by ``lattice_model.py``; SUMO's lane rules do not hold for it."""
+        return replace(numbers, kind=self.name, known=True)
 
     def act(self, observation: Observation) -> Action:
         """Pedals and wheel for the step; None (SUMO drives) until it is told a path, and out of the network."""

@@ -8,12 +8,11 @@ bends (the unattacked profile has them), all others, and what the driver saw bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.datatypes import Bools, DriverModel, Floats
 from sumo_adv.drivers.lattice_choice import Chosen, Room, Seen, State, choose, in_conflict
 from sumo_adv.drivers.scenes import Scenes
 
@@ -45,12 +44,12 @@ class LatticeDrivers:
     follow its unattacked profile any more.
     """
 
-    def __init__(self, scenes: Scenes, length: Floats, width: Floats, model: Mapping[str, Any]) -> None:
+    def __init__(self, scenes: Scenes, length: Floats, width: Floats, model: DriverModel) -> None:
         n = len(length)
         self._scenes, self._length, self._width = scenes, length, width
-        self._accel, self._decel = float(model["acceleration"]), float(model["deceleration"])
-        self._tau, self._min_gap = float(model["tau"]), float(model["min_gap"])
-        self._most = max(float(model["speed"]), 1.0)
+        self._accel, self._decel = model.acceleration, model.deceleration
+        self._tau, self._min_gap = model.tau, model.min_gap
+        self._most = max(model.speed, 1.0)
         self._ego = (scenes.ego.length, scenes.ego.width)
         self._room = Room.of(scenes)
         self._before: Others | None = None

@@ -1,27 +1,28 @@
-"""What an ego controller sees and what it may answer.
+"""What an ego controller gets, and what it may answer.
 
-The engine calls ``act`` once a step, before the step is taken; the answer says how the ego moves *during* that step,
-that is from ``time`` to ``time + dt``.
+Before each step of the simulation, ``act`` gets an ``Observation``. Its answer says how the ego moves during that step,
+from ``time`` to ``time + dt``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import DriverModel, VehicleState
 
 
 @dataclass(frozen=True, slots=True)
 class Road:
-    """What the engine knows of the road at the ego, for controllers that say ``needs_road``.
+    """The road at the ego, for controllers with ``needs_road``.
 
-    limit: the fastest it may go there [m/s]. sides: centres of the lanes beside its own that lead the same way, as
-    offsets from its own [m, left positive], for the next ``until`` metres. width: of its lane [m]. advised: the speed
-    [m/s] that SUMO's driver would have had after the last step, for lights, right of way and whoever is ahead, at most
-    what the ego was asked for in it; None before the ego drove itself, and where it stands at a line. held: SUMO's
-    rules let it not go on from that line now. leaves: its route ends in these metres, and SUMO is to take it out.
+    limit: speed limit for the ego [m/s]. sides: centres of the lanes beside the ego's that lead the same way, as
+    offsets from its lane [m, left positive], for the next ``until`` metres. width: of the ego's lane [m].
+    advised: the speed [m/s] that SUMO's driver would have chosen in the last step, with regard to lights, right of way
+    and leaders; at most the speed that the controller asked for. It is None before the controller's first action, and
+    while the ego stands at a line. held: SUMO's rules forbid the ego to pass that line now. leaves: the ego's route
+    ends within a few metres, where SUMO will remove it.
     """
 
     limit: float
@@ -35,12 +36,12 @@ class Road:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the ego's driver sees at ``time`` [s]; the step to come lasts ``dt`` [s].
+    """What the driver sees at ``time`` [s]; the step to come lasts ``dt`` [s].
 
-    ``others``: vehicles within 120 m, box centres in the world frame. ``lane_heading`` [rad] of the ego's own lane and
-    ``lane_offset`` [m, left positive] from its centre, and ``path``, the centreline [m] of its lane and route from
-    where it is (or some metres before) to at least 60 m ahead, are None where the engine does not know them; so is
-    ``road``, unless the controller needs it.
+    others: vehicles within 120 m, box centres in the world frame. lane_heading: of the ego's lane [rad]. lane_offset:
+    from the lane's centre [m, left positive]. path: points [m] on the centreline of the ego's lane and route, from the
+    ego (or a few metres before) to at least 60 m ahead. These three are None where they are not known. ``road`` is
+    None unless the controller needs it.
     """
 
     time: float
@@ -55,7 +56,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """Pedals and wheel: ``acceleration`` [m/s2], ``steering`` [rad], the front wheels' angle, left positive."""
+    """Pedals and wheel: ``acceleration`` [m/s2]; ``steering``: angle of the front wheels [rad, left positive]."""
 
     acceleration: float
     steering: float
@@ -63,10 +64,12 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class LaneSpeed:
-    """SUMO keeps the lane: go to ``lane`` (index from the right; None = stay), be at ``speed`` [m/s] after the step.
+    """SUMO keeps the lane. ``lane``: the lane to change to (index from the right; None = stay); ``speed``: after the
+    step [m/s].
 
-    SUMO goes slower than asked where it must (safe distance, red light). The ego can brake harder than the vType's
-    ``decel``, up to its ``emergencyDecel``; so does SUMO for what it holds for safe, as long as a speed is asked for.
+    SUMO goes slower than asked where its rules demand it (safe distance, red light). The ego can brake harder than its
+    vType's ``decel``, up to ``emergencyDecel``. While a speed is asked for, SUMO's own rules may use
+    ``emergencyDecel``, too.
     """
 
     lane: int | None
@@ -75,7 +78,7 @@ class LaneSpeed:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where the box centre [m] is after this step, its heading [rad] and its speed [m/s]."""
+    """After the step: box centre [m], heading [rad], speed [m/s]."""
 
     x: float
     y: float
@@ -90,28 +93,27 @@ Action: TypeAlias = Steer | LaneSpeed | Pose | None
 class EgoController(Protocol):
     """The driver under test.
 
-    ``sumo_type``: vType attributes with which SUMO drives where the controller does not. ``needs_observation`` False:
-    ``act`` is never called. ``forkable`` True: it holds no thread, socket or device, so ``os.fork`` copies it whole.
+    A driver may also have ``needs_road`` (default False) and ``model_of`` (see the function ``model_of``).
     """
 
     @property
     def name(self) -> str:
-        """What the reports call it."""
+        """What reports call it."""
         ...
 
     @property
     def forkable(self) -> bool:
-        """Whether a forked process may go on with it."""
+        """Whether ``os.fork`` copies it whole, because it holds no thread, socket or device."""
         ...
 
     @property
     def sumo_type(self) -> Mapping[str, str]:
-        """vType attributes, as SUMO spells them."""
+        """vType attributes, as SUMO spells them. SUMO drives with them where the controller does not."""
         ...
 
     @property
     def needs_observation(self) -> bool:
-        """Whether ``act`` is to be called."""
+        """If False, ``act`` is never called."""
         ...
 
     def reset(self, seed: int) -> None:
@@ -119,5 +121,14 @@ class EgoController(Protocol):
         ...
 
     def act(self, observation: Observation) -> Action:
-        """What to do in the step that begins at ``observation.time``."""
+        """The action for the step that begins at ``observation.time``."""
         ...
+
+
+def model_of(driver: Any, numbers: DriverModel) -> DriverModel:
+    """How a driver is predicted: its own ``model_of(numbers)``, or ``numbers`` if it has no such method.
+
+    ``numbers``: an unknown driver with the ego's car-following numbers in SUMO (``Simulation.model``).
+    """
+    own = getattr(driver, "model_of", None)
+    return numbers if own is None else own(numbers)

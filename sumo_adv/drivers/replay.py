@@ -1,4 +1,4 @@
-"""The ego that drives as it did when nobody attacked it: it sees nothing and yields to nothing."""
+"""The ego that repeats its motion of the unattacked run, whatever the adversary does."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track
+from sumo_adv.datatypes import DriverModel, Floats, Track
 from sumo_adv.drivers.protocol import Action, Observation, Pose
-from sumo_adv.drivers.sumo_driven import sumo_type
+from sumo_adv.drivers.sumo_driven import known_model, sumo_type
 from sumo_adv.errors import UsageError
 
 
 class ReplayEgo:
-    """Plays back a track. Without one (the unattacked run itself) SUMO's IDM drives, with its ``parameters``."""
+    """Plays back a track. Without a track, as in the unattacked run itself, SUMO's IDM drives with ``parameters``."""
 
     name = "replay"
     forkable = True
@@ -34,7 +34,11 @@ class ReplayEgo:
         self._track, self._heading = track, np.unwrap(track.heading)
 
     def reset(self, seed: int) -> None:
-        """A loaded track is kept: it is what is to be replayed."""
+        """A loaded track is kept."""
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Predicted by its unattacked motion."""
+        return known_model(self.name, numbers)
 
     def act(self, observation: Observation) -> Action:
         """The pose at ``time + dt``, linear between samples, held before the first and after the last."""

@@ -1,7 +1,7 @@
-"""The situations that many vehicles are in, row by row: what differs between the moments of one encounter, as arrays.
+"""The situations of many adversaries, row by row, as arrays.
 
-Attacks that begin at different moments after the trigger are predicted together; each has its own frame, its own path
-and profile of the ego, its own lane.
+Attacks that begin at different moments of one encounter are predicted together. Each moment has its own frame, path,
+lane and unattacked ego.
 """
 
 from __future__ import annotations
@@ -18,63 +18,66 @@ from sumo_adv.situation import SHIFT_STEP, Situation
 
 
 class Scenes:
-    """A situation for each of ``n`` vehicles, all of one encounter: the ego, its driver and the step are the same."""
+    """A situation for each of ``n`` adversaries. All are of one encounter: ego, driver and step are the same."""
 
     def __init__(self, situations: Sequence[Situation]) -> None:
         self.of = list(situations)
-        each = list({id(s): s for s in situations}.values())
-        place = {id(s): k for k, s in enumerate(each)}
-        self._each, self._row = each, np.array([place[id(s)] for s in situations], np.intp)
-        self._rows = [np.flatnonzero(self._row == k) for k in range(len(each))]
-        self._paths = Paths([s.ego_path for s in each])
-        frames = [s.frame for s in each]
+        distinct = list({id(s): s for s in situations}.values())
+        place = {id(s): k for k, s in enumerate(distinct)}
+        self._distinct, self._row = distinct, np.array([place[id(s)] for s in situations], np.intp)
+        self._rows = [np.flatnonzero(self._row == k) for k in range(len(distinct))]
+        self._paths = Paths([s.ego_path for s in distinct])
+        frames = [s.frame for s in distinct]
         self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
-        self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in each]
-        self._shifted = any(s.shifts for s in each)
-        self.dt, self.ego, self.driver = each[0].dt, each[0].ego, each[0].ego_model
+        self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in distinct]
+        self._shifted = any(s.shifts for s in distinct)
+        self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].ego_model
 
     def each(self, value: Any) -> Floats:
-        """``value(situation)`` for each vehicle, ``(n,)``."""
-        return np.array([value(s) for s in self._each], float)[self._row]
+        """``value(situation)`` for each adversary, ``(n,)``."""
+        return np.array([value(s) for s in self._distinct], float)[self._row]
 
     def has_lane(self, side: int) -> Bools:
         """Whether a lane of the same direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        each = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.ego_sides) for s in self._each]
-        return np.array(each, bool)[self._row]
+        has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.ego_sides) for s in self._distinct]
+        return np.array(has, bool)[self._row]
 
     def opposed(self) -> Bools:
-        """Whether a lane of the other direction is next to the left of the egos', on roads of more than two lanes or
-        that lead to a junction."""
-        left = [min(((o, kind) for o, kind in s.ego_sides if o > 0.0), default=(0.0, "")) for s in self._each]
+        """Whether the lane to the left of the egos' has the opposite direction, ``(n,)``; False on roads of two lanes
+        that lead to no junction."""
+        left = [min(((o, kind) for o, kind in s.ego_sides if o > 0.0), default=(0.0, "")) for s in self._distinct]
         opposite = np.array([kind == "opposite" for _, kind in left], bool)[self._row]
         return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.junction)))
 
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
-        read = [profile_at(s, time) for s in self._each]
-        return np.stack([s for s, _ in read])[self._row], np.stack([v for _, v in read])[self._row]
+        profiles = [profile_at(s, time) for s in self._distinct]
+        return np.stack([s for s, _ in profiles])[self._row], np.stack([v for _, v in profiles])[self._row]
 
     def profile_now(self, time: float) -> tuple[Floats, Floats]:
         """The same at one time, ``(n,)``."""
-        read = np.array([_profile_then(s, v, time, self.dt) for s, v in self._profiles])[self._row]
-        return read[:, 0], read[:, 1]
+        profiles = np.array([_profile_at_once(s, v, time, self.dt) for s, v in self._profiles])[self._row]
+        return profiles[:, 0], profiles[:, 1]
 
     def pace(self, station: Floats) -> Floats:
         """The unattacked egos' speeds [m/s] at stations (n,)."""
-        found = np.empty(len(station))
-        for one, rows in zip(self._each, self._rows, strict=True):
-            found[rows] = np.interp(station[rows], one.profile_s, one.profile_v)
-        return found
+        speed = np.empty(len(station))
+        for situation, rows in zip(self._distinct, self._rows, strict=True):
+            speed[rows] = np.interp(station[rows], situation.profile_s, situation.profile_v)
+        return speed
 
-    def seen_at(self, s: Floats, front_d: Floats) -> Floats:
-        """The stations ``(n,)`` that SUMO takes vehicles to be at, by their fronts' offsets (``Situation.shifts``)."""
+    def sumo_station(self, s: Floats, front_d: Floats) -> Floats:
+        """The stations ``(n,)`` at which SUMO takes vehicles to be, given the offsets of their fronts.
+
+        On a lane beside the ego's they differ from the real ones (``Situation.shifts``).
+        """
         if not self._shifted:
             return s
         s = s.copy()
-        for one, rows in zip(self._each, self._rows, strict=True):
+        for situation, rows in zip(self._distinct, self._rows, strict=True):
             at = s[rows]
-            for offset, metres in one.shifts:
-                on = np.abs(front_d[rows] - offset) < one.lane_width / 2
+            for offset, metres in situation.shifts:
+                on = np.abs(front_d[rows] - offset) < situation.lane_width / 2
                 at = at + np.where(on, np.interp(at, SHIFT_STEP * np.arange(len(metres)), metres), 0.0)
             s[rows] = at
         return s
@@ -84,14 +87,14 @@ class Scenes:
         return self._paths.at(_fit(self._row, s), s, d)
 
     def to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
-        """World poses, ``(n,)`` or ``(n, k)``, to the frames of the egos at their triggers."""
+        """World poses, ``(n,)`` or ``(n, k)``, in the frames of the egos at their triggers."""
         x0, y0, c, s, h = (_fit(q, x) for q in self._frame[self._row].T)
         dx, dy = x - x0, y - y0
         return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - h)
 
 
 def _fit(values: Any, like: Floats) -> Any:
-    """Values of the rows ``(n,)`` in a shape that goes with ``(n,)`` or ``(n, k)``."""
+    """Values of the rows ``(n,)`` in a shape that broadcasts with ``(n,)`` or ``(n, k)``."""
     return values if np.ndim(like) == 1 else values[:, None]
 
 
@@ -106,8 +109,8 @@ def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
     return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
 
 
-def _profile_then(s: Sequence[float], v: Sequence[float], time: float, dt: float) -> tuple[float, float]:
-    """``profile_at`` one time, in floats."""
+def _profile_at_once(s: Sequence[float], v: Sequence[float], time: float, dt: float) -> tuple[float, float]:
+    """``profile_at`` for one time, in plain floats because numpy is slow on scalars."""
     last = len(s) - 1
     u = min(max(time / dt, 0.0), last)
     i = min(int(u), last - 1)

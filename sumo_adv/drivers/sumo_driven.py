@@ -1,16 +1,17 @@
-"""Egos that SUMO drives: its own car-following models with their defaults written out.
+"""Egos that SUMO drives: its car-following models with all parameters written out.
 
 Krauss: Krauss 1998; IDM: Treiber, Hennecke and Helbing 2000; EIDM: Salles, Kaufmann and Reuss 2020. All noise is off
-(``sigma`` of Krauss, the three sigmas of EIDM, ``speedDev``), so that a run depends on the seed only through traffic.
+(``sigma`` of Krauss, the three sigmas of EIDM, ``speedDev``), so that only the traffic depends on the seed.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.protocol import Action, Observation
 from sumo_adv.errors import UsageError
 
@@ -77,7 +78,7 @@ POSITIVE = frozenset({"tau", "accel", "decel", "emergencyDecel", "speedFactor", 
 def sumo_type(model: str, parameters: Mapping[str, Any]) -> dict[str, str]:
     """vType attributes of ``model`` with ``parameters`` laid over its defaults.
 
-    Raises UsageError for a parameter that the model does not know, or a value that is no number or out of range.
+    Raises UsageError for an unknown parameter, or a value that is no number or out of range.
     """
     sumo_name, settings = MODELS[model]
     values = {f.name: f.default for f in fields(settings)}
@@ -97,8 +98,13 @@ def _number(model: str, name: str, value: Any) -> float:
     return float(value)
 
 
+def known_model(kind: str, numbers: DriverModel) -> DriverModel:
+    """The model of a known driver that follows SUMO's lane rules, with the car-following numbers given."""
+    return replace(numbers, kind=kind, known=True, ignores_sumo_lane_rules=False)
+
+
 class SumoEgo:
-    """SUMO drives; nothing is observed, nothing is commanded (the fast path)."""
+    """SUMO drives the ego. The controller gets no observations and sends no commands, which makes it fast."""
 
     forkable = True
     needs_observation = False
@@ -112,5 +118,9 @@ class SumoEgo:
         """Nothing to forget: SUMO's seed is the simulation's."""
 
     def act(self, observation: Observation) -> Action:
-        """Always None: leave it to SUMO."""
+        """Never called."""
         return None
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Predicted by ``CarFollowing``; EIDM as IDM."""
+        return known_model(self.name, numbers)

@@ -1,25 +1,33 @@
-"""Egos from a user's own Python class, named ``module:Class``.
+"""Classes of users, named ``module:Class``: how they are loaded, and a user's driver behind our protocol.
 
-The class has ``reset(seed)`` and ``act(observation)``. It may say ``name``, ``forkable`` (default False), ``sumo_type``
-(default IDM's), ``needs_observation`` (default True) and ``needs_road`` (default False: ``observation.road`` is None).
-Its constructor gets the scenario's parameters by name.
+A driver has ``reset(seed)`` and ``act(observation)``. Its constructor gets the scenario's parameters by name. It may
+have these attributes and this method:
+
+- ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
+- ``needs_road`` (default False: ``observation.road`` is None);
+- ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
 """
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import astuple
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
-from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer
+from sumo_adv.datatypes import DriverModel
+from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.sumo_driven import sumo_type
-from sumo_adv.drivers.user_class import make_object, said
-from sumo_adv.errors import SimulationError
+from sumo_adv.errors import SimulationError, UsageError
+
+T = TypeVar("T")
 
 
 class UserEgo:
-    """A user's driver behind our protocol: its errors become one sentence that names it."""
+    """A user's driver: each of its errors becomes one sentence that names it."""
 
     def __init__(self, spec: str, parameters: Mapping[str, Any]) -> None:
         """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
@@ -34,22 +42,11 @@ class UserEgo:
 
     def reset(self, seed: int) -> None:
         """Raises SimulationError if the user's code fails."""
-        try:
-            self._driver.reset(seed)
-        except Exception as error:  # user code
-            raise SimulationError(f"The ego {self._spec!r} failed in reset: {said(error)}.") from error
+        self._call("failed in reset", lambda: self._driver.reset(seed))
 
     def act(self, observation: Observation) -> Action:
-        """Raises SimulationError if the user's code fails or answers with something that is no action."""
-        try:
-            action = self._driver.act(observation)
-        except Exception as error:  # user code
-            raise SimulationError(
-                f"The ego {self._spec!r} failed in act at {observation.time:.1f} s: {said(error)}."
-            ) from error
-        return self._checked(action)
-
-    def _checked(self, action: object) -> Action:
+        """Raises SimulationError if the user's code fails, or returns something other than a valid action."""
+        action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
         if action is None:
             return None
         if not isinstance(action, Steer | LaneSpeed | Pose):
@@ -63,3 +60,84 @@ class UserEgo:
             if not isinstance(value, int | float) or not math.isfinite(value):
                 raise SimulationError(f"The ego {self._spec!r} returned {action!r}; its numbers must be finite.")
         return action
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Raises SimulationError if the user's code fails, or returns something other than a DriverModel."""
+        model = self._call("failed in model_of", lambda: model_of(self._driver, numbers))
+        if not isinstance(model, DriverModel):
+            raise SimulationError(f"The ego {self._spec!r} returned {model!r}; model_of must return a DriverModel.")
+        return model
+
+    def _call(self, failure: str, call: Callable[[], T]) -> T:
+        try:
+            return call()
+        except Exception as error:  # user code
+            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}.") from error
+
+
+def find_class(kind: str, spec: str) -> type:
+    """The class ``module:Class``, found on ``sys.path`` or in the current folder. Error messages call it ``kind``.
+
+    Classes of Python's standard library are refused before anything is imported. None of them is a driver, and making
+    an object of one can have effects: ``subprocess:Popen`` starts a program.
+
+    Raises:
+        UsageError: another form, a class of the standard library, a module that cannot be imported, no such class.
+    """
+    module_name, _, class_name = spec.partition(":")
+    if not module_name or not class_name:
+        raise UsageError(f"The {kind} {spec!r} is not of the form 'module:Class'.")
+    if _in_standard_library(module_name):
+        raise _not_yours(kind, spec)
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last, so that no file of the user hides an installed package
+    try:
+        module = importlib.import_module(module_name)
+    except Exception as error:  # user code runs on import
+        reason = in_one_line(error)
+        raise UsageError(
+            f"The module of the {kind} {spec!r} could not be imported from {here} or Python's path: {reason}."
+        ) from error
+    user_class = getattr(module, class_name, None)
+    if not isinstance(user_class, type):
+        raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the {kind} {spec!r}.")
+    if _in_standard_library(user_class.__module__):  # the user's module may have imported it
+        raise _not_yours(kind, spec)
+    return user_class
+
+
+def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Mapping[str, str]) -> Any:
+    """An object of the class ``module:Class``; ``methods``: name -> signature, for the error message.
+
+    The class is checked for its methods before an object is made, so that no code of an unsuitable class runs.
+
+    Raises:
+        UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
+    """
+    user_class = find_class(kind, spec)
+    for method in methods:
+        if not callable(getattr(user_class, method, None)):
+            raise UsageError(
+                f"The {kind} {spec!r} has no method {method!r}; it needs {' and '.join(methods.values())}."
+            )
+    try:
+        return user_class(**parameters)
+    except Exception as error:  # user code
+        raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
+
+
+def in_one_line(error: Exception) -> str:
+    """Exception type and message on one line, without a full stop at the end."""
+    message = " ".join(str(error).split()).rstrip(".")
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def _in_standard_library(module_name: str) -> bool:
+    """Whether the module belongs to Python's standard library; a script that runs as ``__main__`` does not."""
+    top = module_name.partition(".")[0]
+    return top != "__main__" and (top in sys.stdlib_module_names or top in sys.builtin_module_names)
+
+
+def _not_yours(kind: str, spec: str) -> UsageError:
+    return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")

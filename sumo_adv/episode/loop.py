@@ -218,7 +218,7 @@ def searched(
     search = AttackSearch(
         predictor, found.situations, library,
         SearchSettings(proposals=settings.proposals, share=settings.per_planner), seed=settings.seed,
-        allowed=episode.source.intents, unknown_driver=bool(driver.get("unknown", False)), exact_driver=exact(driver),
+        allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if known is None else known[1],
     )  # fmt: skip
     return search, None if known is None else known[0]

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Floats, Track, VehicleState
+from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.episode.encounter import REACH, Candidate
 from sumo_adv.episode.start_times import delays, spent
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
@@ -36,7 +35,7 @@ def build_situations(
     time: float,
     *,
     settings: Settings,
-    ego_model: Mapping[str, Any],
+    ego_model: DriverModel,
     route: tuple[str, ...],
     routes: Mapping[str, tuple[str, ...]],
     signals: Mapping[str, tuple[Signal, ...]],
@@ -73,7 +72,7 @@ def _at_constant_velocity(situation: Situation) -> Situation:
     stations = situation.profile_s[0] + situation.ego.speed * situation.dt * np.arange(len(speed))
     return replace(
         situation, profile_s=stations, profile_v=speed, profile_a=np.zeros_like(speed),
-        ego_model={**situation.ego_model, "kind": "replay"},
+        ego_model=replace(situation.ego_model, kind="replay"),
     )  # fmt: skip
 
 
@@ -121,7 +120,7 @@ def build_situation(
     *,
     dt: float,
     horizon: float,
-    ego_model: Mapping[str, Any],
+    ego_model: DriverModel,
     route: tuple[str, ...],
     routes: Mapping[str, tuple[str, ...]],
     signals: Mapping[str, tuple[Signal, ...]],
@@ -155,7 +154,7 @@ def build_situation(
     history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
     return Situation(
         time, dt, horizon, Frame(ego.x, ego.y, ego.heading), ego, path, stations, ego_track.speed,
-        ego_track.acceleration, dict(ego_model), targets, others, width,
+        ego_track.acceleration, ego_model, targets, others, width,
         {name: lights for name, lights in signals.items() if name == ego_id or name in targets},
         tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
         float(junction), rule, bay=float(bay), shifts=_shifts(road, ego.lane, path),

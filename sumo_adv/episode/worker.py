@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.drivers import make_ego
+from sumo_adv.drivers import make_ego, model_of
 from sumo_adv.episode.attempt import attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter import Candidate
@@ -224,7 +224,7 @@ class Worker:
         assert drive.ego is not None
         self._trigger_step = len(drive.recording.snapshots)
         time, left = drive.now, drive.left()
-        model, route = self._ego_model(), drive.route()
+        model, route = model_of(drive.controller, drive.simulation.model(drive.ego)), drive.route()
         signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
         routes = {c.id: drive.simulation.route(c.id)[0] for c in ranking}
         raw = self._branch([partial(self._unattacked, all(c.meets_ahead for c in ranking))])[0]
@@ -254,20 +254,6 @@ class Worker:
         for _ in range(drive.within(settings.steps(seconds))):
             drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
-
-    def _ego_model(self) -> dict[str, Any]:
-        drive = self._drive
-        assert drive.ego is not None
-        name = drive.controller.name
-        follows_sumo = name in ("krauss", "idm", "eidm", "careful", "replay")
-        known = follows_sumo or name == "lattice"
-        numbers = drive.simulation.model(drive.ego)
-        return {
-            "kind": name if known else "idm",
-            "ignores_sumo_lane_rules": not follows_sumo,
-            "unknown": not known,
-            **numbers,
-        }
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

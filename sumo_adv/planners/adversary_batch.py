@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
-from sumo_adv.drivers.junctions import Blocked
+from sumo_adv.drivers.junctions import AtJunction
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.geometry import PATH_STEP, wrap_all
 from sumo_adv.planners.answers import PlannerObservation
@@ -91,7 +91,7 @@ class AdversaryBatch:
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
 
-    def blocked(self, motion: Motion) -> Blocked | None:
+    def at_junction(self, motion: Motion) -> AtJunction | None:
         """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.
 
         Call it once a step, because the way of each vehicle depends on its way in the last step. The end of a junction
@@ -106,13 +106,13 @@ class AdversaryBatch:
         half, merges = self.length / 2, merging > 0
         zone = np.where(merges, 0.0, wide * self._lane / 2)
         front, rear = motion.s + half, motion.s - half
-        return Blocked(
+        return AtJunction(
             entered=front > entry,
-            on=(front > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
-            turns=np.isfinite(bay), yields=self._yields, first=self._first[row], merging=merges, meets=ego,
-            zone=zone, joins=joins,
-            before=meets - zone - front, back=meets - zone - rear,
-            behind=2.0 * meets - entry - rear, begins=ego - (meets - rear), speed=motion.v, length=self.length,
+            on_junction=(front > entry) & np.where(merges, motion.s < meets, rear < meets + zone),
+            has_bay=np.isfinite(bay), ran_red=self._yields, goes_first=self._first[row], merging=merges, meets_at=ego,
+            half_zone=zone, joins_at=joins,
+            front_to_zone=meets - zone - front, rear_to_zone=meets - zone - rear,
+            rear_to_exit=2.0 * meets - entry - rear, rear_station=ego - (meets - rear), speed=motion.v,
         )  # fmt: skip
 
     def _find_sumo_ways(self, motion: Motion) -> Any:

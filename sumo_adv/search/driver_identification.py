@@ -6,12 +6,12 @@ predictions from then on. A known driver has one model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, ObservedMotion
+from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
 
 FAR = 10.0  # m: a larger error counts as this
 ALERT = 0.1  # s until an alert driver brakes for a vehicle that comes its way
@@ -22,7 +22,7 @@ WIDE = 2.5  # m to either side within which a wary driver takes a vehicle ahead 
 class DriverIdentification:
     """``models``: all that are considered, the default first."""
 
-    def __init__(self, model: Mapping[str, Any]) -> None:
+    def __init__(self, model: DriverModel) -> None:
         self.models = models_of(model)
         self._errors = np.zeros(len(self.models))
         self._current = 0
@@ -33,7 +33,7 @@ class DriverIdentification:
         return len(self.models) > 1
 
     @property
-    def model(self) -> Mapping[str, Any]:
+    def model(self) -> DriverModel:
         """The model that is believed now."""
         return self.models[self._current]
 
@@ -48,14 +48,14 @@ class DriverIdentification:
         return True
 
 
-def models_of(model: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def models_of(model: DriverModel) -> list[DriverModel]:
     """The model of a known driver alone; for an unknown driver, four: the default, an alert driver that brakes at once
     for a vehicle that comes its way, a wary driver that takes a vehicle beside its lane for a leader, and a driver
     that never reacts."""
-    if not model.get("unknown", False) or model["kind"] == "replay":
+    if model.known or model.kind == "replay":
         return [model]
     return [
-        model, {**model, "kind": "careful", "reaction": ALERT}, {**model, "sees": WIDE}, {**model, "kind": "replay"}
+        model, replace(model, kind="careful", reaction=ALERT), replace(model, sees=WIDE), replace(model, kind="replay")
     ]  # fmt: skip
 
 

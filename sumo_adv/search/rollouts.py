@@ -87,7 +87,7 @@ def predict(
             driven = k
             if touch is not None:
                 over |= touch(ego[k], adversary[k], ~over)
-            egos.step(now, ground.relative(motion), motion.v, ground.blocked(motion))
+            egos.step(now, ground.relative(motion), motion.v, ground.at_junction(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)

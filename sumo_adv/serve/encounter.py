@@ -60,12 +60,11 @@ def describe(
         return why
     simulation = session.simulation
     route = simulation.route(ego)[0]
-    model = {"kind": "idm", "ignores_sumo_lane_rules": True, "unknown": True, **simulation.model(ego)}
     signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
     routes = {c.id: simulation.route(c.id)[0] for c in ranking}
     situations = build_situations(
-        road, tracks, ego, ranking, time, settings=settings, ego_model=model, route=route, routes=routes,
-        signals=signals,
+        road, tracks, ego, ranking, time, settings=settings, ego_model=simulation.model(ego), route=route,
+        routes=routes, signals=signals,
     )  # fmt: skip
     if not situations:
         return "the vehicles near it leave at once"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.simulation.moved_speed import MovedSpeeds
@@ -260,13 +260,13 @@ class Simulation:
             known = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
         return known
 
-    def model(self, vehicle: str) -> dict[str, float]:
-        """Car-following numbers as SUMO has them: acceleration, deceleration [m/s2], tau [s], gap [m], speed [m/s]."""
+    def model(self, vehicle: str) -> DriverModel:
+        """An unknown driver with the vehicle's car-following numbers in SUMO, predicted as IDM."""
         v = self._sumo.vehicle
-        return {
-            "acceleration": v.getAccel(vehicle), "deceleration": self._deceleration(vehicle), "tau": v.getTau(vehicle),
-            "min_gap": v.getMinGap(vehicle), "speed": v.getAllowedSpeed(vehicle),
-        }  # fmt: skip
+        return DriverModel(
+            "idm", v.getAccel(vehicle), self._deceleration(vehicle), v.getTau(vehicle), v.getMinGap(vehicle),
+            v.getAllowedSpeed(vehicle), known=False, ignores_sumo_lane_rules=True,
+        )  # fmt: skip
 
     def signals(self, vehicle: str) -> list[tuple[str, float, str]]:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""

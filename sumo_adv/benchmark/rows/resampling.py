@@ -123,8 +123,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)
         model[:, :, k] = egos.pose()
-        relative, blocked = ground.relative(motion), ground.blocked(motion)
-        egos.step(k * dt, relative, motion.v, blocked)
+        egos.step(k * dt, ground.relative(motion), motion.v, ground.at_junction(motion))
         motion = _forward(ground, motion, plan, k * dt, limits, dt)
     x, y, heading, speed = poses
     adversary = Boxes(x, y, heading, speed, ground.length[:, None], width[:, None])

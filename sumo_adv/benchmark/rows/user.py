@@ -17,7 +17,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
-from sumo_adv.drivers.user_class import make_object, said
+from sumo_adv.drivers.user import in_one_line, make_object
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError
 from sumo_adv.situation import Situation
 
@@ -39,14 +39,15 @@ class UserRow:
         try:
             self._generator.begin(replace(encounter, situations=deepcopy(dict(encounter.situations))))
         except Exception as error:  # user code
-            raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {said(error)}.") from error
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {in_one_line(error)}.") from error
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
         """Raises PlannerRuntimeError if the user's code fails, PlannerResultError if its answer cannot be driven."""
         try:
             answer = self._generator.propose(tried)
         except Exception as error:  # user code
-            raise PlannerRuntimeError(f"The generator {self.name!r} failed in propose: {said(error)}.") from error
+            reason = in_one_line(error)
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in propose: {reason}.") from error
         if answer is None:
             return None
         try:
@@ -54,7 +55,7 @@ class UserRow:
         except ValueError as error:
             raise PlannerResultError(f"The generator {self.name!r} returned {error}.") from error
         except (TypeError, AttributeError) as error:
-            what = f"a Proposal with a field of a wrong type ({said(error)})"
+            what = f"a Proposal with a field of a wrong type ({in_one_line(error)})"
             raise PlannerResultError(f"The generator {self.name!r} returned {what}.") from error
 
 

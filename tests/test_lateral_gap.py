@@ -1,4 +1,4 @@
-"""SUMO's drivers make room within their lane for one who was in it and comes back in beside them.
+"""SUMO's drivers make room within their lane for a vehicle that was in it and comes back in beside them.
 
 The ego is 1.8 m wide and 5 m long, its lane 3.2 m: 0.7 m of room on either side of it.
 """
@@ -16,37 +16,37 @@ from sumo_adv.drivers.prediction import seen_edges
 from sumo_adv.drivers.scenes import Scenes
 
 
-def sidestep(lane: float = 3.2, sides: tuple[tuple[float, str], ...] = ((3.2, "same"),)) -> LateralGap:
+def lateral_gap(lane: float = 3.2, sides: tuple[tuple[float, str], ...] = ((3.2, "same"),)) -> LateralGap:
     """Against a car of 5 x 1.8 m; the ego's is the rightmost of two lanes."""
     sit = situation([leader()])
     sit = replace(sit, ego=replace(sit.ego, width=1.8), lane_width=lane, ego_sides=sides)
     return LateralGap(Scenes([sit]), np.array([5.0]), np.array([1.8]))
 
 
-def beside(found: LateralGap, front: float, seconds: float, ahead: float = 0.0, was_inside: bool = True) -> float:
+def beside(gap: LateralGap, front: float, seconds: float, ahead: float = 0.0, was_inside: bool = True) -> float:
     """The offset [m] after so long with the other's front there."""
     for _ in range(round(seconds / 0.1)):
-        found.step(np.array([ahead]), np.array([front]), np.array([was_inside]))
-    return float(found.d[0])
+        gap.step(np.array([ahead]), np.array([front]), np.array([was_inside]))
+    return float(gap.d[0])
 
 
 def test_it_moves_over_for_one_that_comes_back_in() -> None:
     """The other's side is 1.3 m from the lane's middle, in the strip from 0.8 to 1.6 m, which the ego wants 0.6 m from:
     it would move by 0.9 + 0.6 - 0.8 = 0.7 m, which is all the room there is. It begins with 0.57 m/s2:
     0.0057 m in the first step, three times that after two."""
-    found = sidestep()
-    assert beside(found, 2.2, 0.1) == pytest.approx(-0.0057)
-    assert beside(found, 2.2, 0.1) == pytest.approx(-0.0171)
-    assert beside(found, 2.2, 6.0) == pytest.approx(-0.7, abs=0.01)
+    gap = lateral_gap()
+    assert beside(gap, 2.2, 0.1) == pytest.approx(-0.0057)
+    assert beside(gap, 2.2, 0.1) == pytest.approx(-0.0171)
+    assert beside(gap, 2.2, 6.0) == pytest.approx(-0.7, abs=0.01)
 
 
 def test_behind_a_leader_it_stays_where_it_is_and_alone_it_goes_back() -> None:
-    found = sidestep()
-    there = beside(found, 2.2, 1.0)
+    gap = lateral_gap()
+    there = beside(gap, 2.2, 1.0)
     assert there < -0.2
-    stays = beside(found, 1.0, 1.0)  # its front is in the lane now
+    stays = beside(gap, 1.0, 1.0)  # its front is in the lane now
     assert stays == pytest.approx(there, abs=0.08)
-    assert beside(found, 5.0, 6.0) == pytest.approx(0.0, abs=0.01)
+    assert beside(gap, 5.0, 6.0) == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -64,26 +64,26 @@ def test_behind_a_leader_it_stays_where_it_is_and_alone_it_goes_back() -> None:
 def test_else_it_keeps_its_place(
     lane: float, sides: tuple[tuple[float, str], ...], front: float, ahead: float, was_inside: bool
 ) -> None:
-    assert beside(sidestep(lane, sides), front, 2.0, ahead, was_inside) == 0.0
+    assert beside(lateral_gap(lane, sides), front, 2.0, ahead, was_inside) == 0.0
 
 
 def test_from_the_right_it_makes_room_even_with_a_lane_to_the_left() -> None:
     """0.7 m, from the moment there is less than the least gap to that one."""
     both = ((3.2, "same"), (-3.2, "same"))
-    assert beside(sidestep(3.2, both), -2.2, 6.0, 7.4) == pytest.approx(0.7, abs=0.01)
+    assert beside(lateral_gap(3.2, both), -2.2, 6.0, 7.4) == pytest.approx(0.7, abs=0.01)
 
 
 def test_one_that_comes_still_nearer_finds_it_where_it_is() -> None:
     """After a second it has moved by some 0.2 m; then the other's side is 0.5 m from the middle of the lane, in the
     strip from 0 to 0.8 m, 0.7 m within the ego's width."""
-    found = sidestep()
-    there = beside(found, 2.2, 1.0)
-    assert beside(found, 1.7, 2.0) == pytest.approx(there, abs=0.08)
+    gap = lateral_gap()
+    there = beside(gap, 2.2, 1.0)
+    assert beside(gap, 1.7, 2.0) == pytest.approx(there, abs=0.08)
 
 
 def test_from_the_left_lane_it_moves_to_the_left() -> None:
     """Lane of 3.5 m: the strip of the other's side ends 0.95 m to the right, the ego wants 0.9 + 0.6 - 0.95 = 0.55."""
-    assert beside(sidestep(3.5, ((-3.5, "same"),)), -2.3, 6.0) == pytest.approx(0.55, abs=0.01)
+    assert beside(lateral_gap(3.5, ((-3.5, "same"),)), -2.3, 6.0) == pytest.approx(0.55, abs=0.01)
 
 
 def test_one_that_has_moved_over_looks_less_far_to_the_side_that_it_left() -> None:

@@ -1,4 +1,4 @@
-"""Third parties foreseen: they brake for an adversary that is before them in their lane, and for nothing else."""
+"""Predicted third parties brake for an adversary ahead in their lane, and for nothing else."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def test_a_follower_brakes_for_an_adversary_that_stops() -> None:
     assert float(reacted.speed[0, -1]) < 0.5
 
 
-def test_who_is_cut_off_too_closely_still_touches() -> None:
-    """At 20 m/s, 2 m behind one that stands: even at 9 m/s2 it takes 22 m to stop."""
+def test_a_follower_that_is_cut_off_too_closely_still_touches() -> None:
+    """At 20 m/s, 2 m behind a standing adversary: even at 9 m/s2 it takes 22 m to stop."""
     adversary, follower = east(7.0, 0.0), east(0.0, 20.0)
     assert touches(braking(follower, adversary, LANE, DT), adversary)
 
 
-def test_nobody_brakes_for_what_is_beside_behind_or_across() -> None:
+def test_it_does_not_brake_for_an_adversary_beside_behind_or_across() -> None:
     """Its front a tenth of a metre beyond the lane's line; behind; standing across at a right angle (as at a junction,
     where the right of way rules): the motion stays as it was, bit for bit."""
     follower = east(0.0, 15.0)

@@ -1,4 +1,4 @@
-"""The careful driver as it is foreseen brakes when, and as, the real controller does (on a straight road along x)."""
+"""The predicted careful driver brakes when, and as, the real controller does, on a straight road along x."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers import CarefulEgo, LaneSpeed, Observation
-from sumo_adv.drivers.careful_model import CarefulDrivers
+from sumo_adv.drivers.careful import CarefulDrivers
 
 DT = 0.1
 PATH = tuple((float(x), 0.0) for x in range(-50, 2000, 5))
@@ -44,7 +44,7 @@ def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], 
         for k, (x, y, h, w) in enumerate(states(motion, steps)):
             if foreseen:
                 ego_now, other_now, speed_now = (at, v, a), (x, y, h), np.array([w])
-                bound = many.bound(k * DT, column(ego_now), column(other_now), speed_now)
+                bound = many.bound(column(ego_now), column(other_now), speed_now)
                 asked = float(bound[0])
             else:
                 slower = 0.0 if before is None else (w - before) / DT
