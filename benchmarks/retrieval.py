@@ -18,7 +18,6 @@ import numpy as np
 from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.geometry import make_path
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.recall import recall_scene
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, Source
 from sumo_adv.planners.probes import probes
 from sumo_adv.planners.sandbox import Sandbox
@@ -118,10 +117,10 @@ def main() -> int:
                 (f"retrieve a known label, {MANY} intents", median(lambda i: bank.retrieve(labels[i]), 200), 1.0)
             )
             near = [scene(i) for i in range(QUESTIONS)]
-            rows.append((f"recall a scene, {MANY} rows", median(lambda i: recall_scene(bank, near[i]), QUESTIONS), 1.0))
+            rows.append((f"recall a scene, {MANY} rows", median(lambda i: bank.recall_scene(near[i]), QUESTIONS), 1.0))
             start = time.perf_counter()
             bank.refresh()
-            recall_scene(bank, near[0])
+            bank.recall_scene(near[0])
             rows.append((f"the first recall, {MANY} rows, with reading", 1000 * (time.perf_counter() - start), None))
         rows.append((f"open, {MANY} intents, planners and rows", median(lambda i: reopen(path), 3), None))
     for name, took, bound in rows:

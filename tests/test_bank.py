@@ -130,9 +130,9 @@ def test_retrieval_takes_the_label_in_any_spelling_first(tmp_path: Path) -> None
         assert bank.retrieve("Emergency Braking").hit is None
         bank.add(BRAKING, [BRAKE_PLANNER])
         bank.add(CUT_IN, [CUT_PLANNER])
-        found = bank.retrieve("aggressive CUT in", "the vehicle ahead brakes hard")
-        assert (found.hit, found.distance) == ("Aggressive Cut-in", 0.0)
-        assert [label for label, _ in found.nearest] == ["Aggressive Cut-in", "Emergency Braking"]
+        retrieval = bank.retrieve("aggressive CUT in", "the vehicle ahead brakes hard")
+        assert (retrieval.hit, retrieval.distance) == ("Aggressive Cut-in", 0.0)
+        assert [label for label, _ in retrieval.nearest] == ["Aggressive Cut-in", "Emergency Braking"]
         like = bank.retrieve("Sudden stop of the leader", "It slams its brakes in front of the ego.")
         assert like.hit == "Emergency Braking"
         assert 0.0 < like.distance <= like.epsilon
@@ -166,12 +166,12 @@ def test_statistics_count_by_hand(tmp_path: Path) -> None:
 
 def test_an_open_bank_sees_others_rows_only_after_refresh(tmp_path: Path) -> None:
     path = tmp_path / "bank.sqlite"
-    with MemoryBank.open(path) as one, MemoryBank.open(path) as two:
-        before = one.content_hash()
-        two.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
-        assert one.content_hash() == before
-        one.refresh()
-        assert one.content_hash() == two.content_hash() != before
+    with MemoryBank.open(path) as first, MemoryBank.open(path) as second:
+        before = first.content_hash()
+        second.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
+        assert first.content_hash() == before
+        first.refresh()
+        assert first.content_hash() == second.content_hash() != before
 
 
 def writer(path: Path, count: int, name: str) -> subprocess.Popen[str]:
@@ -198,17 +198,17 @@ def test_a_writer_killed_while_writing_leaves_a_whole_bank(tmp_path: Path) -> No
     path = tmp_path / "bank.sqlite"
     process = writer(path, 0, "victim")
     assert process.stdout is not None
-    said = 0
-    while said < 30:
-        said = int(process.stdout.readline())
+    printed = 0
+    while printed < 30:
+        printed = int(process.stdout.readline())
     process.kill()
-    said += len(process.stdout.read().split())
+    printed += len(process.stdout.read().split())
     process.wait(timeout=30)
     process.stdout.close()
     with MemoryBank.open(path) as bank:
         seeds = [e.seed for e in bank.evidence()]
         assert seeds == list(range(len(seeds)))
-        assert said <= len(seeds) <= said + 1
+        assert printed <= len(seeds) <= printed + 1
         bank.record(evidence(seed=-1))
         assert bank.statistics().evidence == len(seeds) + 1
 

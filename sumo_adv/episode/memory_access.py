@@ -16,7 +16,7 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.recall import SCALES, recall_scene, signature_distance
+from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
@@ -50,7 +50,7 @@ def recall(
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
             now = signature(situation, target.state.id, episode.task.ego_driver)
-            evidence = recall_scene(bank, now)
+            evidence = bank.recall_scene(now)
             known = _remembered(library, evidence) if evidence is not None else None
             if evidence is None or known is None or (allowed and evidence.label not in allowed):
                 continue

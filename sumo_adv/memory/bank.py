@@ -1,8 +1,7 @@
 """The memory bank: M = {(phi_j, f_j)} of the paper (Online Scenario Generation by Dynamic Memorization and Retrieval).
 
-One SQLite file.  Opening reads it whole into RAM, and every question is answered from there, so a run sees one fixed
-content (whose hash goes into its manifest) whatever other processes write meanwhile; ``refresh`` takes in their rows.
-``record`` is one short transaction.
+A bank is one SQLite file. ``open`` reads the whole file into memory, and all lookups use that copy. So a run sees one
+fixed content, and its manifest holds the hash of it. ``refresh`` reads what other processes have written since.
 """
 
 from __future__ import annotations
@@ -22,25 +21,26 @@ from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
 from sumo_adv.memory.migrations import Clock, utc_now
-from sumo_adv.memory.recall import SceneIndex
+from sumo_adv.memory.recall import LIMIT, SceneIndex
 from sumo_adv.memory.records import (
     BankStatistics,
     Evidence,
     IntentRecord,
     LabelStatistics,
     Retrieval,
+    SceneSignature,
     Source,
     canonical,
 )
 from sumo_adv.memory.similarity import Similarity, TfIdf
 from sumo_adv.memory.store import open_file, sentences
 
-NEAREST = 5  # labels named in a retrieval
-BAND = 0.1  # of epsilon, to both sides: how near to it a retrieval is uncertain
+NEAREST = 5  # labels in a retrieval
+BAND = 0.1  # share of epsilon; nearer to epsilon than this a retrieval is uncertain
 
 
 class MemoryBank:
-    """An open bank; use it in a ``with`` statement. All methods that touch the file raise BankError."""
+    """An open bank. Use it in a ``with`` statement. All methods that touch the file raise BankError."""
 
     def __init__(
         self, connection: sqlite3.Connection, path: Path, writable: bool, similarity: Similarity, clock: Clock
@@ -52,7 +52,7 @@ class MemoryBank:
         self._similarity = similarity
         self._clock = clock
         self._content = rows.load(connection)
-        self._fitted: dict[str, int] | None = None  # label -> place, as the similarity has seen them
+        self._fitted: dict[str, int] | None = None  # label -> index in the fitted similarity
         self._scenes: SceneIndex | None = None
 
     @classmethod
@@ -65,10 +65,12 @@ class MemoryBank:
         similarity: Similarity | None = None,
         clock: Clock = utc_now,
     ) -> MemoryBank:
-        """The bank at ``path``; where nothing is there, a copy of ``seed_from`` (never written to) or a blank one.
+        """The bank at ``path``. A missing file is created as a copy of ``seed_from``, or blank.
 
-        ``read_only`` makes no file and changes none. A bank that cannot be written opens for reading, and ``record``
-        says so. Raises BankError: not SQLite, another program's, newer, damaged, folder not writable, disk full.
+        read_only: creates and changes no file.
+
+        A file without write permission opens for reading, and ``record`` raises. Raises BankError for a file that is
+        not SQLite, of another program, of a newer version or damaged, for a read-only folder and for a full disk.
         """
         path = Path(path)
         connection, writable = open_file(path, seed_from=seed_from, read_only=read_only, clock=clock)
@@ -88,57 +90,61 @@ class MemoryBank:
         self.close()
 
     def close(self) -> None:
-        """Close the file; may be called twice."""
+        """Close the file. A second call does nothing."""
         self._connection.close()
 
     # reading
 
     def refresh(self) -> None:
-        """Take in what other processes wrote since the bank was opened."""
+        """Read the file again, with the rows that other processes have written."""
         with sentences(self.path):
             self._content = rows.load(self._connection)
         self._fitted = self._scenes = None
 
     def intents(self) -> list[IntentRecord]:
-        """All intents, oldest first, retired ones too."""
+        """All intents, retired ones included, oldest first."""
         return list(self._content.intents.values())
 
     def intent(self, label: str) -> IntentRecord | None:
-        """The intent of that label, in any case and spacing; None if there is none."""
+        """The intent with that label, in any case and spacing, or None."""
         return self._content.intents.get(canonical(label))
 
     def planners(self, label: str) -> list[Planner]:
         """The active planners of an intent, by mode, then age; empty for an unknown label."""
         key = canonical(label)
-        found = [p for p in self._content.planners.get(key, ()) if (key, p.hash) not in self._content.retired]
-        return sorted(found, key=lambda planner: planner.mode)
+        active = [p for p in self._content.planners.get(key, ()) if (key, p.hash) not in self._content.retired]
+        return sorted(active, key=lambda planner: planner.mode)
 
     def evidence(self, label: str | None = None) -> list[Evidence]:
-        """All evidence, oldest first, or that of one intent."""
+        """All evidence, or the evidence of one intent, oldest first."""
         if label is None:
             return list(self._content.evidence)
         key = canonical(label)
         return [e for e in self._content.evidence if canonical(e.label) == key]
 
     def sources(self) -> list[Source]:
-        """Everything about every intent, retired planners too, by mode, then text."""
-        held: dict[str, list[Evidence]] = {}
+        """The whole content by intent. Retired planners are included. Planners are sorted by mode, then text."""
+        by_intent: dict[str, list[Evidence]] = {}
         for evidence in self._content.evidence:
-            held.setdefault(canonical(evidence.label), []).append(evidence)
+            by_intent.setdefault(canonical(evidence.label), []).append(evidence)
         content = self._content
         return [
             Source(
                 record,
                 tuple(sorted(content.planners[key], key=lambda planner: (planner.mode, planner.source))),
                 frozenset(planner.hash for planner in content.planners[key] if (key, planner.hash) in content.retired),
-                tuple(held.get(key, ())),
+                tuple(by_intent.get(key, ())),
                 content.settings.get(f"{rows.MERGED}{key}"),
             )
             for key, record in content.intents.items()
         ]
 
-    def scenes(self) -> SceneIndex:
-        """The scenes in which active planners of active intents succeeded, for ``recall.recall_scene``."""
+    def recall_scene(self, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
+        """The evidence of a success in a similar scene, at most ``limit`` away by ``recall.signature_distance``.
+
+        Valid collisions have precedence over other successes, then the nearest scene. Retired intents and planners are
+        left out.
+        """
         if self._scenes is None:
             active = {
                 (record.label, planner.hash) for record in self._active() for planner in self.planners(record.label)
@@ -146,16 +152,16 @@ class MemoryBank:
             self._scenes = SceneIndex(
                 [e for e in self._content.evidence if e.success and (e.label, e.planner_hash) in active]
             )
-        return self._scenes
+        return self._scenes.nearest(signature, limit)
 
     def settings(self, prefix: str) -> dict[str, object]:
-        """The settings whose keys begin so."""
+        """The settings with keys that begin with ``prefix``."""
         return {key: value for key, value in self._content.settings.items() if key.startswith(prefix)}
 
     def epsilon(self) -> tuple[float, str]:
-        """The distance up to which an intent is known, for the metric in use, and what it was calibrated on.
+        """The distance up to which an intent counts as known, by the metric in use, and its calibration data.
 
-        Raises BankError for a metric that was never calibrated for this bank.
+        Raises BankError for a metric without a calibration.
         """
         value = self._content.settings.get(f"epsilon.{self._similarity.name}")
         if isinstance(value, dict):
@@ -168,10 +174,10 @@ class MemoryBank:
         return self._similarity.epsilon, self._similarity.calibrated_on
 
     def retrieve(self, label: str, description: str = "") -> Retrieval:
-        """The paper's j* = argmin d(phi', phi_j) among active intents, a hit if d <= epsilon.
+        """The paper's j* = argmin d(phi', phi_j) among active intents; a hit if d <= epsilon.
 
-        The same label (in any case, spacing or hyphenation) is distance 0, as is that of an intent merged into another
-        for that one; else the metric on label + description.
+        The distance is 0 for the same label in any case, spacing or hyphenation. The label of a merged intent stands
+        for the intent that took it over. Otherwise the metric compares label and description.
         """
         epsilon = self.epsilon()[0]
         if self._fitted is None:
@@ -192,7 +198,7 @@ class MemoryBank:
         return [record for record in self._content.intents.values() if record.status == "active"]
 
     def content_hash(self) -> str:
-        """SHA-256 over intents, planners, evidence and settings as read; row order and time stamps do not count."""
+        """SHA-256 over intents, planners, evidence and settings. Row order and time stamps do not count."""
         digest = hashlib.sha256()
         for line in sorted(json.dumps(item, sort_keys=True) for item in rows.canonical_items(self._content)):
             digest.update(line.encode() + b"\n")
@@ -207,7 +213,7 @@ class MemoryBank:
         return BankStatistics(
             intents=len(self._content.intents),
             active=sum(record.status == "active" for record in self._content.intents.values()),
-            planners=sum(len(found) for found in self._content.planners.values()),
+            planners=sum(map(len, self._content.planners.values())),
             evidence=len(self._content.evidence),
             by_label=by_label,
         )
@@ -215,72 +221,79 @@ class MemoryBank:
     # writing
 
     def record(self, evidence: Evidence, *, intent: IntentRecord | None = None, planner: Planner | None = None) -> None:
-        """Add evidence, and the intent and the planner it is about where the bank lacks them, in one transaction.
+        """Add evidence, and its intent and planner if the bank lacks them, in one transaction.
 
-        What is there already stays as it is (two writers may find the same intent), but evidence of success makes a
-        retired intent or planner active again, and what comes with evidence of failure begins as retired. What is about
-        an intent merged into another is kept under that one. Raises BankError, also if intent or planner is neither
-        given nor known, or is not the one that the evidence names; nothing is written then.
+        - An existing intent or planner is not changed, since two processes may write the same intent.
+        - Evidence of success makes a retired intent or planner active. A new one with evidence of failure is retired.
+        - Evidence of a merged intent is stored under the intent that took it over.
+
+        Raises BankError and writes nothing if intent or planner is neither given nor known, or does not match the
+        evidence.
         """
         if intent is not None and canonical(intent.label) != canonical(evidence.label):
             raise BankError(f"The evidence is about {evidence.label!r} but the intent given is {intent.label!r}.")
         if planner is not None and planner.hash != evidence.planner_hash:
             raise BankError(f"The evidence for {evidence.label!r} names another planner than the one given.")
         status = "active" if evidence.success else "retired"
-        with self._writing() as now:
+        with self._writing() as stamp:
             label = rows.resolve(rows.read_settings(self._connection), evidence.label)
             if intent is not None and label == evidence.label:
                 rows.insert_intent(
-                    self._connection, intent if evidence.success else replace(intent, status=status), now
+                    self._connection, intent if evidence.success else replace(intent, status=status), stamp
                 )
             if planner is not None:
-                rows.insert_planner(self._connection, label, planner, now, status)
+                rows.insert_planner(self._connection, label, planner, stamp, status)
             evidence = replace(evidence, label=label)
             known_intent = rows.read_intent(self._connection, label)
             known_planner = rows.read_planner(self._connection, label, evidence.planner_hash)
             if known_intent is None or known_planner is None:
-                lacking = "intent" if known_intent is None else "planner"
-                raise BankError(f"The memory bank has no such {lacking} as the evidence for {evidence.label!r} names.")
-            rows.insert_evidence(self._connection, evidence, now)
+                missing = "intent" if known_intent is None else "planner"
+                raise BankError(f"The memory bank has no such {missing} as the evidence for {evidence.label!r} names.")
+            rows.insert_evidence(self._connection, evidence, stamp)
             known_intent = rows.read_intent(self._connection, label) or known_intent
-        self._take_in(rows.stored(evidence, known_intent.label, now), known_intent, *known_planner)
+        self._remember(rows.stored(evidence, known_intent.label, stamp), known_intent, *known_planner)
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
-        """Add an intent and planners without evidence (a person's work), in one transaction.
+        """Add an intent and planners without evidence, in one transaction. Existing ones are not changed.
 
-        What is there already stays as it is. Raises BankError.
+        Raises BankError.
         """
         self.absorb([Source(intent, tuple(planners))], unique_modes=False)
 
     def absorb(self, sources: Iterable[Source], *, unique_modes: bool = True) -> edits.Absorbed:
-        """Add what the bank lacks of ``sources`` (an import), in one transaction; what was added. Raises BankError.
+        """Import ``sources`` in one transaction; returns the additions. Existing intents and planners are not changed.
 
-        What is there already stays as it is. With ``unique_modes`` a planner whose mode another one of its intent has
-        gets a mode with a number.
+        unique_modes: number the mode of a new planner if another planner of its intent has that mode.
+
+        Raises BankError.
         """
-        with self._writing() as now:
-            added = edits.absorb(self._connection, sources, now, unique_modes=unique_modes)
+        with self._writing() as stamp:
+            added = edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes)
         self.refresh()
         return added
 
     def merge(self, label: str, into: str) -> None:
-        """Move planners and evidence of one intent into another active one; the first is retired, and its label finds
-        the other from now on. In one transaction. Raises BankError, also if either is unknown or both are one."""
-        with self._writing() as now:
-            edits.merge(self._connection, label, into, now)
+        """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.
+
+        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either
+        intent is unknown or both are the same.
+        """
+        with self._writing() as stamp:
+            edits.merge(self._connection, label, into, stamp)
         self.refresh()
 
     def retire(self, label: str, mode: str | None = None, *, back: bool = False) -> None:
-        """Retire an intent, or its planners of one mode (with the last active one the intent too); nothing is deleted.
+        """Retire an intent, or its planners of one ``mode``. An intent without active planners is retired too.
 
-        ``back`` makes active again what was retired. Raises BankError, also if there is no such intent or mode.
+        Nothing is deleted: ``back`` makes retired ones active again. Raises BankError, also for an unknown intent or
+        mode.
         """
         with self._writing():
             edits.retire(self._connection, label, mode, back=back)
         self.refresh()
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
-        """Store the epsilon of the metric in use, and what it was calibrated on. Raises BankError."""
+        """Store the epsilon of the metric in use and its calibration data. Raises BankError."""
         with self._writing():
             value = {"epsilon": epsilon, "calibrated_on": calibrated_on}
             rows.write_setting(self._connection, f"epsilon.{self._similarity.name}", value)
@@ -288,7 +301,7 @@ class MemoryBank:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[str]:
-        """One IMMEDIATE transaction, undone on any error; gives the time stamp of its rows."""
+        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows."""
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
         with sentences(self.path):
@@ -301,14 +314,14 @@ class MemoryBank:
                     self._connection.execute("ROLLBACK")
                 raise
 
-    def _take_in(self, evidence: Evidence, intent: IntentRecord, planner: Planner, status: str) -> None:
-        """Add what was written to what is in RAM."""
+    def _remember(self, evidence: Evidence, intent: IntentRecord, planner: Planner, status: str) -> None:
+        """Add written rows to the content in memory."""
         key = canonical(intent.label)
         if self._content.intents.get(key) != intent:
             self._content.intents[key] = intent
             self._fitted = None
         planners = self._content.planners.setdefault(key, [])
-        if all(known.hash != planner.hash for known in planners):
+        if all(each.hash != planner.hash for each in planners):
             planners.append(planner)
             if status == "retired":
                 self._content.retired.add((key, planner.hash))
@@ -330,7 +343,7 @@ def _label_statistics(planners: Sequence[Planner], evidence: Sequence[Evidence])
 
 
 def _nearest(labels: Sequence[str], distances: Floats) -> list[tuple[str, float]]:
-    """The nearest few labels and their distances, nearest first, in the labels' order where they tie."""
+    """The ``NEAREST`` nearest labels and their distances, nearest first; ties keep the order of ``labels``."""
     count = min(NEAREST, len(distances))
     worst = np.partition(distances, count - 1)[count - 1]
     candidates = np.flatnonzero(distances <= worst)

@@ -1,8 +1,8 @@
-"""Scenes seen before: how far apart two are, and the nearest in which the bank holds a success (``--recall scene``).
+"""The distance between two scenes, and the most similar scene with a success (``--recall scene``).
 
-Two scenes can be alike only with the same geometry class, the same relation of the BV to the ego and the same ego
-controller.  Then the distance is Euclid's over five numbers, each divided by what counts as a clear change of it
-(``SCALES``, chosen by hand: about what one step of the tuner's search moves), so 1 is one clear change of one number.
+Scenes are comparable only with the same geometry class, the same relation of the BV to the ego and the same ego
+controller. The distance is then Euclidean over five numbers, each divided by its scale. A scale is a clear change of
+that number, about one step of the search, so distance 1 is one clear change of one number.
 """
 
 from __future__ import annotations
@@ -11,22 +11,18 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
-if TYPE_CHECKING:
-    from sumo_adv.memory.bank import MemoryBank
-
 SCALES: Mapping[str, float] = MappingProxyType(
     {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
 )
-"""m, m, rad, m/s, m/s: the BV's place in the ego's frame, its heading there, and both speeds."""
+"""[m, m, rad, m/s, m/s]: position of the BV in the ego's frame, its heading there, and both speeds. Chosen by hand."""
 
-LIMIT = 1.0  # up to this distance a scene counts as seen before
+LIMIT = 1.0  # the distance up to which two scenes count as similar
 
 _NAMES = tuple(SCALES)
 _HEADING = _NAMES.index("heading")
@@ -34,43 +30,41 @@ _SCALE = np.asarray(tuple(SCALES.values()))
 
 
 def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
-    """How far apart two scenes are, in clear changes of one number; symmetric, 0 for the same.
+    """The distance between two scenes: symmetric, 0 for equal scenes.
 
-    ``inf`` where geometry class, relation or ego controller differ, or a number of ``SCALES`` is lacking or not finite.
+    It is ``inf`` if geometry class, relation or ego controller differ, or if a number of ``SCALES`` is absent or not
+    finite.
     """
     if _kind(a) != _kind(b):
         return math.inf
-    one, other = _numbers(a), _numbers(b)
-    return math.inf if one is None or other is None else float(_distances(one[None, :], other)[0])
-
-
-def recall_scene(bank: MemoryBank, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
-    """The success in a scene at most ``limit`` away: a valid collision before others, then the nearest.
-
-    Of equally near ones the same whatever order the bank holds them in. Retired intents and planners are left out.
-    """
-    return bank.scenes().nearest(signature, limit)
+    numbers_a, numbers_b = _numbers(a), _numbers(b)
+    if numbers_a is None or numbers_b is None:
+        return math.inf
+    return float(_distances(numbers_a[None, :], numbers_b)[0])
 
 
 class SceneIndex:
-    """Evidence in arrays, by kind of scene. Made once for a bank's content (``MemoryBank.scenes``)."""
+    """Evidence in arrays, grouped by geometry class, relation and controller."""
 
     def __init__(self, evidence: Sequence[Evidence]) -> None:
-        found: dict[tuple[str, str, str], list[tuple[Floats, Evidence]]] = {}
+        groups: dict[tuple[str, str, str], list[tuple[Floats, Evidence]]] = {}
         for each in evidence:
             if (numbers := _numbers(each.scene)) is not None:
-                found.setdefault(_kind(each.scene), []).append((numbers, each))
-        self._kinds = {kind: _columns(rows) for kind, rows in found.items()}
+                groups.setdefault(_kind(each.scene), []).append((numbers, each))
+        self._kinds = {kind: _columns(rows) for kind, rows in groups.items()}
 
-    def nearest(self, signature: SceneSignature, limit: float) -> Evidence | None:
-        """See ``recall_scene``."""
+    def nearest(self, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
+        """The evidence of the nearest scene at most ``limit`` away; valid collisions have precedence over others.
+
+        Ties are resolved by the content of the evidence, not by its order.
+        """
         numbers, kind = _numbers(signature), self._kinds.get(_kind(signature))
         if numbers is None or kind is None:
             return None
         table, valid, evidence = kind
         distances = _distances(table, numbers)
-        for wanted in (valid, ~valid):
-            near = np.where(wanted, distances, np.inf)
+        for selected in (valid, ~valid):
+            near = np.where(selected, distances, np.inf)
             best = int(np.argmin(near))
             if near[best] <= limit:
                 return evidence[best]
@@ -78,7 +72,7 @@ class SceneIndex:
 
 
 def _columns(rows: list[tuple[Floats, Evidence]]) -> tuple[Floats, np.ndarray, list[Evidence]]:
-    """Numbers (n, 5), whether valid (n,), and the evidence, in an order that its content alone decides."""
+    """Numbers (n, 5), validity (n,) and the evidence, sorted by the content of the evidence."""
     rows = sorted(rows, key=lambda row: _order(row[1]))
     table = np.stack([numbers for numbers, _ in rows])
     return table, np.asarray([each.valid is True for _, each in rows]), [each for _, each in rows]
@@ -102,7 +96,7 @@ def _numbers(scene: SceneSignature) -> Floats | None:
 
 
 def _distances(table: Floats, numbers: Floats) -> Floats:
-    """Scaled distances of rows (n, 5) to one (5,), headings the shorter way round."""
+    """Scaled distances (n,) of ``table`` (n, 5) to ``numbers`` (5,). Headings differ by the smaller angle."""
     apart = np.abs(table - numbers)
     turned = apart[:, _HEADING] % (2.0 * math.pi)
     apart[:, _HEADING] = np.minimum(turned, 2.0 * math.pi - turned)
