@@ -76,7 +76,7 @@ class Raw:
 
 @dataclass(frozen=True)
 class Cut:
-    """A body whose connection breaks in the middle."""
+    """A connection that breaks in the middle of the body."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ APPLIES = re.compile(r"^(BV\d+): .*Behaviours that apply: (.*)\.$", re.MULTILINE
 
 
 def agent_of(asked: Asked) -> str:
-    """Whose question it is."""
+    """The agent that asked a question."""
     opening = asked.system[:60]
     for agent, word in (("generator", "You write"), ("modifier", "You repair"), ("confirm", "You compare")):
         if opening.startswith(word):

@@ -11,13 +11,13 @@ from model_server import Asked, ModelServer, Say, StepClock, status
 from pydantic import BaseModel, ConfigDict
 
 from sumo_adv.errors import BudgetError, ModelError
-from sumo_adv.llm.asking import Line, ask, ask_many, read_answer, without_thought
+from sumo_adv.llm.asking import MeteredModel, ask, ask_many, read_answer, without_thought
 from sumo_adv.llm.client import connect
 from sumo_adv.llm.ledger import Budget, Ledger
 
 
 class Choice(BaseModel):
-    """What the tests ask for."""
+    """The answer type of the tests."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -28,9 +28,9 @@ class Choice(BaseModel):
 GOOD = '{"label": "Cut-in", "risk": 0.5}'
 
 
-def line(server: ModelServer, budget: Budget | None = None, **given: float) -> Line:
+def metered(server: ModelServer, budget: Budget | None = None, **given: float) -> MeteredModel:
     ledger = Ledger(budget)
-    return Line(connect("test-model", server.settings(**given), ledger, clock=StepClock()), ledger)
+    return MeteredModel(connect("test-model", server.settings(**given), ledger, clock=StepClock()), ledger)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def line(server: ModelServer, budget: Budget | None = None, **given: float) -> L
         f"\ufeff{GOOD}",
     ],
 )
-def test_the_answer_is_found(text: str) -> None:
+def test_an_answer_is_read_from_prose_and_fences(text: str) -> None:
     assert read_answer(without_thought(text), Choice) == (Choice(label="Cut-in", risk=0.5), None)
 
 
@@ -66,50 +66,56 @@ def test_the_answer_is_found(text: str) -> None:
         ("[1, 2]", "valid dictionary"),
     ],
 )
-def test_what_is_wrong_with_it_is_said(text: str, says: str) -> None:
+def test_the_fault_of_an_answer_is_named(text: str, says: str) -> None:
     answer, fault = read_answer(text, Choice)
     assert answer is None and fault is not None and says in fault
 
 
 @given(st.text(), st.dictionaries(st.text(), st.integers()), st.text(alphabet="{}[]\"',: \n`x1"))
-def test_no_text_breaks_the_reading(before: str, inner: dict[str, int], after: str) -> None:
+def test_any_text_can_be_read(before: str, inner: dict[str, int], after: str) -> None:
     read_answer(before + json.dumps(inner) + after, Choice)
     assert read_answer(f"{before.replace('{', '')} {GOOD}", Choice)[0] == Choice(label="Cut-in", risk=0.5)
 
 
 def test_a_fault_goes_back_and_the_second_answer_counts() -> None:
-    said = [Say("<think>secret</think>{}", reasoning="more"), Say(GOOD)]
-    with ModelServer(said) as server:
-        asked = line(server)
-        answer = ask(asked, "analyzer", "System.", "User.", Choice)
+    answers = [Say("<think>secret</think>{}", reasoning="more"), Say(GOOD)]
+    with ModelServer(answers) as server:
+        model = metered(server)
+        answer = ask(model, "analyzer", "System.", "User.", Choice)
     assert answer.label == "Cut-in"
     roles = [role for role, _ in server.asked[1].messages]
     assert roles == ["system", "user", "assistant", "user"]
     assert server.asked[1].messages[2][1] == "{}"
     assert "label: Field required; risk: Field required." in server.asked[1].last
     assert "secret" not in str(server.asked[1].body) and "more" not in str(server.asked[1].body)
-    counts = asked.ledger.as_dict()
+    counts = model.ledger.as_dict()
     assert (counts["calls"], counts["re_asks"]) == (2, 1)
 
 
-def test_a_check_of_ones_own_sends_its_sentence_back() -> None:
+def test_the_sentence_of_a_check_is_sent_back() -> None:
     def check(answer: Choice) -> str | None:
         return None if answer.risk <= 1 else f"The risk {answer.risk:g} is above 1."
 
     with ModelServer([{"label": "a", "risk": 7}, {"label": "a", "risk": 6}, {"label": "a", "risk": 1}]) as server:
-        assert ask(line(server), "analyzer", "S", "U", Choice, check=check, re_asks=2).risk == 1.0
+        assert ask(metered(server), "analyzer", "S", "U", Choice, check=check, re_asks=2).risk == 1.0
     assert "The risk 7 is above 1." in server.asked[1].last and "The risk 6 is above 1." in server.asked[2].last
 
 
 def test_after_the_last_re_ask_the_answer_is_refused_by_name() -> None:
     with (
         ModelServer(lambda asked: "Never.") as server,
-        pytest.raises(ModelError, match=r"answer from test-model was refused, asked 2 times.*no JSON object"),
+        pytest.raises(
+            ModelError,
+            match=r"answer from test-model was refused 2 times; try another model. Last fault: .*no JSON object",
+        ),
     ):
-        ask(line(server), "analyzer", "S", "U", Choice)
+        ask(metered(server), "analyzer", "S", "U", Choice)
     assert len(server.asked) == 2
-    with ModelServer(lambda asked: "") as server, pytest.raises(ModelError, match=r"refused, asked once. It is empty."):
-        ask(line(server), "analyzer", "S", "U", Choice, re_asks=0)
+    with (
+        ModelServer(lambda asked: "") as server,
+        pytest.raises(ModelError, match=r"refused once; try another model. Last fault: It is empty."),
+    ):
+        ask(metered(server), "analyzer", "S", "U", Choice, re_asks=0)
 
 
 def test_many_samples_come_in_their_order_and_failed_ones_are_dropped() -> None:
@@ -118,14 +124,14 @@ def test_many_samples_come_in_their_order_and_failed_ones_are_dropped() -> None:
 
     turns = iter(range(100))
     with ModelServer(script) as server:
-        asked = line(server)
-        answers = ask_many(asked, "analyzer", "S", "U", Choice, samples=5, re_asks=0)
+        model = metered(server)
+        answers = ask_many(model, "analyzer", "S", "U", Choice, samples=5, re_asks=0)
     assert len(answers) == 4 and len(server.asked) == 5
-    assert asked.ledger.as_dict()["dropped"] == 1
+    assert model.ledger.as_dict()["dropped"] == 1
 
 
-def test_if_all_samples_fail_so_does_the_question() -> None:
+def test_a_question_fails_if_all_its_samples_fail() -> None:
     with ModelServer(lambda asked: status(401)) as server, pytest.raises(ModelError, match="key"):
-        ask_many(line(server), "analyzer", "S", "U", Choice, samples=3)
+        ask_many(metered(server), "analyzer", "S", "U", Choice, samples=3)
     with ModelServer(lambda asked: GOOD) as server, pytest.raises(BudgetError, match="2 calls"):
-        ask_many(line(server, Budget(calls=2)), "analyzer", "S", "U", Choice, samples=3)
+        ask_many(metered(server, Budget(calls=2)), "analyzer", "S", "U", Choice, samples=3)

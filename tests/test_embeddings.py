@@ -199,7 +199,7 @@ def test_an_endpoint_is_calibrated_and_finds(program: Program) -> None:
         assert found["epsilon"] == stored["epsilon"]
         assert found["nearest"][0]["label"] == "Emergency Braking"
     down = program("memory", "find", "It brakes", *use)
-    assert down.status == 1 and "is it running" in down.err
+    assert down.status == 1 and "start it, or correct SUMO_ADV_LLM_BASE_URL" in down.err
 
 
 @pytest.mark.parametrize(

@@ -21,14 +21,13 @@ from sumo_adv.config import load_settings
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.chat import ChatReply, ChatRequest
-from sumo_adv.llm.client import connect, connect_embedder
+from sumo_adv.llm.client import connect, connect_embedder, find_server
 from sumo_adv.llm.ledger import Budget, Ledger
-from sumo_adv.llm.presets import find_server
 
-SHAPE = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
+SCHEMA = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
 BOMB = gzip.compress(gzip.compress(bytes(20_000_000)))  # 20 MB in some hundred bytes
 QUESTION = ChatRequest("analyzer", (("system", "Be brief."), ("user", "What?")))
-SHAPED = ChatRequest("analyzer", QUESTION.messages, SHAPE, "Thing")
+WITH_SCHEMA = ChatRequest("analyzer", QUESTION.messages, SCHEMA, "Thing")
 
 
 def answer(server: ModelServer, request: ChatRequest = QUESTION, **given: Any) -> tuple[ChatReply, Ledger, StepClock]:
@@ -74,9 +73,9 @@ def test_reasoning_has_two_names_and_tokens_are_estimated_where_none_are_counted
     assert (reply.prompt_tokens, reply.completion_tokens) == (4, 3)  # 14 and 11 characters
 
 
-def test_a_shape_is_asked_for_strictly() -> None:
+def test_a_schema_is_sent_in_strict_mode() -> None:
     with ModelServer([Say({"a": 2})]) as server:
-        reply, _, _ = answer(server, SHAPED)
+        reply, _, _ = answer(server, WITH_SCHEMA)
     assert (reply.text, reply.mode) == ('{"a": 2}', "json_schema")
     strict = {
         "type": "object",
@@ -86,16 +85,16 @@ def test_a_shape_is_asked_for_strictly() -> None:
     }
     assert server.asked[0].body["response_format"]["json_schema"] == {"name": "Thing", "strict": True, "schema": strict}
     assert server.asked[0].system == "Be brief."
-    assert "default" in SHAPE["properties"]["a"]  # type: ignore[index]
+    assert "default" in SCHEMA["properties"]["a"]  # type: ignore[index]
 
 
 @pytest.mark.parametrize(
     ("refused", "mode", "calls"), [(("json_schema",), "json_object", 2), (("json_schema", "json_object"), "text", 3)]
 )
-def test_what_a_server_understands_of_shapes_is_remembered(refused: tuple[str, ...], mode: str, calls: int) -> None:
+def test_the_supported_schema_mode_is_remembered(refused: tuple[str, ...], mode: str, calls: int) -> None:
     with ModelServer(no_schema(Say({"a": 2}), refused)) as server:
         model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
-        first, second = model.complete(SHAPED), model.complete(SHAPED)
+        first, second = model.complete(WITH_SCHEMA), model.complete(WITH_SCHEMA)
     assert (first.mode, first.retries, second.mode, second.retries) == (mode, calls - 1, mode, 0)
     assert len(server.asked) == calls + 1
     assert '"properties"' in server.asked[-1].system
@@ -105,14 +104,14 @@ def test_a_400_for_other_reasons_says_so_and_changes_nothing() -> None:
     with ModelServer([*[status(400, "the prompt is too long")] * 3, Say({"a": 1})]) as server:
         model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
         with pytest.raises(ModelError, match="too long"):
-            model.complete(SHAPED)
-        assert model.complete(SHAPED).mode == "json_schema"
+            model.complete(WITH_SCHEMA)
+        assert model.complete(WITH_SCHEMA).mode == "json_schema"
 
 
 @pytest.mark.parametrize(
     "fault", [status(500), status(503, "busy"), status(429), Cut(), Raw(200, b'{"choices": [{'), Raw(200, b"")]
 )
-def test_what_passes_is_asked_again(fault: Answer) -> None:
+def test_temporary_faults_are_retried(fault: Answer) -> None:
     with ModelServer([fault, fault, Say("At last.")]) as server:
         reply, ledger, clock = answer(server)
     assert (reply.text, reply.retries, len(server.asked)) == ("At last.", 2, 3)
@@ -120,14 +119,14 @@ def test_what_passes_is_asked_again(fault: Answer) -> None:
     assert ledger.as_dict()["retries"] == 2 and reply.seconds == round(sum(clock.slept), 3)
 
 
-def test_what_does_not_pass_ends_with_its_reason() -> None:
-    said, ledger, clock, server = failure(lambda asked: status(503, f"busy, {KEY}"))
-    assert "status 503: busy, ***, also after 3 retries" in said
+def test_the_last_retry_fails_with_its_reason() -> None:
+    message, ledger, clock, server = failure(lambda asked: status(503, f"busy, {KEY}"))
+    assert "status 503: busy, ***, also after 3 retries" in message
     assert len(server.asked) == 4 and ledger.as_dict()["calls"] == 1 and ledger.as_dict()["retries"] == 3
     assert ledger.as_dict()["seconds"] == pytest.approx(sum(clock.slept), abs=0.001)
 
 
-def test_a_server_may_ask_for_patience() -> None:
+def test_retry_after_is_respected() -> None:
     later = format_datetime(datetime.now(UTC) + timedelta(seconds=90), usegmt=True)
     faults = [status(429, Retry_After="7"), status(503, Retry_After=later), status(429, Retry_After="soon")]
     with ModelServer([*faults, Say("Yes.")]) as server:
@@ -135,19 +134,22 @@ def test_a_server_may_ask_for_patience() -> None:
     assert clock.slept[0] == 7.0 and 80.0 < clock.slept[1] <= 90.0 and clock.slept[2] <= 2.0
 
 
-def test_but_not_for_more_than_a_question_has() -> None:
-    said, _, clock, server = failure([status(429, "slow down", Retry_After="60")], llm_question_seconds=30)
-    assert "slow down" in said and "60 s of patience; a question has 30 s" in said
+def test_a_wait_beyond_the_deadline_fails_at_once() -> None:
+    message, _, clock, server = failure([status(429, "slow down", Retry_After="60")], llm_question_seconds=30)
+    assert (
+        "slow down" in message
+        and "the next try would be 60 s later, but a question may take only 30 s; raise" in message
+    )
     assert clock.slept == [] and len(server.asked) == 1
 
 
 @pytest.mark.parametrize("fault", [Drip(), Drip(in_headers=True), Hang()])
-def test_a_deadline_is_over_everything(fault: Answer) -> None:
-    said, _, _, server = failure([fault], llm_question_seconds=0.3)
-    assert "did not answer within 0.3 s" in said and len(server.asked) == 1
+def test_one_deadline_holds_for_the_whole_question(fault: Answer) -> None:
+    message, _, _, server = failure([fault], llm_question_seconds=0.3)
+    assert "did not answer within 0.3 s" in message and len(server.asked) == 1
 
 
-def test_a_silence_longer_than_the_read_timeout_is_tried_again() -> None:
+def test_a_read_timeout_is_retried() -> None:
     with ModelServer([Hang(), Say("Here.")]) as server:
         reply, _, _ = answer(server, llm_read_timeout=0.2)
     assert (reply.text, reply.retries) == ("Here.", 1)
@@ -166,25 +168,25 @@ def test_a_silence_longer_than_the_read_timeout_is_tried_again() -> None:
         (status(401, f"bad key {KEY}"), r"set SUMO_ADV_LLM_API_KEY \(status 401: bad key \*\*\*"),
         (status(403), "choose another model"),
         (status(404, "no such model"), "check the name 'test-model'"),
-        (status(400, "no\n\x1b[31mgood"), "does not take the question .status 400: no .31mgood"),
-        (Raw(301, b"", {"Location": "http://elsewhere.invalid/"}), "sends us elsewhere"),
+        (status(400, "no\n\x1b[31mgood"), "rejected the question .status 400: no .31mgood"),
+        (Raw(301, b"", {"Location": "http://elsewhere.invalid/"}), "redirects to another address; set"),
         (Raw(418, b"<html>teapot</html>"), "teapot"),
     ],
 )  # fmt: skip
-def test_what_will_not_change_is_not_asked_again(fault: Answer, says: str) -> None:
-    said, ledger, _, server = failure([fault])
-    assert re.search(says, said), said
-    assert len(server.asked) == 1 and "\n" not in said and "\x1b" not in said
+def test_permanent_faults_are_not_retried(fault: Answer, says: str) -> None:
+    message, ledger, _, server = failure([fault])
+    assert re.search(says, message), message
+    assert len(server.asked) == 1 and "\n" not in message and "\x1b" not in message
     assert ledger.as_dict()["calls"] == 1
 
 
-def test_no_server_is_said_at_once() -> None:
+def test_a_missing_server_is_reported_at_once() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     clock = StepClock()
     model = connect("ollama:llama3", ModelSettings(llm_base_url=f"http://localhost:{port}/v1"), Ledger(), clock=clock)
-    with pytest.raises(ModelError, match=f"localhost:{port} of model ollama:llama3 cannot be reached .*is it running"):
+    with pytest.raises(ModelError, match=f"localhost:{port} of model ollama:llama3 cannot be reached .*start it, or"):
         model.complete(QUESTION)
     assert clock.slept == []
 
@@ -209,9 +211,9 @@ def test_no_more_questions_at_once_than_allowed() -> None:
 @pytest.mark.parametrize(
     ("budget", "answered", "says"),
     [
-        (Budget(calls=2), 2, "2 calls"),
-        (Budget(tokens=200), 1, r"200 tokens that a run may use \(110 are\)"),
-        (Budget(seconds=0), 0, "0 s"),
+        (Budget(calls=2), 2, "used its 2 calls of language models; raise llm_max_calls"),
+        (Budget(tokens=200), 1, "200 tokens of the run, of which 110 are used; raise llm_max_tokens"),
+        (Budget(seconds=0), 0, "used its 0 s of language models; raise llm_max_seconds"),
     ],
 )
 def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answered: int, says: str) -> None:
@@ -226,7 +228,7 @@ def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answ
     assert len(server.asked) == ledger.as_dict()["calls"] == answered
 
 
-def test_questions_asked_at_once_are_waited_for_once() -> None:
+def test_parallel_questions_are_waited_for_once() -> None:
     """One is open from 10 s to 13 s, another one from 11 s to 14 s: 4 s; a third from 20 s to 21 s makes it 5 s."""
     times = iter([10.0, 14.0, 20.0, 21.0])  # the clock is asked when the first is opened and when the last is closed
     ledger = Ledger(clock=lambda: next(times))
@@ -270,7 +272,7 @@ def test_it_works_inside_a_running_event_loop() -> None:
         ("my-own", {"llm_base_url": "http://gpu:9/v1"}, {}, "http://gpu:9/v1", None),
     ],
 )
-def test_names_lead_to_servers(
+def test_a_name_stands_for_a_server(
     name: str, settings: dict[str, Any], environment: dict[str, str], url: str, authorized: str | None
 ) -> None:
     server = find_server(name, ModelSettings(**settings), environment)
@@ -289,7 +291,7 @@ def test_names_lead_to_servers(
         ("replay:none.jsonl", "cannot be read"),
     ],
 )
-def test_names_that_lead_nowhere_say_what_is_missing(name: str, says: str) -> None:
+def test_a_name_without_a_server_names_the_missing_setting(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         connect(name, ModelSettings(), Ledger(), environment={})
 
@@ -305,7 +307,7 @@ def test_embeddings_come_in_the_order_of_the_texts() -> None:
 @pytest.mark.parametrize(
     "vectors", [lambda text: [], lambda text: ["x"], lambda text: [1.0] * len(text)], ids=["empty", "words", "uneven"]
 )
-def test_embeddings_of_another_shape_are_refused(vectors: Callable[[str], Any]) -> None:
+def test_unusable_embeddings_are_refused(vectors: Callable[[str], Any]) -> None:
     with ModelServer(vectors=vectors) as server:
         embedder = connect_embedder("embed", server.settings(), clock=StepClock())
         with pytest.raises(ModelError, match="no usable answer: its"):
@@ -340,8 +342,8 @@ def test_the_environment_names_server_and_key_and_the_key_shows_nowhere(monkeypa
         ("SUMO_ADV_LLM_BASE_URL", f"http://me:{KEY}@gpu/v1", "'llm_base_url' cannot be used: a key does not belong"),
         ("SUMO_ADV_LLM_BASE_URL", "gpu:8000", "'llm_base_url' cannot be used: it should be an address such as"),
     ):
-        with monkeypatch.context() as one:
-            one.setenv(name, wrong)
+        with monkeypatch.context() as patched:
+            patched.setenv(name, wrong)
             with pytest.raises(UsageError) as caught:
                 load_settings(None)
         assert says in str(caught.value) and KEY not in str(caught.value)

@@ -38,8 +38,8 @@ NOVEL = Author(
 
 
 @dataclass(frozen=True)
-class Told:
-    """A run, and what its model was asked."""
+class ModelRun:
+    """A run, and the questions that its model got."""
 
     done: Done
     asked: Sequence[Asked]
@@ -49,7 +49,7 @@ class Told:
         return self.done.outcome
 
 
-Play = Callable[..., Told]
+Play = Callable[..., ModelRun]
 
 
 @pytest.fixture(scope="module")
@@ -57,18 +57,18 @@ def play(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
     """Run a scenario against a script in a folder of its own; by name, so that a run may be asked for twice."""
     caches = tmp_path_factory.mktemp("caches")
 
-    def run(script: Script, *arguments: str | Path) -> Told:
+    def run(script: Script, *arguments: str | Path) -> ModelRun:
         program = Program(tmp_path_factory.mktemp("run"), caches)
         with ModelServer(script) as server:
             program.variables = server.environment()
             done = program("run", *arguments, "--llm", "scripted", "--out", "out", "--memory", "bank.sqlite")
-            return Told(done, list(server.asked))
+            return ModelRun(done, list(server.asked))
 
     yield run
 
 
 @pytest.fixture(scope="module")
-def stories(play: Play) -> Iterator[Mapping[str, Callable[[], Told]]]:
+def stories(play: Play) -> Iterator[Mapping[str, Callable[[], ModelRun]]]:
     """All seven, two at a time."""
     with ThreadPoolExecutor(2) as pool:
         runs = {
@@ -80,49 +80,51 @@ def stories(play: Play) -> Iterator[Mapping[str, Callable[[], Told]]]:
 
 @pytest.mark.parametrize("name", STORIES)
 def test_each_intent_of_the_library_becomes_critical_by_the_models_word_alone(
-    stories: Mapping[str, Callable[[], Told]], name: str
+    stories: Mapping[str, Callable[[], ModelRun]], name: str
 ) -> None:
-    told = stories[name]()
-    assert told.done.status == 0, told.done.err
-    outcome = told.outcome
+    run = stories[name]()
+    assert run.done.status == 0, run.done.err
+    outcome = run.outcome
     assert outcome["ending"] == "critical", answered(outcome)
     assert outcome["intent"]["label"] == STORIES[name][2].label
     assert {a["by"] for a in outcome["attempts"]} == {"scripted"}
     assert (outcome["agents"]["analyzer"], outcome["agents"]["tuner"]) == ("scripted", "off")
     assert outcome["llm"]["model"] == "scripted"
-    assert outcome["llm"]["calls"] == len(told.asked)
+    assert outcome["llm"]["calls"] == len(run.asked)
 
 
-def test_a_known_intent_needs_no_planner_written(stories: Mapping[str, Callable[[], Told]]) -> None:
-    told = stories["cut-in"]()
-    assert [agent_of(a) for a in told.asked] == ["analyzer"]
-    assert told.outcome["agents"]["calls"] == {"analyzer": 1, "generator": 0, "modifier": 0}
+def test_a_known_intent_needs_no_planner_written(stories: Mapping[str, Callable[[], ModelRun]]) -> None:
+    run = stories["cut-in"]()
+    assert [agent_of(a) for a in run.asked] == ["analyzer"]
+    assert run.outcome["agents"]["calls"] == {"analyzer": 1, "generator": 0, "modifier": 0}
 
 
-def test_the_modified_planner_is_critical_where_the_first_one_missed(stories: Mapping[str, Callable[[], Told]]) -> None:
-    told = stories["push"]()
-    first, second = told.outcome["attempts"]
+def test_the_modified_planner_is_critical_where_the_first_one_missed(
+    stories: Mapping[str, Callable[[], ModelRun]],
+) -> None:
+    run = stories["push"]()
+    first, second = run.outcome["attempts"]
     assert (first["phase"], first["critical"]) == ("analyzer", False)
     assert (second["phase"], second["critical"], second["by"]) == ("modifier", True, "scripted")
-    modification = told.asked[-1]
+    modification = run.asked[-1]
     assert "Least time to collision" in modification.last and "Limits that bound the bv" in modification.last
 
 
-def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], Told]]) -> None:
-    told = stories["left"]()
-    direct = next(a for a in told.outcome["attempts"] if a["planner"]["mode"] == "direct")
+def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], ModelRun]]) -> None:
+    run = stories["left"]()
+    direct = next(a for a in run.outcome["attempts"] if a["planner"]["mode"] == "direct")
     assert direct["diagnosis"]["early"] < -0.5
-    assert f"{-direct['diagnosis']['early']:.1f} s too late" in told.asked[-1].last
+    assert f"{-direct['diagnosis']['early']:.1f} s too late" in run.asked[-1].last
 
 
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
-    told = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
-    outcome = told.outcome
-    assert [agent_of(a) for a in told.asked] == ["analyzer", "confirm", "generator", "modifier"]
+    run = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
+    outcome = run.outcome
+    assert [agent_of(a) for a in run.asked] == ["analyzer", "confirm", "generator", "modifier"]
     assert (outcome["ending"], outcome["intent"]["source"]) == ("critical", "generated")
     assert [a["critical"] for a in outcome["attempts"]] == [False, True]
     assert outcome["learnt"] is True
-    planners = told.done.manifest["planners"]
+    planners = run.done.manifest["planners"]
     versions = [planners[a["planner"]["hash"]] for a in outcome["attempts"]]
     assert versions[1]["parent"] == outcome["attempts"][0]["planner"]["hash"]
     assert {v["origin"] for v in versions} == {"scripted"}
@@ -130,29 +132,29 @@ def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
 
 def test_a_recorded_run_is_repeated_bit_for_bit_and_the_key_is_in_no_file(play: Play, tmp_path: Path) -> None:
     author = Author("Straight Lane Shift")
-    told = play(author, "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid")
-    recording = told.done.folder / "model.jsonl"
+    run = play(author, "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid")
+    recording = run.done.folder / "model.jsonl"
     program = Program(tmp_path, tmp_path)
     again = program(
         "run", "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid", "--out", "out",
         "--llm", f"replay:{recording}", "--memory", "bank.sqlite",
     )  # fmt: skip
-    assert again.status == told.done.status == 0
+    assert again.status == run.done.status == 0
 
     def same(outcome: dict[str, Any]) -> str:
         return json.dumps(untimed(outcome)).replace("replay of scripted", "scripted")
 
-    assert same(again.outcome) == same(told.outcome)
-    first, second = files_of(told.done.folder), files_of(again.folder)
+    assert same(again.outcome) == same(run.outcome)
+    first, second = files_of(run.done.folder), files_of(again.folder)
     assert first["states.csv.gz"] == second["states.csv.gz"]
     assert first["raw.csv.gz"] == second["raw.csv.gz"]
     assert all(KEY.encode() not in data for data in first.values())
-    assert KEY not in told.done.out + told.done.err
+    assert KEY not in run.done.out + run.done.err
 
 
 def test_with_a_tuner_the_models_intent_comes_first_and_is_credited_apart(play: Play) -> None:
-    told = play(Author("Aggressive Cut-in"), "neighbour_ahead_right", "--attempts", "4", "--until", "valid")
-    attempts = told.outcome["attempts"]
+    run = play(Author("Aggressive Cut-in"), "neighbour_ahead_right", "--attempts", "4", "--until", "valid")
+    attempts = run.outcome["attempts"]
     assert (attempts[0]["by"], attempts[0]["phase"], attempts[0]["intent"]) == (
         "scripted", "analyzer", "Aggressive Cut-in",
     )  # fmt: skip
@@ -168,14 +170,14 @@ def test_disagreement_of_samples_is_measured_and_both_favourites_are_tried(play:
         rest = labels[1 - labels.index(first)]
         return {"analysis": "", "intents": [intent("BV1", first), intent("BV1", rest, risk="low")]}
 
-    told = play(script, "neighbour_ahead_right", "--samples", "4", "--attempts", "2", "--until", "valid")
-    analysis = told.outcome["agents"]["analysis"]
+    run = play(script, "neighbour_ahead_right", "--samples", "4", "--attempts", "2", "--until", "valid")
+    analysis = run.outcome["agents"]["analysis"]
     assert analysis["samples"] == 4
     assert sorted(f["share"] for f in analysis["first"]) == [0.5, 0.5]
     assert analysis["entropy"] == 1.0  # ln 2 of ln 2: as undecided as two intents can be
     assert analysis["side_by_side"] is True
     assert [r["risk"] for r in analysis["expected_risk"]] == [0.55, 0.55]  # (1.0 + 0.2 / 2) / 2
-    assert {a["phase"] for a in told.outcome["attempts"]} == {"analyzer"}
+    assert {a["phase"] for a in run.outcome["attempts"]} == {"analyzer"}
 
 
 FAILING: Mapping[str, tuple[Script, Sequence[str], str, str]] = {
@@ -214,9 +216,9 @@ def test_a_model_that_fails_ends_the_run_by_name(tmp_path_factory: pytest.TempPa
 
 
 def test_the_expert_steps_in_if_asked_to_and_says_so(play: Play) -> None:
-    told = play([status(401, "no such key")], "neighbour_ahead_right", "--fallback", "builtin")
-    outcome = told.outcome
-    assert told.done.status == 0
+    run = play([status(401, "no such key")], "neighbour_ahead_right", "--fallback", "builtin")
+    outcome = run.outcome
+    assert run.done.status == 0
     assert outcome["ending"] == "critical"
     assert outcome["agents"]["analyzer"] == "expert"
     assert "SUMO_ADV_LLM_API_KEY" in outcome["agents"]["failed"]["analyzer"]
@@ -224,10 +226,10 @@ def test_the_expert_steps_in_if_asked_to_and_says_so(play: Play) -> None:
 
 
 def test_parts_may_be_mixed(play: Play, tmp_path: Path) -> None:
-    told = play(Author("Straight Lane Shift"), "neighbour_ahead_right", "--analyzer", "builtin")
-    assert told.done.status == 0
-    assert told.asked == []
-    agents = told.outcome["agents"]
+    run = play(Author("Straight Lane Shift"), "neighbour_ahead_right", "--analyzer", "builtin")
+    assert run.done.status == 0
+    assert run.asked == []
+    agents = run.outcome["agents"]
     assert (agents["analyzer"], agents["generator"]) == ("expert", "scripted")
 
 
@@ -241,11 +243,11 @@ def test_hostile_planners_are_refused_with_the_sandboxs_words(play: Play, fault:
         "syntax": "    return {\n",
         "imports": "    import os\n    return os.listdir('/')\n",
     }
-    told = play(replace(NOVEL, texts=[head + bodies[fault]], questions=[]), BLIND_SIDE, "--tuner", "off")
-    assert told.done.status == 1
-    outcome = told.outcome
+    run = play(replace(NOVEL, texts=[head + bodies[fault]], questions=[]), BLIND_SIDE, "--tuner", "off")
+    assert run.done.status == 1
+    outcome = run.outcome
     assert outcome["ending"] == "model_failed"
-    assert "The generator's answer from scripted was refused, asked 4 times" in outcome["reason"]
+    assert "The generator's answer from scripted was refused 4 times" in outcome["reason"]
     assert outcome["llm"]["agents"]["generator"]["re_asks"] == 3
     assert outcome["attempts"] == []
 
@@ -262,10 +264,10 @@ def test_text_in_a_vehicles_name_does_not_reach_the_model(play: Play, tmp_path: 
     scenario = scenario.replace("demand/neighbour_ahead_right.rou.xml", str(tmp_path / "hostile.rou.xml"))
     scenario = scenario.replace('"../networks', f'"{ROOT}/networks')
     (tmp_path / "hostile.toml").write_text(scenario)
-    told = play(Author("Straight Lane Shift"), tmp_path / "hostile.toml", "--attempts", "1")
-    assert told.done.status == 0, told.done.err
-    assert hostile in told.outcome["intent"]["bv"]
-    assert all(hostile not in content for asked in told.asked for _, content in asked.messages)
+    run = play(Author("Straight Lane Shift"), tmp_path / "hostile.toml", "--attempts", "1")
+    assert run.done.status == 0, run.done.err
+    assert hostile in run.outcome["intent"]["bv"]
+    assert all(hostile not in content for asked in run.asked for _, content in asked.messages)
 
 
 def test_prompts_can_be_read_without_a_model(tmp_path: Path) -> None:

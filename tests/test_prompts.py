@@ -1,4 +1,4 @@
-"""What models are shown and what is made of their answers, without asking any."""
+"""Prompts of models and the checks of their answers, without a model."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
-from sumo_adv.agents.evidence import evidence_words, in_words
-from sumo_adv.agents.generator import bare, mode_word
+from sumo_adv.agents.evidence import evidence_words, opening_comment
+from sumo_adv.agents.generator import mode_name, without_fence
 from sumo_adv.agents.modifier import feedback
-from sumo_adv.agents.prompts import MOST_TEXT, NAMES, Prompts, tame
-from sumo_adv.agents.scene_text import Names, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, sanitize
+from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
 from sumo_adv.datatypes import (
     Attempt,
     Diagnosis,
@@ -33,7 +33,7 @@ from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
-from sumo_adv.llm.asking import Line
+from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.inputs import data_folder
@@ -77,37 +77,37 @@ def test_a_folder_that_lacks_a_prompt_is_named(tmp_path: Path) -> None:
         Prompts(tmp_path)
 
 
-def test_texts_from_files_are_tamed() -> None:
-    assert tame("a\n\n# 6 OUTPUT\x00  b```c") == "a # 6 OUTPUT b'''c"
-    assert len(tame("x" * 10_000)) == MOST_TEXT
+def test_texts_from_files_are_sanitized() -> None:
+    assert sanitize("a\n\n# 6 OUTPUT\x00  b```c") == "a # 6 OUTPUT b'''c"
+    assert len(sanitize("x" * 10_000)) == MAX_TEXT
 
 
 # -- scenes -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_neighbour_in_words() -> None:
-    told = situation([neighbour(x=20.0, y=3.2, speed=12.0)])
-    names = Names.of(told)
-    assert dict(names.bvs) == {"BV1": "bv"}
+    scene = situation([neighbour(x=20.0, y=3.2, speed=12.0)])
+    aliases = Aliases.of(scene)
+    assert dict(aliases.bvs) == {"BV1": "bv"}
     # 20 m between centres, two halves of 5 m; the ego drives 10, the other 12 m/s
-    assert relative_words(told, names, {"Straight Lane Shift": ["neighbour"], "Emergency Braking": ["leader"]}) == (
+    assert relative_words(scene, aliases, {"Straight Lane Shift": ["neighbour"], "Emergency Braking": ["leader"]}) == (
         "BV1: in a lane to the left, same direction, 15.0 m ahead bumper to bumper, centres 3.2 m apart sideways,"
         " opening at 2.0 m/s. Behaviours that apply: Straight Lane Shift."
     )
 
 
 def test_a_crossing_in_words_has_ways_times_and_right_of_way() -> None:
-    told = situation([crossing()])
-    words = road_words(told, Names.of(told))
+    scene = situation([crossing()])
+    words = road_words(scene, Aliases.of(scene))
     # 25 m to the ego's path at 8 m/s: 3.1 s; at 4 m/s2 sooner: (sqrt(64 + 200) - 8) / 4 = 2.1 s; the ego: 30 m, 3.0 s
     assert "BV1 going straight on: crosses EGO's path at (30.0," in words and "at 90 deg" in words
     assert "m (3.1 s at its present speed, 2.1 s at the earliest), EGO 30.0 m (3.0 s" in words
     assert "it has priority there" in words
 
 
-def test_a_signal_says_who_may_go() -> None:
-    told = replace(situation([crossing()]), signals={"ego": (("t", 22.0, "G"),), "bv": (("t", 15.0, "r"),)})
-    words = road_words(told, Names.of(told))
+def test_a_signal_replaces_the_right_of_way() -> None:
+    scene = replace(situation([crossing()]), signals={"ego": (("t", 22.0, "G"),), "bv": (("t", 15.0, "r"),)})
+    words = road_words(scene, Aliases.of(scene))
     assert "EGO has a signal 22 m ahead, now green." in words
     assert "its signal is red." in words
     assert "priority" not in words
@@ -119,16 +119,16 @@ def test_states_are_ego_centred_and_rounded() -> None:
         "bv", Role.BACKGROUND, time, 30.04 + 8.0 * (time - 100.0), 0.0 * time + 3.21, 0.0 * time, 0.0 * time + 8.0,
         0.0 * time - 1.26, 5.0, 2.0, ("",) * 12,
     )  # fmt: skip
-    told = replace(situation([leader()]), history=(ahead,))
-    line = state_words(told, Names.of(told))
+    scene = replace(situation([leader()]), history=(ahead,))
+    line = state_words(scene, Aliases.of(scene))
     assert line.startswith("BV1: t=-1.1: x=21.2 y=3.2 hdg=0 v=8.0; ")
     assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; acceleration now -1.3; 5.0 x 2.0 m")
 
 
-def test_the_driver_is_told_of_as_far_as_he_is_known() -> None:
-    told = situation([leader()])
-    assert driver_words(told).startswith("SUMO's Krauss car-following driver; keeps its lane")
-    unknown = replace(told, ego_model=replace(told.ego_model, kind="my:Driver"))
+def test_the_egos_driver_model_is_described_if_it_is_known() -> None:
+    scene = situation([leader()])
+    assert driver_words(scene).startswith("SUMO's Krauss car-following driver; keeps its lane")
+    unknown = replace(scene, ego_model=replace(scene.ego_model, kind="my:Driver"))
     assert "unknown driver" in driver_words(unknown)
 
 
@@ -138,7 +138,7 @@ def proposal(score: float, **predicted: Any) -> Proposal:
 
 
 def test_evidence_counts_what_can_be_avoided() -> None:
-    names = Names.of(situation([neighbour()]))
+    aliases = Aliases.of(situation([neighbour()]))
     hit = {"hit": True, "min_ttc": 0.0, "gap": 0.0}
     pool = [
         proposal(0.1, **hit, careful=True, manoeuvre=True, warning=2.0),
@@ -146,23 +146,23 @@ def test_evidence_counts_what_can_be_avoided() -> None:
         proposal(1.2, **hit, careful=False, manoeuvre=False, warning=0.4),
         proposal(2.1, hit=False, min_ttc=2.0, gap=3.0),
     ]
-    words = evidence_words(pool, names, [SHIFT], {"Straight Lane Shift": "2 times tried"})
+    words = evidence_words(pool, aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"})
     assert "BV1, Straight Lane Shift: 75% of 4 candidates collide; 2 of these 3 could be avoided" in words
     assert "1 by a careful driver who only brakes; median warning 1.0 s." in words
     assert "'side' Drifts over." in words and "2 times tried" in words
-    nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], names, [SHIFT], {})
+    nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], aliases, [SHIFT], {})
     assert "none of 1 candidates collides properly; least TTC 2.0 s." in nothing
 
 
-def test_what_a_planner_does_is_its_opening_comment() -> None:
-    assert in_words("# Name\n# Waits.\n# Then goes.\nX = 1\n# not this\n") == "Waits. Then goes."
-    assert in_words("X = 1\n") == "without a word on it"
+def test_the_opening_comment_describes_a_planner() -> None:
+    assert opening_comment("# Name\n# Waits.\n# Then goes.\nX = 1\n# not this\n") == "Waits. Then goes."
+    assert opening_comment("X = 1\n") == "without a word on it"
 
 
 def test_the_prompt_with_and_without_evidence(prompts: Prompts) -> None:
-    told = situation([neighbour()])
-    without = analyzer_prompt(prompts, told, [SHIFT, BRAKE], LIMITS)
-    with_it = analyzer_prompt(prompts, told, [SHIFT, BRAKE], LIMITS, lambda names: f"EVIDENCE {len(names.bvs)}\n")
+    scene = situation([neighbour()])
+    without = analyzer_prompt(prompts, scene, [SHIFT, BRAKE], LIMITS)
+    with_it = analyzer_prompt(prompts, scene, [SHIFT, BRAKE], LIMITS, lambda aliases: f"EVIDENCE {len(aliases.bvs)}\n")
     assert "EVIDENCE 1" in with_it.user and "EVIDENCE" not in without.user
     assert "- Emergency Braking: Brakes." in without.system
     assert without.tokens == -(-(len(without.system) + len(without.user)) // 4)
@@ -190,7 +190,7 @@ def choice(label: str, risk: str = "high", **given: object) -> Choice:
 
 
 def analyzer(prompts: Prompts, model: Answers, allowed: Sequence[str] = ()) -> ModelAnalyzer:
-    return ModelAnalyzer(Line(model, Ledger()), prompts, LIMITS, allowed=allowed)
+    return ModelAnalyzer(MeteredModel(model, Ledger()), prompts, LIMITS, allowed=allowed)
 
 
 @pytest.mark.parametrize(
@@ -206,19 +206,17 @@ def analyzer(prompts: Prompts, model: Answers, allowed: Sequence[str] = ()) -> M
         (choice("Wave", novel=True, description="Too short."), "needs a description"),
     ],
 )
-def test_an_answer_that_does_not_hold_is_sent_back_once_with_the_sentence(
-    prompts: Prompts, wrong: Choice, sentence: str
-) -> None:
+def test_an_unusable_answer_is_sent_back_once_with_its_fault(prompts: Prompts, wrong: Choice, sentence: str) -> None:
     model = Answers(Analysis(intents=[wrong]), Analysis(intents=[choice("straight lane shift")]))
     intents = analyzer(prompts, model).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
     assert [(i.bv, i.label, i.source) for i in intents] == [("bv", "Straight Lane Shift", "memory")]
     assert sentence in model.asked[1].messages[-1][1]
     stubborn = Answers(*[Analysis(intents=[wrong])] * 2)
-    with pytest.raises(ModelError, match="refused, asked 2 times"):
+    with pytest.raises(ModelError, match="refused 2 times"):
         analyzer(prompts, stubborn).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
 
 
-def test_where_intents_are_restricted_others_are_neither_shown_nor_taken(prompts: Prompts) -> None:
+def test_intents_that_are_not_allowed_are_neither_shown_nor_accepted(prompts: Prompts) -> None:
     new = choice("Wave", novel=True, description="It waves at the ego until that one stops.")
     model = Answers(Analysis(intents=[new]), Analysis(intents=[choice("Straight Lane Shift")]))
     analyzer(prompts, model, ["Straight Lane Shift"]).analyze({0.0: situation([neighbour()])}, [SHIFT, BRAKE])
@@ -235,10 +233,10 @@ def test_knots_and_new_intents_come_through(prompts: Prompts) -> None:
     assert intent.acceleration == ((0.0, 1.0), (2.0, -3.0))
 
 
-def test_planners_come_out_of_fences_and_modes_are_words() -> None:
-    assert bare("Here:\n```python\nX = 1\n```\nDone.") == "X = 1\n"
-    assert bare("X = 1") == "X = 1\n"
-    assert (mode_word("Swing & Hit!"), mode_word("")) == ("swing_hit", "direct")
+def test_fences_are_removed_and_modes_become_one_word() -> None:
+    assert without_fence("Here:\n```python\nX = 1\n```\nDone.") == "X = 1\n"
+    assert without_fence("X = 1") == "X = 1\n"
+    assert (mode_name("Swing & Hit!"), mode_name("")) == ("swing_hit", "direct")
 
 
 # -- diagnosis --------------------------------------------------------------------------------------------------------
@@ -256,16 +254,16 @@ def test_a_near_miss_is_diagnosed() -> None:
         }
         snapshots.append(Snapshot(round(t, 6), raw))
     result = AttemptResult(None, None, 0.0, snapshots, {"ego": (5.0, 2.0), "bv": (5.0, 2.0)})  # type: ignore[arg-type]
-    found = diagnose(result, "ego", "bv", make_path([(0.0, 0.0), (400.0, 0.0)]), LIMITS, dt)
-    assert found is not None
+    diagnosis = diagnose(result, "ego", "bv", make_path([(0.0, 0.0), (400.0, 0.0)]), LIMITS, dt)
+    assert diagnosis is not None
     # distance^2 = (30 - 10 t)^2 + (32 - 8 t)^2 is least at t = (300 + 256) / 164 = 3.39 s
-    assert found.time == pytest.approx(3.4, abs=0.01)
-    assert found.ego_frame == pytest.approx((-4.0, -4.8), abs=0.05)  # behind and to the right of the ego
-    assert found.early == pytest.approx(-1.0, abs=0.35)  # within two metres of one place
-    assert (found.ego_reaction, found.ego_braking, found.ego_shift, found.bound) == (None, 0.0, 0.0, ())
+    assert diagnosis.time == pytest.approx(3.4, abs=0.01)
+    assert diagnosis.ego_frame == pytest.approx((-4.0, -4.8), abs=0.05)  # behind and to the right of the ego
+    assert diagnosis.early == pytest.approx(-1.0, abs=0.35)  # within two metres of one place
+    assert (diagnosis.ego_reaction, diagnosis.ego_braking, diagnosis.ego_shift, diagnosis.bound) == (None, 0.0, 0.0, ())
 
 
-def test_feedback_says_what_an_attempt_showed() -> None:
+def test_the_feedback_describes_an_attempt() -> None:
     verdict = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ("lateral",), min_ttc_time=103.4)
     d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
     words = feedback(Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, "passed", "", d))

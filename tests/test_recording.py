@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
-from sumo_adv.llm.asking import Line, ask, ask_many
+from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.client import connect
 from sumo_adv.llm.ledger import Budget, Ledger
@@ -19,23 +19,23 @@ from sumo_adv.llm.recording import Recorder, Replay
 
 
 class Number(BaseModel):
-    """What the tests ask for."""
+    """The answer type of the tests."""
 
     value: int
 
 
-def story(line: Line) -> list[object]:
-    """Questions of every kind, and what came of them."""
-    found: list[object] = [
-        ask(line, "analyzer", "Be brief.", "How many?", Number),
-        ask(line, "analyzer", "Be brief.", "How many?", Number),
-        ask_many(line, "generator", "Be brief.", "How many then?", Number, samples=4),
+def story(model: MeteredModel) -> list[object]:
+    """Questions of every kind, and their results."""
+    results: list[object] = [
+        ask(model, "analyzer", "Be brief.", "How many?", Number),
+        ask(model, "analyzer", "Be brief.", "How many?", Number),
+        ask_many(model, "generator", "Be brief.", "How many then?", Number, samples=4),
     ]
     try:
-        ask(line, "modifier", "Be brief.", "Fail: \u2713 \ud800", Number)
+        ask(model, "modifier", "Be brief.", "Fail: \u2713 \ud800", Number)
     except ModelError as error:
-        found.append(str(error))
-    return found
+        results.append(str(error))
+    return results
 
 
 def script(asked: Asked) -> object:
@@ -56,25 +56,25 @@ def recorded(path: Path) -> tuple[list[object], dict[str, object]]:
     ledger = Ledger()
     with ModelServer(script) as server, Recorder(path, "test-model", note="written by a test") as recorder:  # type: ignore[arg-type]
         model = connect("test-model", server.settings(), ledger, clock=StepClock())
-        return story(Line(recorder.wrap(model), ledger)), ledger.as_dict()
+        return story(MeteredModel(recorder.wrap(model), ledger)), ledger.as_dict()
 
 
 def replayed(path: Path, again: Path | None = None) -> tuple[list[object], dict[str, object]]:
     ledger = Ledger()
     model = connect(f"replay:{path}", ModelSettings(), ledger)
     if again is None:
-        return story(Line(model, ledger)), ledger.as_dict()
+        return story(MeteredModel(model, ledger)), ledger.as_dict()
     with Recorder(again, model.name, note="written by a test") as recorder:
-        return story(Line(recorder.wrap(model), ledger)), ledger.as_dict()
+        return story(MeteredModel(recorder.wrap(model), ledger)), ledger.as_dict()
 
 
 def test_a_replayed_story_is_the_same_down_to_the_ledger(tmp_path: Path) -> None:
     one, two = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
-    said, counted = recorded(one)
+    answers, counted = recorded(one)
     assert counted["calls"] == 8 and counted["re_asks"] == 1  # 3 of the analyzer, 4 samples, 1 failure
-    assert said[0] == Number(value=1) and said[1] == Number(value=2)
-    assert replayed(one) == (said, counted)
-    assert replayed(one, two) == (said, counted)
+    assert answers[0] == Number(value=1) and answers[1] == Number(value=2)
+    assert replayed(one) == (answers, counted)
+    assert replayed(one, two) == (answers, counted)
     assert sorted(two.read_text().splitlines()) == sorted(one.read_text().splitlines())
 
 
@@ -106,7 +106,7 @@ def test_every_line_is_there_as_soon_as_it_is_answered(tmp_path: Path) -> None:
     with pytest.raises(BudgetError, match=r"^Spent\.$") as caught:
         replay.complete(request)
     assert (caught.value.retries, caught.value.seconds) == (2, 1.5)
-    with pytest.raises(ModelError, match="answers this question of the analyzer only 2 times"):
+    with pytest.raises(ModelError, match="answers this question of the analyzer only 2 times; record the run again"):
         replay.complete(request)
 
 
@@ -118,9 +118,7 @@ def test_every_line_is_there_as_soon_as_it_is_answered(tmp_path: Path) -> None:
         (ChatRequest("analyzer", (("user", "What?"),), sample=2), "in line 2, is sample 0 instead of 2"),
     ],
 )  # fmt: skip
-def test_a_question_that_is_not_there_is_named_with_the_nearest(
-    tmp_path: Path, request_: ChatRequest, says: str
-) -> None:
+def test_an_unknown_question_is_reported_with_the_nearest(tmp_path: Path, request_: ChatRequest, says: str) -> None:
     with Recorder(tmp_path / "one.jsonl", "m") as recorder:
         recorder.add(ChatRequest("analyzer", (("user", "What?"),)), ChatReply("Yes."))
         recorder.add(ChatRequest("analyzer", (("user", "Who is he?"),)), ChatReply("Yes."))
@@ -133,9 +131,9 @@ def test_a_budget_holds_in_a_replay_too(tmp_path: Path) -> None:
     recorded(tmp_path / "one.jsonl")
     ledger = Ledger(Budget(calls=2))
     model = connect(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), ledger)
-    assert ask(Line(model, ledger), "analyzer", "Be brief.", "How many?", Number).value == 1
+    assert ask(MeteredModel(model, ledger), "analyzer", "Be brief.", "How many?", Number).value == 1
     with pytest.raises(BudgetError, match="2 calls"):
-        ask(Line(model, ledger), "analyzer", "Be brief.", "How many?", Number)
+        ask(MeteredModel(model, ledger), "analyzer", "Be brief.", "How many?", Number)
 
 
 HEADER = '{"kind": "sumo_adv recording of a language model", "schema": 1, "model": "m", "note": ""}\n'
@@ -144,10 +142,10 @@ HEADER = '{"kind": "sumo_adv recording of a language model", "schema": 1, "model
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (b"", "no recording"),
-        (b"hello\nworld\n", "no recording"),
+        (b"", "no recording of this program; give the model.jsonl of a run"),
+        (b"hello\nworld\n", "no recording of this program"),
         (b"\xff\xfe", "not text in utf-8"),
-        (HEADER.replace('"schema": 1', '"schema": 2').encode(), "schema 2; this program reads 1"),
+        (HEADER.replace('"schema": 1', '"schema": 2').encode(), "schema 2, but this program reads 1; record it again"),
         (HEADER.encode() + b"{}\n", "Line 2 of the recording"),
         (HEADER.encode() + b"\n[1\n", "Line 3 of the recording"),
     ],
@@ -158,6 +156,6 @@ def test_files_that_are_no_recordings_are_refused(tmp_path: Path, text: bytes, s
         connect(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), Ledger())
 
 
-def test_a_folder_that_is_not_there_is_a_sentence(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="cannot be written: no such file or directory"):
         Recorder(tmp_path / "none" / "one.jsonl", "m")

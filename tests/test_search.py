@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.expert_generator import ExpertGenerator
+from sumo_adv.agents.generator import ExpertGenerator
 from sumo_adv.datatypes import Intent, LibraryEntry, ObservedMotion, Planner, Prediction, Proposal
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
@@ -296,7 +296,7 @@ def test_a_new_intent_gets_a_planner_for_each_mode_that_makes_a_movement() -> No
     rush = (movement("direct", "straight"), movement("weave", "straight"), movement("drift", "none"))
     examples = [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,)), LibraryEntry("Rush", "", ("crossing",), rush)]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
-    found = ExpertGenerator(make_planner).generate(intent, None, examples)
+    found = ExpertGenerator().generate(intent, None, examples)
     assert [(p.label, p.mode, p.origin, p.parent) for p in found] == [
         (intent.label, "direct", "expert", rush[0].hash),
         (intent.label, "weave", "expert", rush[1].hash),
@@ -311,7 +311,7 @@ def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
     still = LibraryEntry("Still", "", ("neighbour",), (movement("drift", "none"),))
     near, far = (LibraryEntry(n, "", (), (movement(n.lower(), "left"),)) for n in ("Near", "Far"))
     intent = Intent("bv", "Ramp Merge Rush", "", "medium", 0.0)
-    generator = ExpertGenerator(make_planner)
+    generator = ExpertGenerator()
     (planner,) = generator.generate(intent, None, [still, near, far])
     assert (planner.mode, 'MOVEMENT = "any"' in planner.source) == ("near", True)
     assert generator.generate(intent, None, [still]) == ()

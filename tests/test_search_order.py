@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.expert_generator import ExpertGenerator
+from sumo_adv.agents.generator import ExpertGenerator
 from sumo_adv.datatypes import Boxes, Intent, LibraryEntry, ObservedMotion, Prediction, Proposal
 from sumo_adv.metrics.boxes import touching
 from sumo_adv.planners.source import make_planner
@@ -272,7 +272,7 @@ def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
 
 
 def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
-    generator = ExpertGenerator(make_planner)
+    generator = ExpertGenerator()
     examples = [entry("Shift", ("neighbour",)), entry("Go-straight", ("crossing_straight",), RUSH, "direct")]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
     (planner,) = generator.generate(intent, straight_situation(), examples)

@@ -16,7 +16,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.worker import body
 from sumo_adv.llm.chat import ChatReply, ChatRequest
-from sumo_adv.llm.ledger import Counted, Ledger
+from sumo_adv.llm.ledger import BudgetedModel, Ledger
 from sumo_adv.llm.recording import Recorder
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -54,7 +54,7 @@ class Author:
     def complete(self, request: ChatRequest) -> ChatReply:
         """The next answer of that kind."""
         if request.agent == "analyzer":
-            return _said(ANALYSIS if request.shape_name == "Analysis" else SAME)
+            return _said(ANALYSIS if request.schema_name == "Analysis" else SAME)
         second = request.agent == "modifier"
         answer = {"source": self._planners[second]}
         return _said(answer | ({"diagnosis": DIAGNOSIS} if second else {"mode": "swing"}))
@@ -76,7 +76,7 @@ def main() -> None:
         Engine(body) as engine,
         Recorder(HERE / "recording.jsonl", Author.name, note=NOTE) as recorder,
     ):
-        model = recorder.wrap(Counted(Author(), ledger))
+        model = recorder.wrap(BudgetedModel(Author(), ledger))
         agents = Agents(settings, sandbox, dict.fromkeys(ROLES, model), ledger, shipped_prompts())
         episode = run_episode(
             given, settings, make_task(given, settings, Path(scratch)), engine, agents, bank, lambda *_: None

@@ -1,7 +1,8 @@
-"""The analyzer played by a language model: the paper's g, with the predictor's evidence in its prompt.
+"""The analyzer: the paper's g, played by a language model or by the built-in expert.
 
-Asked ``samples`` times, its answers give a distribution over intents; the order is by expected risk, and where the
-entropy is high the first intents are tried side by side (the paper's first future direction).
+A model sees the scene and the evidence of the predictions. Its answers to ``samples`` equal questions give a
+distribution over intents, which are ordered by expected risk. If the entropy of the distribution is high, the first
+intents are tried side by side (the paper's first future direction).
 """
 
 from __future__ import annotations
@@ -10,20 +11,23 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import Prompt, Prompts, tame
-from sumo_adv.agents.scene_text import Names, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
+from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
-from sumo_adv.llm.asking import Line, ask, ask_many
+from sumo_adv.llm.asking import MeteredModel, ask, ask_many
+from sumo_adv.search.search import AttackSearch
 from sumo_adv.situation import Situation
 
 RISKS: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
-UNDECIDED = 0.5  # share of the greatest possible entropy from which the first intents are tried side by side
-MOST_NOVEL = 2
-Evidence = Callable[[Names], str]
+UNDECIDED = 0.5  # share of the maximum entropy from which the first intents are tried side by side
+MAX_NOVEL = 2  # novel intents in one answer
+Evidence = Callable[[Aliases], str]
+
+# The three classes below are sent to the model as a JSON schema, with their names and docstrings.
 
 
 class Choice(BaseModel):
@@ -54,8 +58,12 @@ class Same(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What ``samples`` answers came to: (BV, label) -> share of first places; entropy in [0, 1] of the greatest
-    possible; the expected risk each ranking was made by."""
+    """The distribution of ``samples`` answers over intents, which are (BV id, label).
+
+    first: share of the answers that rank the intent first.
+    entropy: of ``first``, as a share of the maximum, in [0, 1].
+    expected_risk: the value by which the intents are ordered.
+    """
 
     samples: int
     first: Mapping[tuple[str, str], float]
@@ -64,19 +72,39 @@ class Distribution:
 
     @property
     def undecided(self) -> bool:
-        """Whether the first intents are to be tried side by side."""
-        return self.entropy >= UNDECIDED
+        """Whether the answers disagree, so that the first intents must be tried side by side."""
+        return self.entropy >= UNDECIDED and self.samples > 1
+
+    def as_dict(self) -> dict[str, Any]:
+        """The ``analysis`` of ``outcome.json``."""
+        return {
+            "samples": self.samples, "entropy": self.entropy, "side_by_side": self.undecided,
+            "first": [{"bv": bv, "label": label, "share": round(s, 4)} for (bv, label), s in self.first.items()],
+            "expected_risk": [{"bv": bv, "label": label, "risk": r} for (bv, label), r in self.expected_risk.items()],
+        }  # fmt: skip
+
+
+class ExpertAnalyzer:
+    """The built-in expert's answer: the intents of the candidates that the search has predicted."""
+
+    def __init__(self, search: AttackSearch) -> None:
+        self._search = search
+
+    def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+        """The predicted intents, most dangerous first."""
+        return self._search.ranking(library)
 
 
 class ModelAnalyzer:
-    """Asks a model about a situation. ``distribution`` is that of the last analysis.
+    """Asks a model about a situation. ``distribution`` holds the answers of the last analysis.
 
-    evidence: the table of ``agents.evidence`` for the names of the situation's vehicles, None to leave it out.
+    allowed: labels that the model may choose, empty for all.
+    evidence: makes the table of ``agents.evidence`` from the vehicles' aliases, None to leave the table out.
     """
 
     def __init__(
         self,
-        line: Line,
+        metered: MeteredModel,
         prompts: Prompts,
         limits: Limits,
         *,
@@ -84,88 +112,86 @@ class ModelAnalyzer:
         allowed: Sequence[str] = (),
         evidence: Evidence | None = None,
     ) -> None:
-        self.name = line.model.name
-        self._line, self._prompts, self._limits = line, prompts, limits
+        self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
         self.distribution: Distribution | None = None
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents, most dangerous first, from the earliest of the situations.
-
-        Raises:
-            ModelError, BudgetError: no usable answer could be had.
-        """
+        """Intents for the earliest situation, most dangerous first. Raises ModelError, BudgetError."""
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
-        names = Names.of(situation)
+        aliases = Aliases.of(situation)
         prompt = analyzer_prompt(self._prompts, situation, entries, self._limits, self._evidence)
 
         def check(answer: Analysis) -> str | None:
-            return self._wrong(answer, situation, names, entries)
+            return self._fault(answer, situation, aliases, entries)
 
         answers = ask_many(
-            self._line, "analyzer", prompt.system, prompt.user, Analysis, samples=self._samples, check=check
+            self._metered, "analyzer", prompt.system, prompt.user, Analysis, samples=self._samples, check=check
         )
-        ranked, self.distribution = _ranking(answers, names)
-        known = {e.label: e for e in entries}
-        return [_intent(choice, names, known) for choice in ranked]
+        ranked, self.distribution = _ranking(answers, aliases)
+        return [_intent(choice, aliases, entries) for choice in ranked]
 
     def confirm(self, label: str, description: str, nearest: Sequence[LibraryEntry]) -> str | None:
-        """The label among ``nearest`` that a new behaviour is the same as, or None. Raises ModelError."""
-        listed = "\n".join(f"- {tame(e.label)}: {tame(e.description)}" for e in nearest)
-        prompt = self._prompts.render("confirm", label=tame(label), description=tame(description), nearest=listed)
-        labels = {tame(e.label): e.label for e in nearest}
+        """The label among ``nearest`` that means the same behaviour, None for a novel one. Raises ModelError."""
+        listed = "\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in nearest)
+        prompt = self._prompts.render(
+            "confirm", label=sanitize(label), description=sanitize(description), nearest=listed
+        )
+        labels = {sanitize(e.label): e.label for e in nearest}
 
         def check(answer: Same) -> str | None:
             if answer.same_as is None or answer.same_as in labels:
                 return None
-            return f"'{tame(answer.same_as)}' is not one of the known behaviours: {', '.join(labels)}, or null."
+            return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {', '.join(labels)}, or null."
 
-        found = ask(self._line, "analyzer", prompt.system, prompt.user, Same, check=check)
-        return None if found.same_as is None else labels[found.same_as]
+        answer = ask(self._metered, "analyzer", prompt.system, prompt.user, Same, check=check)
+        return None if answer.same_as is None else labels[answer.same_as]
 
-    def _wrong(
-        self, answer: Analysis, situation: Situation, names: Names, library: Sequence[LibraryEntry]
+    def _fault(
+        self, answer: Analysis, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
     ) -> str | None:
-        """The first thing wrong with an answer, as a sentence that names it."""
-        labels = {tame(e.label).lower(): e for e in library}
+        """The first fault of an answer as a sentence for the model, None for a usable answer."""
+        labels = {sanitize(e.label).lower(): e for e in library}
         seen = set()
         for choice in answer.intents:
-            if choice.bv not in names.bvs:
-                return f"There is no vehicle '{tame(choice.bv)}' that may be chosen; there are {', '.join(names.bvs)}."
-            wrong = self._wrong_acceleration(choice.acceleration)
-            entry = labels.get(tame(choice.label).lower())
-            if wrong is None and choice.novel:
-                wrong = self._wrong_novelty(choice, entry)
-            elif wrong is None and entry is None:
-                wrong = (
-                    f"'{tame(choice.label)}' is not in the library ({', '.join(tame(e.label) for e in library)});"
+            if choice.bv not in aliases.bvs:
+                choices = ", ".join(aliases.bvs)
+                return f"There is no vehicle '{sanitize(choice.bv)}' that may be chosen; there are {choices}."
+            fault = self._acceleration_fault(choice.acceleration)
+            entry = labels.get(sanitize(choice.label).lower())
+            if fault is None and choice.novel:
+                fault = self._novelty_fault(choice, entry)
+            elif fault is None and entry is None:
+                choices = ", ".join(sanitize(e.label) for e in library)
+                fault = (
+                    f"'{sanitize(choice.label)}' is not in the library ({choices});"
                     " give one of these, or set novel to true with a description."
                 )
-            elif wrong is None and entry is not None:
-                words = set(situation.targets[names.bvs[choice.bv]].applies())
+            elif fault is None and entry is not None:
+                words = set(situation.targets[aliases.bvs[choice.bv]].applies())
                 if not words & set(entry.applies):
-                    wrong = f"'{entry.label}' does not apply to {choice.bv} from where it is."
-            if wrong is not None:
-                return wrong
+                    fault = f"'{entry.label}' does not apply to {choice.bv} from where it is."
+            if fault is not None:
+                return fault
             key = (choice.bv, choice.label.lower())
             if key in seen:
-                return f"{choice.bv} with '{tame(choice.label)}' is listed twice."
+                return f"{choice.bv} with '{sanitize(choice.label)}' is listed twice."
             seen.add(key)
-        if sum(c.novel for c in answer.intents) > MOST_NOVEL:
-            return f"At most {MOST_NOVEL} intents may be novel."
+        if sum(c.novel for c in answer.intents) > MAX_NOVEL:
+            return f"At most {MAX_NOVEL} intents may be novel."
         return None
 
-    def _wrong_novelty(self, choice: Choice, entry: LibraryEntry | None) -> str | None:
+    def _novelty_fault(self, choice: Choice, entry: LibraryEntry | None) -> str | None:
         if self._allowed:
             return f"Only these behaviours are allowed here: {', '.join(self._allowed)}."
         if entry is not None:
             return f"'{entry.label}' is in the library, so it is not novel: set novel to false."
         if len(choice.description.split()) < 5:
-            return f"The novel behaviour '{tame(choice.label)}' needs a description of one or two sentences."
+            return f"The novel behaviour '{sanitize(choice.label)}' needs a description of one or two sentences."
         return None
 
-    def _wrong_acceleration(self, acceleration: float | list[list[float]]) -> str | None:
+    def _acceleration_fault(self, acceleration: float | list[list[float]]) -> str | None:
         try:
             acceleration_of(acceleration, self._limits)
         except ValueError as error:
@@ -180,21 +206,24 @@ def analyzer_prompt(
     limits: Limits,
     evidence: Evidence | None = None,
 ) -> Prompt:
-    """What the analyzer is shown of a situation. ``library``: what may be chosen from."""
-    names = Names.of(situation)
+    """The analyzer's prompt for a situation. ``library``: the intents that the model may choose."""
+    aliases = Aliases.of(situation)
     return prompts.render(
         "analyzer",
-        library="\n".join(f"- {tame(e.label)}: {tame(e.description)}" for e in library),
+        library="\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in library),
         horizon=f"{situation.horizon:g}",
         braking=f"{limits.braking:g}", acceleration=f"{limits.acceleration:g}", lateral=f"{limits.lateral:g}",
-        road=road_words(situation, names), states=state_words(situation, names),
-        relative=relative_words(situation, names, {e.label: e.applies for e in library}),
-        driver=driver_words(situation), evidence=f"\n{evidence(names)}" if evidence is not None else "",
+        road=road_words(situation, aliases), states=state_words(situation, aliases),
+        relative=relative_words(situation, aliases, {e.label: e.applies for e in library}),
+        driver=driver_words(situation), evidence=f"\n{evidence(aliases)}" if evidence is not None else "",
     )  # fmt: skip
 
 
-def _ranking(answers: Sequence[Analysis], names: Names) -> tuple[list[Choice], Distribution]:
-    """All intents of all answers by expected risk (mean over answers, absent = 0; a later place counts less)."""
+def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:
+    """All intents of all answers by expected risk.
+
+    The expected risk is the mean over the answers of risk / place. An answer without the intent counts as 0.
+    """
     risk: defaultdict[tuple[str, str], float] = defaultdict(float)
     first: Counter[tuple[str, str]] = Counter()
     chosen: dict[tuple[str, str], Choice] = {}
@@ -205,18 +234,18 @@ def _ranking(answers: Sequence[Analysis], names: Names) -> tuple[list[Choice], D
             chosen.setdefault(key, choice)
         first[(answer.intents[0].bv, answer.intents[0].label)] += 1
     order = sorted(chosen, key=lambda key: -risk[key]) if len(answers) > 1 else list(chosen)
-    shares = {(names.bvs[bv], label): count / len(answers) for (bv, label), count in first.items()}
-    expected = {(names.bvs[bv], label): round(risk[bv, label], 4) for bv, label in order}
+    shares = {(aliases.bvs[bv], label): count / len(answers) for (bv, label), count in first.items()}
+    expected = {(aliases.bvs[bv], label): round(risk[bv, label], 4) for bv, label in order}
     entropy = -sum(p * math.log(p) for p in shares.values())
-    greatest = math.log(min(len(answers), max(len(chosen), 2))) if len(answers) > 1 else 1.0
-    return [chosen[k] for k in order], Distribution(len(answers), shares, round(entropy / greatest, 4) + 0.0, expected)
+    maximum = math.log(min(len(answers), max(len(chosen), 2))) if len(answers) > 1 else 1.0
+    return [chosen[k] for k in order], Distribution(len(answers), shares, round(entropy / maximum, 4) + 0.0, expected)
 
 
-def _intent(choice: Choice, names: Names, known: Mapping[str, LibraryEntry]) -> Intent:
-    entry = next((e for label, e in known.items() if tame(label).lower() == tame(choice.label).lower()), None)
-    label = entry.label if entry is not None else tame(choice.label)
-    description = entry.description if entry is not None else tame(choice.description)
+def _intent(choice: Choice, aliases: Aliases, library: Sequence[LibraryEntry]) -> Intent:
+    entry = next((e for e in library if sanitize(e.label).lower() == sanitize(choice.label).lower()), None)
+    label = entry.label if entry is not None else sanitize(choice.label)
+    description = entry.description if entry is not None else sanitize(choice.description)
     return Intent(
-        names.bvs[choice.bv], label, description, choice.risk, acceleration_of(choice.acceleration),
-        tame(choice.reason), "memory" if entry is not None else "generated",
+        aliases.bvs[choice.bv], label, description, choice.risk, acceleration_of(choice.acceleration),
+        sanitize(choice.reason), "memory" if entry is not None else "generated",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The generator played by a language model: from a new intent to a planner's text that the sandbox has tried."""
+"""The generator: writes planners for a new intent, played by a language model or by the built-in expert."""
 
 from __future__ import annotations
 
@@ -7,19 +7,20 @@ from collections.abc import Callable, Sequence
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.expert_generator import MakePlanner
-from sumo_adv.agents.prompts import Prompt, Prompts, tame
-from sumo_adv.agents.scene_text import Names, relative_words, road_words
+from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
+from sumo_adv.agents.scene_text import Aliases, relative_words, road_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner
 from sumo_adv.errors import SandboxError
-from sumo_adv.llm.asking import Line, ask
+from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.planners.source import HELPERS_TEXT, make_planner
+from sumo_adv.search.composed_intents import NAME, NEW_INTENTS
 from sumo_adv.situation import Situation
 
-MOST_EXAMPLES = 2  # planners of near behaviours that are shown
-Trial = Callable[[Planner], str | None]  # a sentence on what is wrong with a planner, None if it may be used
+MAX_EXAMPLES = 2  # planners of similar intents in the prompt
+Trial = Callable[[Planner], str | None]  # runs a planner in the sandbox; returns its fault, None for a usable planner
 
 
-class Written(BaseModel):
+class Written(BaseModel):  # sent to the model as a JSON schema, with its name and docstring
     """A planner as a model gives it."""
 
     mode: str = Field(default="direct", max_length=40)
@@ -27,53 +28,64 @@ class Written(BaseModel):
 
 
 class ModelGenerator:
-    """Asks a model for a planner, and again with the sandbox's words, at most ``tries`` times more.
+    """Asks a model for a planner. The sandbox's fault is sent back at most ``tries`` times.
 
-    ``instruction``: the user's own for the trajectory (the paper's psi), or None.
+    instruction: the user's instruction for the trajectory (the paper's psi), or None.
     """
 
     def __init__(
         self,
-        line: Line,
+        metered: MeteredModel,
         prompts: Prompts,
         limits: Limits,
-        helpers: str,
-        make: MakePlanner,
         trial: Trial,
         *,
         tries: int = 3,
         instruction: str | None = None,
     ) -> None:
-        self.name = line.model.name
-        self._line, self._prompts, self._limits = line, prompts, limits
-        self._helpers, self._make, self._trial = helpers, make, trial
+        self._metered, self._prompts, self._limits, self._trial = metered, prompts, limits, trial
         self._tries, self._instruction = tries, instruction
 
     def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> tuple[Planner]:
-        """A planner that the sandbox ran on its probe set. ``examples``: nearest first; without a situation the text
-        is written from the description alone.
+        """One planner that ran in the sandbox. Raises ModelError, BudgetError.
 
-        Raises:
-            ModelError, BudgetError: no usable planner could be had.
+        situation: None for an intent that is written from its description alone.
+        examples: entries of similar intents, nearest first.
         """
-        prompt = generator_prompt(
-            self._prompts, intent, situation, examples, self._limits, self._helpers, self._instruction
-        )
+        prompt = generator_prompt(self._prompts, intent, situation, examples, self._limits, self._instruction)
+
+        def build(answer: Written) -> Planner:
+            source, mode = without_fence(answer.source), mode_name(answer.mode)
+            return make_planner(intent.label, mode, source, self._metered.model.name)
 
         def check(answer: Written) -> str | None:
-            wrong = faults(self._build, answer.source, intent.label, answer.mode, self._trial)
-            if wrong is None and self._instruction and "def trajectory(" not in answer.source:
+            fault = planner_fault(lambda: build(answer), self._trial)
+            if fault is None and self._instruction and "def trajectory(" not in answer.source:
                 return "The planner lacks trajectory(bv, endpoint, road, dt), which the user asks for."
-            return wrong
+            return fault
 
-        found = ask(
-            self._line, "generator", prompt.system, prompt.user, Written, check=check,
-            re_asks=self._tries,
-        )  # fmt: skip
-        return (self._build(intent.label, found.mode, found.source),)
+        answer = ask(self._metered, "generator", prompt.system, prompt.user, Written, check=check, re_asks=self._tries)
+        return (build(answer),)
 
-    def _build(self, label: str, mode: str, source: str) -> Planner:
-        return self._make(label, mode_word(mode), bare(source), self.name, None)
+
+class ExpertGenerator:
+    """The built-in expert: adapts the planners of the nearest intent to a movement that the library lacks."""
+
+    def generate(
+        self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]
+    ) -> tuple[Planner, ...]:
+        """Planners for one of ``NEW_INTENTS``, one per mode of the nearest example that has a movement.
+
+        Empty for another intent, or if no example has a movement.
+        """
+        movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
+        pattern = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
+        for entry in examples if movement is not None else ():
+            planners = [p for p in entry.planners if pattern.search(p.source) and 'MOVEMENT = "none"' not in p.source]
+            if planners:
+                line = f'MOVEMENT = "{movement}"'
+                return tuple(_adapted(intent.label, p, pattern.sub(line, p.source)) for p in planners)
+        return ()
 
 
 def generator_prompt(
@@ -82,49 +94,54 @@ def generator_prompt(
     situation: Situation | None,
     examples: Sequence[LibraryEntry],
     limits: Limits,
-    helpers: str,
     instruction: str | None,
 ) -> Prompt:
-    """What the generator is shown."""
+    """The generator's prompt; the arguments are those of ``ModelGenerator``."""
     scene, relation = "None in particular: it is written for the library.", "as the description says"
     if situation is not None:
-        names = Names.of(situation)
-        alias = names.aliases.get(intent.bv, "BV1")
+        aliases = Aliases.of(situation)
+        alias = aliases.by_id.get(intent.bv, "BV1")
         relation = situation.targets[intent.bv].relation
-        scene = f"The bv is {alias}.\n{road_words(situation, names)}\n{relative_words(situation, names, {})}"
-    shown = [e for e in examples if e.planners][:MOST_EXAMPLES]
+        scene = f"The bv is {alias}.\n{road_words(situation, aliases)}\n{relative_words(situation, aliases, {})}"
+    shown = [e for e in examples if e.planners][:MAX_EXAMPLES]
+    texts = [f"--- {sanitize(e.label)}: {sanitize(e.description)}\n{e.planners[0].source}" for e in shown]
     psi = (
-        f"\nTHE USER'S INSTRUCTION FOR THE TRAJECTORY (define `trajectory` so)\n{tame(instruction)}\n"
+        f"\nTHE USER'S INSTRUCTION FOR THE TRAJECTORY (define `trajectory` so)\n{sanitize(instruction)}\n"
         if instruction
         else ""
     )
     return prompts.render(
-        "generator", rules=rules(prompts, limits, helpers), label=tame(intent.label),
-        description=tame(intent.description), relation=relation, scene=scene, instruction=psi,
-        examples="\n\n".join(f"--- {tame(e.label)}: {tame(e.description)}\n{e.planners[0].source}" for e in shown),
+        "generator", rules=planner_rules(prompts, limits), label=sanitize(intent.label),
+        description=sanitize(intent.description), relation=relation, scene=scene, instruction=psi,
+        examples="\n\n".join(texts),
     )  # fmt: skip
 
 
-def rules(prompts: Prompts, limits: Limits, helpers: str) -> str:
-    """The signature, the units and the subset, spelled out."""
+def planner_rules(prompts: Prompts, limits: Limits) -> str:
+    """The rules for planners in a prompt: signature, units, limits and the sandbox's subset of Python."""
     numbers = {k: f"{getattr(limits, k):g}" for k in ("braking", "acceleration", "lateral", "curvature", "jerk")}
-    return prompts.piece("planner", helpers=helpers, **numbers)
+    return prompts.piece("planner", helpers=HELPERS_TEXT, **numbers)
 
 
-def faults(build: Callable[[str, str, str], Planner], source: str, label: str, mode: str, trial: Trial) -> str | None:
-    """What is wrong with a planner's text, as a sentence for its author; None if it may be used."""
+def planner_fault(build: Callable[[], Planner], trial: Trial) -> str | None:
+    """The fault of a planner as a sentence for its author, None for a usable planner."""
     try:
-        return trial(build(label, mode, source))
+        return trial(build())
     except SandboxError as error:
         return str(error)
 
 
-def bare(source: str) -> str:
-    """A planner's text without the fence that models like to put around it."""
-    found = re.search(r"```(?:python)?\s*\n(.*?)```", source, re.DOTALL)
-    return (found.group(1) if found else source).strip() + "\n"
+def without_fence(source: str) -> str:
+    """A planner's text without the fence that models tend to put around it."""
+    fenced = re.search(r"```(?:python)?\s*\n(.*?)```", source, re.DOTALL)
+    return (fenced.group(1) if fenced else source).strip() + "\n"
 
 
-def mode_word(mode: str) -> str:
-    """A mode's name as one word of letters, digits, _ and -."""
+def mode_name(mode: str) -> str:
+    """A mode's name as one word of lower-case letters, digits, _ and -."""
     return re.sub(r"[^a-z0-9_-]+", "_", mode.strip().lower()).strip("_")[:40] or "direct"
+
+
+def _adapted(label: str, planner: Planner, source: str) -> Planner:
+    source = re.sub(r"\A# .*", f'# {label}, mode "{planner.mode}"', source)
+    return make_planner(label, planner.mode, source, NAME, planner.hash)

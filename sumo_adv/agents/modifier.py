@@ -1,4 +1,7 @@
-"""The modifier played by a language model: a planner's text and what its attempts showed give a changed text."""
+"""The modifier: a language model changes a planner's text after attempts that were not critical.
+
+The built-in expert has no modifier. The search itself tries other parameters, modes, vehicles and start times.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,16 @@ from collections.abc import Sequence
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.expert_generator import MakePlanner
-from sumo_adv.agents.generator import Trial, bare, faults, rules
-from sumo_adv.agents.prompts import Prompt, Prompts, tame
+from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
+from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
 from sumo_adv.datatypes import Attempt, Diagnosis, Limits, Planner
-from sumo_adv.llm.asking import Line, ask
+from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.planners.source import make_planner
 
-MOST_TOLD = 4  # attempts of a planner that are told of: the best ones
+MAX_ATTEMPTS = 4  # attempts of a planner in the prompt, the best ones
 
 
-class Changed(BaseModel):
+class Changed(BaseModel):  # sent to the model as a JSON schema, with its name and docstring
     """A changed planner as a model gives it."""
 
     diagnosis: str = Field(default="", max_length=8000)
@@ -23,49 +26,45 @@ class Changed(BaseModel):
 
 
 class ModelModifier:
-    """Asks a model for a changed planner, and again with the sandbox's words, at most ``tries`` times more."""
+    """Asks a model for a changed planner. The sandbox's fault is sent back at most ``tries`` times.
+
+    ttc: the criterion that the attempts missed [s].
+    """
 
     def __init__(
         self,
-        line: Line,
+        metered: MeteredModel,
         prompts: Prompts,
         limits: Limits,
-        helpers: str,
-        make: MakePlanner,
         trial: Trial,
         *,
         ttc: float,
         tries: int = 2,
     ) -> None:
-        self.name = line.model.name
-        self._line, self._prompts, self._limits = line, prompts, limits
-        self._helpers, self._make, self._trial = helpers, make, trial
+        self._metered, self._prompts, self._limits, self._trial = metered, prompts, limits, trial
         self._ttc, self._tries = ttc, tries
 
     def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
-        """A changed planner whose parent is the old one; None if none of the attempts is the planner's.
+        """A changed planner with the old planner's hash as ``parent``; None if no attempt used the planner.
 
-        Raises:
-            ModelError, BudgetError: no usable planner could be had.
+        Raises ModelError, BudgetError.
         """
-        mine = [a for a in attempts if a.proposal.planner.hash == planner.hash]
-        if not mine:
+        own_attempts = [a for a in attempts if a.proposal.planner.hash == planner.hash]
+        if not own_attempts:
             return None
-        prompt = modifier_prompt(self._prompts, planner, description, mine, self._limits, self._helpers, self._ttc)
+        prompt = modifier_prompt(self._prompts, planner, description, own_attempts, self._limits, self._ttc)
 
-        def build(label: str, mode: str, source: str) -> Planner:
-            return self._make(label, mode, bare(source), self.name, planner.hash)
+        def build(answer: Changed) -> Planner:
+            source, author = without_fence(answer.source), self._metered.model.name
+            return make_planner(planner.label, planner.mode, source, author, planner.hash)
 
         def check(answer: Changed) -> str | None:
-            if bare(answer.source) == planner.source:
+            if without_fence(answer.source) == planner.source:
                 return "This is the old text; change it."
-            return faults(build, answer.source, planner.label, planner.mode, self._trial)
+            return planner_fault(lambda: build(answer), self._trial)
 
-        found = ask(
-            self._line, "modifier", prompt.system, prompt.user, Changed, check=check,
-            re_asks=self._tries,
-        )  # fmt: skip
-        return build(planner.label, planner.mode, found.source)
+        answer = ask(self._metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=self._tries)
+        return build(answer)
 
 
 def modifier_prompt(
@@ -74,20 +73,19 @@ def modifier_prompt(
     description: str,
     attempts: Sequence[Attempt],
     limits: Limits,
-    helpers: str,
     ttc: float,
 ) -> Prompt:
-    """What the modifier is shown: the ``attempts`` are the planner's own."""
-    told = sorted(attempts, key=lambda a: (a.verdict.min_ttc, a.verdict.min_distance))[:MOST_TOLD]
+    """The modifier's prompt. ``attempts``: those of this planner; ``ttc`` [s]: the criterion that they missed."""
+    best = sorted(attempts, key=lambda a: (a.verdict.min_ttc, a.verdict.min_distance))[:MAX_ATTEMPTS]
     return prompts.render(
-        "modifier", rules=rules(prompts, limits, helpers), ttc=f"{ttc:g}", label=tame(planner.label),
-        description=tame(description), mode=tame(planner.mode), source=planner.source,
-        feedback="\n".join(feedback(a) for a in told),
+        "modifier", rules=planner_rules(prompts, limits), ttc=f"{ttc:g}", label=sanitize(planner.label),
+        description=sanitize(description), mode=sanitize(planner.mode), source=planner.source,
+        feedback="\n".join(feedback(a) for a in best),
     )  # fmt: skip
 
 
 def feedback(attempt: Attempt) -> str:
-    """What one attempt showed, in words."""
+    """The result of one attempt in words."""
     v, p = attempt.verdict, attempt.proposal
     numbers = ", ".join(f"{k} = {q:g}" for k, q in p.parameters.items())
     lines = [f"Attempt {attempt.index + 1} ({numbers or 'no parameters'}; began {p.delay:g} s after the trigger):"]
@@ -106,23 +104,23 @@ def feedback(attempt: Attempt) -> str:
     if v.failed_gates:
         lines.append(f"  Not feasible: {', '.join(v.failed_gates)}.")
     if attempt.message:
-        lines.append(f"  {tame(attempt.message)}")
+        lines.append(f"  {sanitize(attempt.message)}")
     return "\n".join(lines)
 
 
 def diagnosis_words(d: Diagnosis) -> list[str]:
-    """A diagnosis in sentences."""
+    """A diagnosis as sentences."""
     lines = [
         f"Nearest {d.time:.1f} s after its start: the bv's centre was {_place(d.ego_frame, 'the ego')}; seen from the"
         f" bv, the ego was {_place(d.bv_frame, 'it')}. Speeds then: ego {d.ego_speed:.1f}, bv {d.bv_speed:.1f} m/s.",
     ]
     if d.early is not None:
-        who = "early" if d.early > 0 else "late"
-        lines.append(f"The bv was {abs(d.early):.1f} s too {who} at the place where their paths come together.")
-    did = "did not react" if d.ego_reaction is None else (
-        f"began to brake {d.ego_reaction:.1f} s after its start, at most {d.ego_braking:.1f} m/s2"
-    )  # fmt: skip
-    lines.append(f"The ego {did}; it moved {d.ego_shift:.1f} m sideways.")
+        when = "early" if d.early > 0 else "late"
+        lines.append(f"The bv was {abs(d.early):.1f} s too {when} at the place where their paths come together.")
+    reaction = "did not react"
+    if d.ego_reaction is not None:
+        reaction = f"began to brake {d.ego_reaction:.1f} s after its start, at most {d.ego_braking:.1f} m/s2"
+    lines.append(f"The ego {reaction}; it moved {d.ego_shift:.1f} m sideways.")
     lines.append(f"Limits that bound the bv: {', '.join(d.bound) or 'none'}.")
     return lines
 

@@ -1,7 +1,7 @@
-"""The prompts: one file an agent in ``prompts/``, filled in strictly, versioned.
+"""The prompts: versioned files in the folder ``prompts/`` with variables.
 
-A file begins with ``version: N``; ``=== system`` and ``=== user`` begin its two parts (a file without them is a piece
-that others use).  ``$name`` is a variable; one that is missing or left over is an error, never an empty place.
+A file begins with ``version: N``. The lines ``=== system`` and ``=== user`` begin its two parts. A file without these
+lines is a piece of other prompts. ``$name`` is a variable. A missing or unknown variable is an error.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from pathlib import Path
 from string import Template
 
 from sumo_adv.errors import UsageError
-from sumo_adv.llm.chat import estimate_tokens
+from sumo_adv.llm.chat import estimate_tokens, one_line
 
 NAMES = ("analyzer", "confirm", "generator", "modifier", "planner")
-MOST_TEXT = 400  # characters of a label or description that stands in a prompt
+MAX_TEXT = 400  # characters of a label or description in a prompt
 
 
 @dataclass(frozen=True, slots=True)
 class Prompt:
-    """What one agent is sent."""
+    """The prompt of one agent: its system message and its user message."""
 
     agent: str
     system: str
@@ -30,22 +30,17 @@ class Prompt:
 
     @property
     def tokens(self) -> int:
-        """About how many tokens both parts are."""
+        """Estimated number of tokens of both parts."""
         return estimate_tokens((("system", self.system), ("user", self.user)))
 
 
-def tame(text: str) -> str:
-    """A text from a bank, a file or a person as one line of data: no control characters, no fences, not too long."""
-    line = re.sub(r"\s+", " ", "".join(c if c.isprintable() else " " for c in text))
-    return line.replace("```", "'''").strip()[:MOST_TEXT]
+def sanitize(text: str) -> str:
+    """A text from a bank, a file or a person as one line without control characters and fences, cut to ``MAX_TEXT``."""
+    return one_line(text).replace("```", "'''")[:MAX_TEXT]
 
 
 class Prompts:
-    """All prompt files of a folder.
-
-    Raises:
-        UsageError: a file is missing, has no version or lacks a part.
-    """
+    """All prompt files of a folder. Raises UsageError if a file is missing, has no version or lacks a part."""
 
     def __init__(self, folder: Path) -> None:
         self._parts: dict[str, tuple[str, str]] = {}
@@ -58,22 +53,22 @@ class Prompts:
                 raise UsageError(f"The prompt {file} cannot be read ({error}); reinstall the package.") from error
             head, _, body = text.partition("\n")
             if not re.fullmatch(r"version: \d+", head):
-                raise UsageError(f"The prompt {file} must begin with 'version: N'.")
+                raise UsageError(f"The prompt {file} must begin with 'version: N'; reinstall the package.")
             digest = hashlib.sha256(text.encode()).hexdigest()
             self._versions[name] = {"version": head.removeprefix("version: "), "sha256": digest}
             self._parts[name] = _split(file, body)
 
     @property
     def versions(self) -> Mapping[str, Mapping[str, str]]:
-        """Version and SHA-256 of each file, for the manifest."""
+        """Version and SHA-256 of each file for the manifest."""
         return self._versions
 
     def piece(self, name: str, **variables: str) -> str:
-        """A file without parts, filled in."""
+        """A file without parts, with its variables filled in."""
         return _filled(name, self._parts[name][0], variables, set(variables))
 
     def render(self, name: str, **variables: str) -> Prompt:
-        """Both parts of a file, filled in. Raises KeyError for a variable that is missing or used nowhere."""
+        """A file with its variables filled in. Raises KeyError for a missing or unknown variable."""
         system, user = self._parts[name]
         return Prompt(name, *(_filled(name, part, variables, _used(system) | _used(user)) for part in (system, user)))
 
@@ -82,9 +77,9 @@ def _split(file: Path, body: str) -> tuple[str, str]:
     if "=== system\n" not in body:
         return body.strip(), ""
     _, _, rest = body.partition("=== system\n")
-    system, found, user = rest.partition("=== user\n")
-    if not found:
-        raise UsageError(f"The prompt {file} lacks its part '=== user'.")
+    system, separator, user = rest.partition("=== user\n")
+    if not separator:
+        raise UsageError(f"The prompt {file} lacks its part '=== user'; reinstall the package.")
     return system.strip(), user.strip()
 
 

@@ -1,4 +1,4 @@
-"""The parts a language model or the built-in expert can play, and what they need from others."""
+"""The three agents as protocols. A language model or the built-in expert implements each of them."""
 
 from __future__ import annotations
 
@@ -10,35 +10,39 @@ from sumo_adv.situation import Situation
 
 
 class Analyzer(Protocol):
-    """The paper's g: which vehicle could do what to be most dangerous."""
-
-    name: str
+    """The paper's g: chooses adversaries and their intents. Implemented by ModelAnalyzer and ExpertAnalyzer."""
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents of the library, or new ones, most dangerous first; empty if nobody can reach the ego."""
+        """Intents of the library or new ones, most dangerous first; empty if no vehicle can reach the ego.
+
+        situations: by start time after the trigger [s]. Raises ModelError.
+        """
         ...
 
 
 class Generator(Protocol):
-    """Writes a planner for an intent the bank does not know."""
-
-    name: str
+    """Writes planners for an intent that the bank lacks. Implemented by ModelGenerator and ExpertGenerator."""
 
     def generate(
         self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]
     ) -> tuple[Planner, ...]:
-        """Its planners, one for each mode; none if it cannot write one."""
+        """One planner per mode; empty if the agent cannot write one. Raises ModelError.
+
+        situation: None for an intent that is written from its description alone.
+        examples: entries of similar intents, nearest first.
+        """
         ...
 
 
 class Modifier(Protocol):
-    """Changes a planner that has not been critical from what its attempts showed."""
+    """Changes a planner after attempts that were not critical. Implemented by ModelModifier alone.
 
-    name: str
+    The built-in expert has no modifier: the search itself tries other parameters, modes, vehicles and start times.
+    """
 
     def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
-        """A changed planner whose ``parent`` is the old one's hash, or None if there is nothing to change.
+        """A changed planner with the old planner's hash as ``parent``; None to change nothing. Raises ModelError.
 
-        ``description``: of the planner's intent.
+        description: of the planner's intent.
         """
         ...

@@ -1,6 +1,6 @@
-"""A situation in words and rounded numbers, as a language model is shown it: ego-centred, with units, with topology.
+"""A situation in words and rounded numbers for prompts, in the ego's frame, with units and road topology.
 
-Vehicles have aliases (EGO, BV1.., V1..), so that no text of a file stands in a prompt as a name.
+Vehicles have aliases (EGO, BV1.., V1..), so a prompt never holds a vehicle's name from a file.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.agents.prompts import tame
+from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Track
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
-MOST_OTHERS = 8  # vehicles besides ego and shortlist that are told of, the nearest ones
-ROWS = (-1.1, -0.7, -0.3, 0.0)  # s: history of ego and shortlist
-FEW_ROWS = (-1.1, 0.0)  # s: of the others
-PUSH = 4.0  # m/s2 for "at the earliest"
+MAX_OTHERS = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
+TIMES = (-1.1, -0.7, -0.3, 0.0)  # s: history of the ego and the possible adversaries
+FEW_TIMES = (-1.1, 0.0)  # s: history of the others
+EARLIEST_ACCELERATION = 4.0  # m/s2 for "at the earliest"
 SIGNALS = {"g": "green", "G": "green", "y": "yellow", "Y": "yellow", "r": "red", "R": "red", "u": "red-yellow"}
 SIGNALS |= {"o": "blinking", "O": "off", "s": "stop sign"}
 DRIVERS = {
@@ -31,25 +31,29 @@ DRIVERS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Names:
-    """Aliases of a situation's vehicles; ``bvs``: alias -> id of those that may be chosen, most dangerous first."""
+class Aliases:
+    """Aliases of the vehicles of a situation.
+
+    bvs: alias -> id of the possible adversaries, most dangerous first.
+    by_id: id -> alias of all vehicles in the prompt.
+    """
 
     bvs: Mapping[str, str]
-    aliases: Mapping[str, str]  # id -> alias, of everybody that is told of
+    by_id: Mapping[str, str]
 
     @staticmethod
-    def of(situation: Situation) -> Names:
-        """BV1.. for the shortlist, V1.. for the nearest others."""
+    def of(situation: Situation) -> Aliases:
+        """BV1.. for the possible adversaries, V1.. for the nearest others."""
         bvs = {f"BV{k + 1}": t.state.id for k, t in enumerate(situation.target_list())}
-        aliases = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
-        rest = [t for t in situation.history if t.id not in aliases]
+        by_id = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
+        rest = [t for t in situation.history if t.id not in by_id]
         rest.sort(key=lambda t: math.hypot(t.x[-1] - situation.ego.x, t.y[-1] - situation.ego.y))
-        aliases |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MOST_OTHERS])}
-        return Names(bvs, aliases)
+        by_id |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MAX_OTHERS])}
+        return Aliases(bvs, by_id)
 
 
-def road_words(situation: Situation, names: Names) -> str:
-    """Lanes beside the ego, the ego's way, and each BV's ways and conflict points."""
+def road_words(situation: Situation, aliases: Aliases) -> str:
+    """Lanes beside the ego, the ego's path, and the paths and conflict points of each BV."""
     lines = [f"EGO's lane is {situation.lane_width:.1f} m wide; its centre is at about y = 0 where EGO is."]
     for offset, kind in sorted(situation.ego_sides, key=lambda side: abs(side[0])):
         side = "left" if offset > 0 else "right"
@@ -59,51 +63,48 @@ def road_words(situation: Situation, names: Names) -> str:
         lines.append("There is no other lane beside it (or EGO is inside a junction).")
     lines += _signal_lines("EGO", situation.signals.get(situation.ego.id, ()))
     lines.append(f"EGO's path: {_bends(situation)}.")
-    for alias, name in names.bvs.items():
-        lines += _ways(alias, situation.targets[name], situation)
+    for alias, name in aliases.bvs.items():
+        lines += _paths(alias, situation.targets[name], situation)
         lines += _signal_lines(alias, situation.signals.get(name, ()))
     return "\n".join(lines)
 
 
-def state_words(situation: Situation, names: Names) -> str:
-    """Rounded history of everybody that is told of."""
+def state_words(situation: Situation, aliases: Aliases) -> str:
+    """Rounded history of every vehicle that has an alias."""
     tracks = {t.id: t for t in situation.history}
     lines = []
-    for name, alias in names.aliases.items():
+    for name, alias in aliases.by_id.items():
         if name not in tracks:
             continue
-        rows = FEW_ROWS if alias.startswith("V") else ROWS
-        lines.append(f"{alias}: {_history(tracks[name], situation, rows)}")
+        times = FEW_TIMES if alias.startswith("V") else TIMES
+        lines.append(f"{alias}: {_history(tracks[name], situation, times)}")
     return "\n".join(lines)
 
 
-def relative_words(situation: Situation, names: Names, library: Mapping[str, Sequence[str]]) -> str:
-    """Each BV's place relative to the ego, and which behaviours apply. ``library``: label -> words it applies to."""
+def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str, Sequence[str]]) -> str:
+    """The position of each BV relative to the ego, and the behaviours that apply. ``library``: label -> relations."""
     lines = []
-    for alias, name in names.bvs.items():
+    for alias, name in aliases.bvs.items():
         target = situation.targets[name]
-        words = set(target.applies())
-        fitting = [tame(label) for label, applies in library.items() if words & set(applies)]
+        relations = set(target.applies())
+        fitting = [sanitize(label) for label, applies in library.items() if relations & set(applies)]
         lines.append(f"{alias}: {_relation(target, situation)} Behaviours that apply: {', '.join(fitting) or 'none'}.")
     return "\n".join(lines)
 
 
 def driver_words(situation: Situation) -> str:
-    """What is known of the ego's driving."""
+    """The driver model of the ego."""
     model = situation.ego_model
     kind = DRIVERS.get(model.kind, "an unknown driver, thought of as an IDM car-following driver")
-    future = (
+    tendency = (
         "braking" if situation.ego.acceleration < -0.3 else ("speeding up" if situation.ego.acceleration > 0.3 else "")
     )
     return (
         f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
         f" {model.speed:.1f} m/s at most, headway {model.tau:.1f} s, comfortable braking"
-        f" {model.deceleration:.1f} m/s2{'; now ' + future if future else ''}. EGO is"
+        f" {model.deceleration:.1f} m/s2{'; now ' + tendency if tendency else ''}. EGO is"
         f" {situation.ego.length:.1f} m long and {situation.ego.width:.1f} m wide."
     )
-
-
-# -- pieces ---------------------------------------------------------------------------------------------------------
 
 
 def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
@@ -127,44 +128,44 @@ def _turn(situation: Situation, a: float, b: float) -> float:
     return math.remainder(float(heading[1] - heading[0]), math.tau)
 
 
-def _ways(alias: str, target: Target, situation: Situation) -> list[str]:
+def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
     lines = []
-    for way in target.ways:
-        if way.conflict is None:
-            continue
-        lines.append(f"{alias} {_movement(way)}: {_conflict(way, target, situation)}")
-    if not lines and any(math.isfinite(w.junction) for w in target.ways):
+    for path in target.ways:
+        if path.conflict is not None:
+            lines.append(f"{alias} {_movement(path)}: {_conflict(path, target, situation)}")
+    if not lines and any(math.isfinite(path.junction) for path in target.ways):
         lines.append(f"{alias}: none of its ways through the junction ahead of it meets EGO's path.")
     return lines
 
 
-def _movement(way: ReferencePath) -> str:
-    return {"left": "turning left", "right": "turning right"}.get(way.movement, "going straight on")
+def _movement(path: ReferencePath) -> str:
+    return {"left": "turning left", "right": "turning right"}.get(path.movement, "going straight on")
 
 
-def _conflict(way: ReferencePath, target: Target, situation: Situation) -> str:
-    c = way.conflict
+def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
+    c = path.conflict
     assert c is not None
     x, y, _ = situation.frame.to_local(c.x, c.y, c.heading)
-    own, speed = max(c.bv_s - target.station, 0.0), target.state.speed
-    soonest = (math.sqrt(speed**2 + 2 * PUSH * own) - speed) / PUSH
-    present = f"{own / speed:.1f} s at its present speed, " if speed > 0.5 else "it stands, "
-    there = np.flatnonzero(situation.profile_s >= c.ego_s)
-    ego = f"{there[0] * situation.dt:.1f} s" if len(there) else "not within the time looked at"
+    distance, speed = max(c.bv_s - target.station, 0.0), target.state.speed
+    soonest = (math.sqrt(speed**2 + 2 * EARLIEST_ACCELERATION * distance) - speed) / EARLIEST_ACCELERATION
+    present = f"{distance / speed:.1f} s at its present speed, " if speed > 0.5 else "it stands, "
+    arrival = np.flatnonzero(situation.profile_s >= c.ego_s)
+    ego = f"{arrival[0] * situation.dt:.1f} s" if len(arrival) else "not within the time looked at"
     meets = "crosses" if c.kind == "crossing" else "merges into"
     signals = situation.signals.get(target.state.id, ())
-    rule = "it must give way there" if way.gives_way else "it has priority there"
+    rule = "it must give way there" if path.gives_way else "it has priority there"
     if signals:
         rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"
     return (
-        f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg; way to it: {own:.1f} m"
-        f" ({present}{soonest:.1f} s at the earliest), EGO {c.ego_s:.1f} m ({ego} if nothing disturbs it); {rule}."
+        f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg;"
+        f" way to it: {distance:.1f} m ({present}{soonest:.1f} s at the earliest),"
+        f" EGO {c.ego_s:.1f} m ({ego} if nothing disturbs it); {rule}."
     )
 
 
-def _history(track: Track, situation: Situation, rows: Sequence[float]) -> str:
+def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
     parts = []
-    for t in rows:
+    for t in times:
         i = int(np.argmin(np.abs(track.time - (situation.time + t))))
         if abs(track.time[i] - situation.time - t) > 0.06:
             continue

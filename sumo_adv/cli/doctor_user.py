@@ -17,7 +17,7 @@ from sumo_adv.errors import SumoAdvError
 
 if TYPE_CHECKING:
     from sumo_adv.config import Settings
-    from sumo_adv.llm.presets import Server
+    from sumo_adv.llm.client import Server
 
 PREFIX = "SUMO_ADV_"
 REACHED = 3.0  # s for a server to take a connection
@@ -36,8 +36,7 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
 def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
     """The servers of the models that the settings name. Nothing is asked of them, and no key is sent or shown."""
     from sumo_adv.agents.agents import ROLES
-    from sumo_adv.llm.client import REPLAY
-    from sumo_adv.llm.presets import find_server
+    from sumo_adv.llm.client import REPLAY, find_server
 
     names = sorted({name for role in ROLES if (name := settings.player(role)) is not None})
     level = Level.WARN if settings.fallback == "builtin" else Level.FAIL

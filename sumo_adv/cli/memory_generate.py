@@ -75,19 +75,18 @@ def _intent(
 def _written(settings: Settings, name: str, intent: IntentRecord, near: list[LibraryEntry]) -> Planner:
     from sumo_adv.agents.generator import ModelGenerator
     from sumo_adv.datatypes import Intent
-    from sumo_adv.llm.asking import Line
+    from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.client import connect
     from sumo_adv.llm.ledger import Ledger
     from sumo_adv.planners.sandbox import Sandbox
-    from sumo_adv.planners.source import HELPERS_TEXT, make_planner
     from sumo_adv.planners.trial import trial
 
     ledger = Ledger.for_settings(settings)
     prompts: Prompts = _prompts()
     with Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox:
         generator = ModelGenerator(
-            Line(connect(name, settings, ledger), ledger), prompts, settings.limits.limits(), HELPERS_TEXT,
-            make_planner, lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
+            MeteredModel(connect(name, settings, ledger), ledger), prompts, settings.limits.limits(),
+            lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
             instruction=settings.instruction,
         )  # fmt: skip
         return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)[0]

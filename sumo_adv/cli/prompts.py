@@ -77,12 +77,11 @@ def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Eng
     from sumo_adv.cli.models import shipped_prompts
     from sumo_adv.episode.attempt_runner import AttemptRunner
     from sumo_adv.episode.refinement import Refinement, Refiner
-    from sumo_adv.planners.source import HELPERS_TEXT
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
     intent = met.search.ranking(met.library)[0]
     near = sorted(met.library, key=lambda e: e.label != intent.label)
-    generator = generator_prompt(prompts, intent, met.found.first, near, limits, HELPERS_TEXT, settings.instruction)
+    generator = generator_prompt(prompts, intent, met.found.first, near, limits, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
     brain = AttemptRunner(engine, agents.sandbox, met.found, settings.seed)
@@ -91,7 +90,5 @@ def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Eng
         return [generator]
     planner = found.attempts[0].proposal.planner
     described = {e.label: e.description for e in met.library}
-    modifier = modifier_prompt(
-        prompts, planner, described.get(planner.label, ""), found.attempts, limits, HELPERS_TEXT, settings.ttc
-    )
+    modifier = modifier_prompt(prompts, planner, described.get(planner.label, ""), found.attempts, limits, settings.ttc)
     return [generator, modifier]

@@ -1,1 +1,1 @@
-"""Language models: client, wire format, budget ledger, recordings and presets."""
+"""Language models: HTTP client, budget, recordings, and questions with answers of a given type."""

@@ -1,4 +1,7 @@
-"""Asking a model for an answer of a given shape: take the JSON out, check it, and ask again with the exact error."""
+"""Questions with answers of a given type: take the JSON out of the reply, check it, and ask again with the exact fault.
+
+The texts of faults are sent to the model. Recordings depend on them, so a changed text needs new recordings.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +15,13 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sumo_adv.errors import BudgetError, ModelError
-from sumo_adv.llm.chat import ChatModel, ChatRequest, Messages
+from sumo_adv.llm.chat import ChatModel, ChatRequest, Messages, run_in_thread
 from sumo_adv.llm.ledger import Ledger
-from sumo_adv.llm.threads import start
 
 T = TypeVar("T", bound=BaseModel)
-FAULTS = 5  # told at a time
-OBJECTS = 40  # looked for in prose
-ECHO = 6000  # characters of a refused answer that are sent back
+MAX_FAULTS = 5  # of an answer that are sent back
+MAX_OBJECTS = 40  # that are read from prose
+MAX_ECHO = 6000  # characters of a refused answer that are sent back
 
 _THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
 _END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
@@ -28,70 +30,74 @@ _FENCE = re.compile(r"```[a-zA-Z]*[ \t]*\n(.*?)```", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """A model and the ledger that its re-asked and dropped answers are counted in."""
+class MeteredModel:
+    """A model, and the ledger that counts its repeated questions and dropped answers."""
 
     model: ChatModel
     ledger: Ledger
 
 
-def right(answer: Any) -> str | None:
-    """The check that finds nothing wrong."""
+def accept(answer: Any) -> str | None:
+    """The check that accepts every answer."""
     return None
 
 
 def ask(
-    line: Line,
+    metered: MeteredModel,
     agent: str,
     system: str,
     user: str,
-    shape: type[T],
+    answer_type: type[T],
     *,
-    check: Callable[[T], str | None] = right,
+    check: Callable[[T], str | None] = accept,
     re_asks: int = 1,
     sample: int = 0,
 ) -> T:
-    """The model's answer as ``shape``. ``check`` gives None, or a sentence on what is wrong.
+    """The model's answer.
 
-    A fault is sent back as a further turn, at most ``re_asks`` times. Raises ModelError (then "refused", with what was
-    wrong) and BudgetError.
+    check: returns None for a usable answer, otherwise a sentence for the model that says what is wrong.
+    re_asks: how often a fault is sent back as a further turn of the conversation.
+
+    Raises ModelError with the last fault, and BudgetError.
     """
     messages: Messages = (("system", system), ("user", user))
-    schema = shape.model_json_schema()
+    schema = answer_type.model_json_schema()
     for turn in range(re_asks + 1):
-        request = ChatRequest(agent, messages, schema, shape.__name__, sample)
-        text = without_thought(line.model.complete(request).text)
-        answer, fault = read_answer(text, shape)
+        request = ChatRequest(agent, messages, schema, answer_type.__name__, sample)
+        text = without_thought(metered.model.complete(request).text)
+        answer, fault = read_answer(text, answer_type)
         if answer is not None:
             fault = check(answer)
             if fault is None:
                 return answer
         if turn < re_asks:
-            line.ledger.count_re_ask(agent)
+            metered.ledger.count_re_ask(agent)
             again = f"That answer cannot be used. {fault}\nAnswer again: one JSON object, whole, and nothing else."
-            messages = (*messages, ("assistant", text[:ECHO] or "(nothing)"), ("user", again))
-    asked = "once" if re_asks == 0 else f"{re_asks + 1} times"
-    raise ModelError(f"The {agent}'s answer from {line.model.name} was refused, asked {asked}. {fault}")
+            messages = (*messages, ("assistant", text[:MAX_ECHO] or "(nothing)"), ("user", again))
+    times = "once" if re_asks == 0 else f"{re_asks + 1} times"
+    raise ModelError(
+        f"The {agent}'s answer from {metered.model.name} was refused {times}; try another model. Last fault: {fault}"
+    )
 
 
 def ask_many(
-    line: Line,
+    metered: MeteredModel,
     agent: str,
     system: str,
     user: str,
-    shape: type[T],
+    answer_type: type[T],
     *,
     samples: int,
-    check: Callable[[T], str | None] = right,
+    check: Callable[[T], str | None] = accept,
     re_asks: int = 1,
 ) -> list[T]:
-    """``samples`` answers to one question, asked at the same time, in the order of their numbers.
+    """Ask one question ``samples`` times in parallel; the answers are in the order of their sample numbers.
 
-    Answers that fail are left out and counted as dropped. Raises the first one's ModelError if all fail, and
-    BudgetError if one does for that.
+    Failed samples are left out and counted as dropped. Raises BudgetError if the budget ended during a sample, and the
+    first ModelError if all samples failed.
     """
-    one = partial(ask, line, agent, system, user, shape, check=check, re_asks=re_asks)
-    waiting = [start(partial(one, sample=k)) for k in range(samples)]
+    ask_once = partial(ask, metered, agent, system, user, answer_type, check=check, re_asks=re_asks)
+    waiting = [run_in_thread(partial(ask_once, sample=k)) for k in range(samples)]
     answers: list[T] = []
     failed: list[ModelError] = []
     for future in waiting:
@@ -104,25 +110,27 @@ def ask_many(
     if failed and not answers:
         raise failed[0]
     for _ in failed:
-        line.ledger.count_dropped(agent)
+        metered.ledger.count_dropped(agent)
     return answers
 
 
 def without_thought(text: str) -> str:
-    """A model's text without its <think> parts, also where the opening tag is missing."""
+    """A model's text without its <think> parts. The opening tag may be missing."""
     text = _THOUGHT.sub("", text)
     return _END_OF_THOUGHT.split(text)[-1].strip()
 
 
-def read_answer(text: str, shape: type[T]) -> tuple[T | None, str | None]:
-    """(answer, None), or (None, what is wrong): of the JSON objects in ``text`` the first that is of the shape, looked
-    for in the whole text, in fences and in prose, the last ones first."""
-    decoder = json.JSONDecoder(parse_constant=_no_number)
-    found, broken = _in_prose(text, decoder)
-    fault = broken
-    for value in (*_whole([text, *reversed(_FENCE.findall(text))], decoder), *reversed(found)):
+def read_answer(text: str, answer_type: type[T]) -> tuple[T | None, str | None]:
+    """The answer in ``text`` and None, or None and the fault.
+
+    The answer is the first JSON object of that type: the whole text, then fenced blocks, then objects in prose. Among
+    fenced blocks and among objects in prose the last has precedence.
+    """
+    decoder = json.JSONDecoder(parse_constant=_reject_constant)
+    in_prose, fault = _objects_in_prose(text, decoder)
+    for value in (*_whole([text, *reversed(_FENCE.findall(text))], decoder), *reversed(in_prose)):
         try:
-            return shape.model_validate(value), None
+            return answer_type.model_validate(value), None
         except ValidationError as error:
             fault = fault or _faults(error)
     return None, fault or ("There is no JSON object in it." if text else "It is empty.")
@@ -136,37 +144,39 @@ def _whole(parts: Iterable[str], decoder: json.JSONDecoder) -> Iterator[Any]:
             continue
 
 
-def _in_prose(text: str, decoder: json.JSONDecoder) -> tuple[list[Any], str | None]:
-    """The objects between other words, and what is wrong with the first that begins like one and is none."""
-    found: list[Any] = []
-    broken: str | None = None
+def _objects_in_prose(text: str, decoder: json.JSONDecoder) -> tuple[list[Any], str | None]:
+    """The JSON objects between other words, and the fault of the first object that cannot be read."""
+    objects: list[Any] = []
+    fault: str | None = None
     at = 0
-    for _ in range(OBJECTS):
+    for _ in range(MAX_OBJECTS):
         begin = _OBJECT.search(text, at)
         if begin is None:
             break
         try:
             value, at = decoder.raw_decode(text, begin.start())
-            found.append(value)
+            objects.append(value)
         except json.JSONDecodeError as error:
-            broken = broken or f"Its JSON cannot be read: {error}."
+            fault = fault or f"Its JSON cannot be read: {error}."
             at = max(error.pos, begin.end())
         except (ValueError, RecursionError) as error:
             why = "it is nested too deep" if isinstance(error, RecursionError) else str(error)
-            broken = broken or f"Its JSON cannot be read: {why}."
+            fault = fault or f"Its JSON cannot be read: {why}."
             break
-    return found, broken
+    return objects, fault
 
 
-def _no_number(word: str) -> float:
+def _reject_constant(word: str) -> float:
     raise ValueError(f"{word} is no number of JSON")
 
 
 def _faults(error: ValidationError) -> str:
-    found = error.errors(include_url=False)
-    said = [f"{'.'.join(str(p) for p in e['loc']) or 'the answer'}: {e['msg']}{_given(e)}" for e in found[:FAULTS]]
-    more = f"; and {len(found) - FAULTS} more" if len(found) > FAULTS else ""
-    return f"It is not of the shape asked for. {'; '.join(said)}{more}."
+    errors = error.errors(include_url=False)
+    texts = [
+        f"{'.'.join(str(p) for p in e['loc']) or 'the answer'}: {e['msg']}{_given(e)}" for e in errors[:MAX_FAULTS]
+    ]
+    more = f"; and {len(errors) - MAX_FAULTS} more" if len(errors) > MAX_FAULTS else ""
+    return f"It is not of the shape asked for. {'; '.join(texts)}{more}."
 
 
 def _given(fault: Any) -> str:

@@ -1,32 +1,45 @@
-"""The nouns of talking to a language model: a question, a reply, and who answers."""
+"""What all parts of this package share: a request to a language model, its reply, and the protocol of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 Messages = tuple[tuple[str, str], ...]
-CHARACTERS_A_TOKEN = 4  # of English text and code, roughly
+CHARACTERS_PER_TOKEN = 4  # of English text and code, roughly
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class ChatRequest:
-    """One question. ``messages``: (role, content) pairs; ``shape``: JSON schema of the answer, None = free text;
-    ``sample``: tells repeated questions apart; ``temperature``: None = that of the settings."""
+    """One question to a model.
+
+    messages: (role, content) pairs.
+    schema: JSON schema of the answer, None for free text; ``schema_name`` is its name.
+    sample: number that tells repeated questions apart.
+    temperature: None for the temperature of the settings.
+    """
 
     agent: str
     messages: Messages
-    shape: Mapping[str, Any] | None = None
-    shape_name: str = ""
+    schema: Mapping[str, Any] | None = None
+    schema_name: str = ""
     sample: int = 0
     temperature: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class ChatReply:
-    """One answer. ``reasoning`` is kept and never sent back; ``seconds`` [s, to the ms] with all retries; ``mode``:
-    how the shape was asked for: json_schema, json_object or text. Tokens are estimates where a server counts none."""
+    """One answer of a model.
+
+    reasoning: kept in recordings and never sent back.
+    prompt_tokens, completion_tokens: estimates if the server does not count them.
+    seconds: duration of the question with all its retries [s], rounded to ms.
+    mode: how the schema was sent: json_schema, json_object or text.
+    """
 
     text: str
     reasoning: str = ""
@@ -39,18 +52,37 @@ class ChatReply:
 
 
 class ChatModel(Protocol):
-    """Who answers. Safe to call from several threads."""
+    """A language model that answers questions. Implementations can be called from several threads."""
 
     @property
     def name(self) -> str:
-        """What files and messages call it."""
+        """The model's name in files and messages."""
         ...
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The answer. Raises ModelError, BudgetError."""
+        """The model's reply. Raises ModelError, BudgetError."""
         ...
 
 
 def estimate_tokens(messages: Sequence[tuple[str, str]]) -> int:
-    """How many tokens messages are, roughly: a quarter of their characters, rounded up."""
-    return -(-sum(len(content) for _, content in messages) // CHARACTERS_A_TOKEN)
+    """Rough number of tokens of messages: a quarter of their characters, rounded up."""
+    return -(-sum(len(content) for _, content in messages) // CHARACTERS_PER_TOKEN)
+
+
+def one_line(text: str) -> str:
+    """A text on one line: control characters become spaces, and every run of spaces becomes one space."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def run_in_thread(work: Callable[[], T]) -> Future[T]:
+    """Run ``work`` in a daemon thread. Ctrl-C interrupts the wait for its result, and the program can end before it."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future

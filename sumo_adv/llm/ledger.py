@@ -1,4 +1,4 @@
-"""What a run spends on language models, and what it may spend."""
+"""The budget of a run for language models, and the count of what it has spent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COUNTS = (
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Limits of one run; None = no limit. ``seconds``: time spent on questions, added up over those asked at once."""
+    """Limits of one run, None for no limit. ``seconds``: sum of the durations of questions, parallel ones included."""
 
     calls: int | None = None
     tokens: int | None = None
@@ -28,10 +28,10 @@ class Budget:
 
 
 class Ledger:
-    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Safe to use from several threads.
+    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Can be used from several threads.
 
-    Times are added up in whole milliseconds, so the order of parallel answers does not show. ``waited`` [s]: how long
-    some question was open by ``clock``, those asked at once counted once; a repeated recording is hardly waited for.
+    Durations are summed in whole milliseconds, so the sum does not depend on the order of parallel answers.
+    ``waited``: time [s] by ``clock`` during which at least one question was open. A replay adds almost none.
     """
 
     def __init__(self, budget: Budget | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
@@ -48,7 +48,7 @@ class Ledger:
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """While a question is open."""
+        """A context that lasts while a question is open."""
         with self._lock:
             self._since = self._since if self._open else self._clock()
             self._open += 1
@@ -60,56 +60,61 @@ class Ledger:
                 self.waited += 0.0 if self._open else self._clock() - self._since
 
     def admit(self, request: ChatRequest) -> None:
-        """Count a call, or raise BudgetError if it would exceed the budget (its prompt's tokens are estimated)."""
-        asked = estimate_tokens(request.messages)
+        """Count a call. Raises BudgetError if the call would exceed the budget; its tokens are estimated."""
+        estimate = estimate_tokens(request.messages)
         with self._lock:
             spent, allowed = self._totals(), self.budget
             tokens = spent["prompt_tokens"] + spent["completion_tokens"]
             if allowed.calls is not None and spent["calls"] >= allowed.calls:
-                raise BudgetError(f"The {allowed.calls} calls of language models that a run may make are spent.")
-            if allowed.tokens is not None and tokens + asked > allowed.tokens:
                 raise BudgetError(
-                    f"The next question would exceed the {allowed.tokens} tokens that a run may use ({tokens} are)."
+                    f"The run has used its {allowed.calls} calls of language models; raise llm_max_calls for more."
+                )
+            if allowed.tokens is not None and tokens + estimate > allowed.tokens:
+                raise BudgetError(
+                    f"The next question would exceed the {allowed.tokens} tokens of the run, of which {tokens} are "
+                    "used; raise llm_max_tokens for more."
                 )
             if allowed.seconds is not None and spent["milliseconds"] >= 1000 * allowed.seconds:
-                raise BudgetError(f"The {allowed.seconds:g} s that a run may spend on language models are spent.")
+                raise BudgetError(
+                    f"The run has used its {allowed.seconds:g} s of language models; raise llm_max_seconds for more."
+                )
             self._add(request.agent, "calls", 1)
 
     def count(self, agent: str, reply: ChatReply) -> None:
-        """Count what an answer took."""
+        """Count the tokens, retries and duration of a reply."""
         with self._lock:
             for name in ("prompt_tokens", "completion_tokens", "cached_tokens", "retries"):
                 self._add(agent, name, getattr(reply, name))
             self._add(agent, "milliseconds", round(1000 * reply.seconds))
 
     def count_failure(self, agent: str, error: ModelError) -> None:
-        """Count what a question took that got no answer."""
+        """Count the retries and duration of a question without a reply."""
         with self._lock:
             self._add(agent, "retries", error.retries)
             self._add(agent, "milliseconds", round(1000 * error.seconds))
 
     def count_re_ask(self, agent: str) -> None:
-        """Count a question that had to be asked again because of what was answered."""
+        """Count a question that is repeated because its answer was unusable."""
         with self._lock:
             self._add(agent, "re_asks", 1)
 
     def count_dropped(self, agent: str) -> None:
-        """Count an answer that was not used."""
+        """Count a sample without a usable answer."""
         with self._lock:
             self._add(agent, "dropped", 1)
 
     def seconds_left(self) -> float | None:
-        """What is left of the budget's time [s]; None = no limit."""
+        """The rest of the time budget [s], None for no limit."""
         with self._lock:
             if self.budget.seconds is None:
                 return None
             return max(0.0, self.budget.seconds - self._totals()["milliseconds"] / 1000)
 
     def as_dict(self) -> dict[str, Any]:
-        """Totals, and per agent under ``agents``; seconds to the ms."""
+        """Totals, and under ``agents`` the same per agent; seconds are rounded to ms."""
         with self._lock:
-            agents = {agent: _said(counts) for agent, counts in sorted(self._agents.items())}
-            return {**_said(self._totals()), "agents": agents}
+            agents = {agent: _with_seconds(counts) for agent, counts in sorted(self._agents.items())}
+            return {**_with_seconds(self._totals()), "agents": agents}
 
     def _add(self, agent: str, name: str, number: int) -> None:
         counts = self._agents.setdefault(agent, dict.fromkeys(COUNTS, 0))
@@ -119,14 +124,14 @@ class Ledger:
         return {name: sum(counts[name] for counts in self._agents.values()) for name in COUNTS}
 
 
-def _said(counts: dict[str, int]) -> dict[str, Any]:
+def _with_seconds(counts: dict[str, int]) -> dict[str, Any]:
     return {
         ("seconds" if k == "milliseconds" else k): (v / 1000 if k == "milliseconds" else v) for k, v in counts.items()
     }
 
 
-class Counted:
-    """A model whose questions go through a ledger: the budget before, the counts after."""
+class BudgetedModel:
+    """A model with a ledger, which checks the budget before each question and counts the cost after it."""
 
     def __init__(self, model: ChatModel, ledger: Ledger) -> None:
         self._model = model
@@ -134,7 +139,7 @@ class Counted:
         self.name = model.name
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """As the model answers. Raises BudgetError before a call that would exceed the budget, and ModelError."""
+        """The model's reply. Raises ModelError, and BudgetError before a call that would exceed the budget."""
         self._ledger.admit(request)
         try:
             with self._ledger.waiting():

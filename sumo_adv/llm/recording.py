@@ -1,6 +1,7 @@
-"""Exchanges with a model as lines of JSON: written while a run goes on, and answered from later.
+"""Recordings: a file with the exchanges of a run and its models, and a model that answers from such a file.
 
-The first line is a header (schema, model, note); each other one holds a request, and a reply or an error.
+The file holds one JSON object per line. The first line is a header (schema, model, note). Every other line holds a
+request, and the reply or the error.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest, Messages
 KIND = "sumo_adv recording of a language model"
 SCHEMA = 1
 REPLAYED = "replay of "
-AROUND = 30  # characters shown of where two questions part
+CONTEXT = 30  # characters shown on both sides of the first difference of two questions
 
 
 class Recorder:
-    """An open recording; ``wrap`` a model to have its exchanges written. Use it in a ``with`` statement."""
+    """A recording that is being written. ``wrap`` a model to record its exchanges. Use it in a ``with`` statement."""
 
     def __init__(self, path: Path, model: str, *, note: str = "") -> None:
-        """Begin the file. ``note`` says where the answers come from. Raises ModelError if it cannot be written."""
+        """Write the header. ``note``: origin of the answers. Raises ModelError if the file cannot be written."""
         self._path = path
         self._lock = threading.Lock()
         header = {"kind": KIND, "schema": SCHEMA, "model": model.removeprefix(REPLAYED), "note": note}
@@ -46,28 +47,28 @@ class Recorder:
         self.close()
 
     def close(self) -> None:
-        """Close the file; may be called twice."""
+        """Close the file. A second call does nothing."""
         with self._lock:
             self._file.close()
 
     def wrap(self, model: ChatModel) -> ChatModel:
-        """The model, with every exchange written."""
-        return _Recorded(model, self)
+        """A model that answers like ``model`` and records the exchanges."""
+        return _RecordedModel(model, self)
 
     def add(self, request: ChatRequest, answer: ChatReply | ModelError) -> None:
-        """Write one exchange and flush. Raises ModelError. What comes after ``close`` is left out."""
-        asked = {
+        """Write one exchange and flush. After ``close`` nothing is written. Raises ModelError."""
+        question = {
             "agent": request.agent, "sample": request.sample, "messages": [list(m) for m in request.messages],
-            "shape": request.shape_name, "temperature": request.temperature,
+            "shape": request.schema_name, "temperature": request.temperature,
         }  # fmt: skip
         if isinstance(answer, ModelError):
             kind = "budget" if isinstance(answer, BudgetError) else "model"
-            got: dict[str, Any] = {"error": {
+            result: dict[str, Any] = {"error": {
                 "kind": kind, "message": str(answer), "retries": answer.retries, "seconds": answer.seconds,
             }}  # fmt: skip
         else:
-            got = {"reply": asdict(answer)}
-        self._write({"request": asked, **got})
+            result = {"reply": asdict(answer)}
+        self._write({"request": question, **result})
 
     def _write(self, line: dict[str, Any]) -> None:
         with self._lock:
@@ -82,10 +83,10 @@ class Recorder:
 
 def _unwritable(path: Path, error: OSError) -> ModelError:
     reason = (error.strerror or str(error)).lower()
-    return ModelError(f"The recording {path} cannot be written: {reason}; give another folder or correct that.")
+    return ModelError(f"The recording {path} cannot be written: {reason}; give another folder.")
 
 
-class _Recorded:
+class _RecordedModel:
     def __init__(self, model: ChatModel, recorder: Recorder) -> None:
         self._model = model
         self._recorder = recorder
@@ -113,17 +114,20 @@ class Exchange:
 
     @property
     def key(self) -> str:
-        """What a question is found by."""
+        """The key of the question."""
         return question_key(self.agent, self.messages, self.sample)
 
 
 def question_key(agent: str, messages: Messages, sample: int) -> str:
-    """SHA-256 of a question's content."""
+    """SHA-256 of a question's content, by which ``Replay`` looks it up."""
     return hashlib.sha256(json.dumps([agent, sample, [list(m) for m in messages]]).encode()).hexdigest()
 
 
 class Replay:
-    """A model that answers from a recording, by the content of the question; repeated ones in the order recorded."""
+    """A model that answers from a recording.
+
+    It looks a question up by its content. A repeated question gets its answers in the recorded order.
+    """
 
     def __init__(self, path: Path, model: str, exchanges: Sequence[Exchange]) -> None:
         self.name = REPLAYED + model
@@ -133,11 +137,11 @@ class Replay:
         self._answers: dict[str, list[ChatReply | ModelError]] = {}
         for exchange in exchanges:
             self._answers.setdefault(exchange.key, []).append(exchange.answer)
-        self._asked: dict[str, int] = {}
+        self._times: dict[str, int] = {}
 
     @classmethod
     def open(cls, path: Path | str) -> Replay:
-        """Read a recording. A last line that was cut off is left out. Raises UsageError."""
+        """Read a recording. An incomplete last line is ignored. Raises UsageError."""
         path = Path(path)
         try:
             text = path.read_text(encoding="utf-8")
@@ -147,20 +151,21 @@ class Replay:
         lines = text.split("\n")[:-1]
         header = _json(lines[0]) if lines else None
         if not isinstance(header, dict) or header.get("kind") != KIND:
-            raise UsageError(f"The file {path} is no recording of a language model by this program.")
+            raise UsageError(f"The file {path} is no recording of this program; give the model.jsonl of a run.")
         if header.get("schema") != SCHEMA:
             raise UsageError(
-                f"The recording {path} has the schema {header.get('schema')!r}; this program reads {SCHEMA}."
+                f"The recording {path} has schema {header.get('schema')!r}, but this program reads {SCHEMA}; "
+                "record it again."
             )
         exchanges = [_exchange(path, number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
         return cls(path, str(header.get("model")), exchanges)
 
     def complete(self, request: ChatRequest) -> ChatReply:
-        """The recorded answer. Raises ModelError: the recorded one, or that the question is not there."""
+        """The recorded reply. Raises the recorded ModelError, and ModelError for a question that is not recorded."""
         key = question_key(request.agent, request.messages, request.sample)
         with self._lock:
-            turn = self._asked.get(key, 0)
-            self._asked[key] = turn + 1
+            turn = self._times.get(key, 0)
+            self._times[key] = turn + 1
         answers = self._answers.get(key, [])
         if turn >= len(answers):
             raise ModelError(self._missing(request, len(answers)))
@@ -171,35 +176,45 @@ class Replay:
 
     def _missing(self, request: ChatRequest, times: int) -> str:
         if times:
-            return f"The recording {self._path} answers this question of the {request.agent} only {times} times."
-        own = [e for e in self._exchanges if e.agent == request.agent]
-        if not own:
-            return f"The recording {self._path} has no question of the {request.agent}."
-        asked = _flat(request.messages)
-        nearest = max(own, key=lambda e: (_common(_flat(e.messages), asked), e.sample == request.sample))
-        said = f"The recording {self._path} does not have this question of the {request.agent}; the nearest, in line"
-        there, at = _flat(nearest.messages), _common(_flat(nearest.messages), asked)
-        if there == asked:
-            return f"{said} {nearest.number}, is sample {nearest.sample} instead of {request.sample}."
-        old, new = (repr(text[max(0, at - AROUND) : at + AROUND]) for text in (there, asked))
-        return f"{said} {nearest.number}, differs from character {at + 1} on: {old} there, {new} asked."
+            return (
+                f"The recording {self._path} answers this question of the {request.agent} only {times} times; "
+                "record the run again."
+            )
+        of_agent = [e for e in self._exchanges if e.agent == request.agent]
+        if not of_agent:
+            return f"The recording {self._path} has no question of the {request.agent}; record the run again."
+        new = _text(request.messages)
+        nearest = max(of_agent, key=lambda e: (_common_prefix(_text(e.messages), new), e.sample == request.sample))
+        old = _text(nearest.messages)
+        if old == new:
+            difference = f"is sample {nearest.sample} instead of {request.sample}"
+        else:
+            at = _common_prefix(old, new)
+            there, here = (repr(text[max(0, at - CONTEXT) : at + CONTEXT]) for text in (old, new))
+            difference = f"differs from character {at + 1} on: {there} recorded, {here} asked"
+        return (
+            f"The recording {self._path} lacks this question of the {request.agent}; record the run again "
+            f"(the nearest, in line {nearest.number}, {difference})."
+        )
 
 
 def _exchange(path: Path, number: int, line: str) -> Exchange:
     value = _json(line)
     try:
-        asked = value["request"]
-        messages = tuple((str(role), str(content)) for role, content in asked["messages"])
+        question = value["request"]
+        messages = tuple((str(role), str(content)) for role, content in question["messages"])
         answer: ChatReply | ModelError
         if "reply" in value:
             answer = _reply(value["reply"])
         else:
-            found = value["error"]
-            kind = BudgetError if found["kind"] == "budget" else ModelError
-            answer = kind(str(found["message"]), retries=int(found["retries"]), seconds=float(found["seconds"]))
-        return Exchange(number, str(asked["agent"]), int(asked["sample"]), messages, answer)
-    except (KeyError, TypeError, ValueError) as error:
-        raise UsageError(f"Line {number} of the recording {path} is no exchange with a model.") from error
+            error = value["error"]
+            kind = BudgetError if error["kind"] == "budget" else ModelError
+            answer = kind(str(error["message"]), retries=int(error["retries"]), seconds=float(error["seconds"]))
+        return Exchange(number, str(question["agent"]), int(question["sample"]), messages, answer)
+    except (KeyError, TypeError, ValueError) as cause:
+        raise UsageError(
+            f"Line {number} of the recording {path} is no exchange with a model; record the run again."
+        ) from cause
 
 
 def _reply(value: dict[str, Any]) -> ChatReply:
@@ -217,12 +232,12 @@ def _json(line: str) -> Any:
         return None
 
 
-def _flat(messages: Messages) -> str:
+def _text(messages: Messages) -> str:
     return "\n".join(content for _, content in messages)
 
 
-def _common(a: str, b: str) -> int:
-    """How many characters two texts begin alike with."""
+def _common_prefix(a: str, b: str) -> int:
+    """Length of the common prefix of two texts."""
     low, high = 0, min(len(a), len(b))
     while low < high:
         middle = (low + high + 1) // 2

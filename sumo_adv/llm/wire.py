@@ -1,4 +1,4 @@
-"""The protocol of chat completions as plain data: what is sent, and what comes back. No I/O."""
+"""The chat completions protocol as plain data: bodies of requests, and what answers hold. No I/O."""
 
 from __future__ import annotations
 
@@ -7,39 +7,42 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sumo_adv.llm.chat import ChatReply, ChatRequest, estimate_tokens
+from sumo_adv.llm.chat import ChatReply, ChatRequest, estimate_tokens, one_line
 
-SAID = 200  # characters of a server's own words in a message
+MAX_QUOTED = 200  # characters of a server's text that a message quotes
 
 
-class WrongShape(Exception):
-    """What came is no answer of the protocol; the text says why."""
+class InvalidAnswer(Exception):
+    """An answer that does not follow the protocol; the text says why."""
 
 
 def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | None) -> dict[str, Any]:
-    """The body of POST chat/completions. The shape goes with ``response_format``, or else into the first message."""
+    """The body of POST chat/completions.
+
+    By ``mode`` the answer's schema is sent as ``response_format`` (json_schema) or in the first message (others).
+    """
     messages = [{"role": role, "content": content} for role, content in request.messages]
     body: dict[str, Any] = {"model": model, "messages": messages, "stream": False}
-    heat = request.temperature if request.temperature is not None else temperature
-    if heat is not None:
-        body["temperature"] = heat
-    if request.shape is None:
+    temperature = request.temperature if request.temperature is not None else temperature
+    if temperature is not None:
+        body["temperature"] = temperature
+    if request.schema is None:
         return body
     if mode == "json_schema":
-        schema = {"name": request.shape_name or "answer", "strict": True, "schema": strict_schema(request.shape)}
+        schema = {"name": request.schema_name or "answer", "strict": True, "schema": strict_schema(request.schema)}
         body["response_format"] = {"type": "json_schema", "json_schema": schema}
         return body
     if mode == "json_object":
         body["response_format"] = {"type": "json_object"}
-    shape = json.dumps(request.shape, ensure_ascii=False)
-    messages[0]["content"] += f"\n\nAnswer with one JSON object and nothing else. Its JSON schema:\n{shape}"
+    text = json.dumps(request.schema, ensure_ascii=False)
+    messages[0]["content"] += f"\n\nAnswer with one JSON object and nothing else. Its JSON schema:\n{text}"
     return body
 
 
 def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
-    """A JSON schema as the strict mode wants it: objects closed, all their properties required, no defaults."""
-    closed: dict[str, Any] = copy.deepcopy(dict(schema))
-    stack: list[Any] = [closed]
+    """A JSON schema for the strict mode: objects are closed, all properties are required, and defaults are absent."""
+    strict: dict[str, Any] = copy.deepcopy(dict(schema))
+    stack: list[Any] = [strict]
     while stack:
         node = stack.pop()
         if isinstance(node, dict):
@@ -51,76 +54,82 @@ def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
             stack.extend(node.values())
         elif isinstance(node, list):
             stack.extend(node)
-    return closed
+    return strict
 
 
 def read_json(raw: bytes) -> dict[str, Any]:
-    """The object in a server's body. Raises WrongShape."""
+    """The object in a server's body. Raises InvalidAnswer."""
     try:
         value = json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise WrongShape("its body is no JSON" if raw.strip() else "its body is empty") from error
+        raise InvalidAnswer("its body is no JSON" if raw.strip() else "its body is empty") from error
     if not isinstance(value, dict):
-        raise WrongShape("its body is no JSON object")
+        raise InvalidAnswer("its body is no JSON object")
     return value
 
 
 def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> ChatReply:
-    """The reply in a completion, without what it took. Raises WrongShape, also where the server says an error or the
-    model refuses."""
-    if value.get("error"):
-        raise WrongShape(f"it says: {plain(error_words(value))}")
+    """The reply in a completion, without duration and retries.
+
+    Raises InvalidAnswer, also if the server reports an error or the model refuses to answer.
+    """
+    _raise_reported_error(value)
     try:
         message = value["choices"][0]["message"]
         text, refusal = _content(message.get("content")), message.get("refusal")
     except (KeyError, IndexError, TypeError, AttributeError) as error:
-        raise WrongShape("its body has no choices[0].message, is this a server of chat completions?") from error
+        raise InvalidAnswer(
+            "its body has no choices[0].message; check that SUMO_ADV_LLM_BASE_URL is a server of chat completions"
+        ) from error
     if not text and isinstance(refusal, str) and refusal:
-        raise WrongShape(f"the model refuses: {plain(refusal)}")
+        raise InvalidAnswer(f"the model refuses: {quoted(refusal)}")
     reasoning = next((v for k in ("reasoning_content", "reasoning") if isinstance(v := message.get(k), str) and v), "")
     given = value.get("usage")
     usage: Mapping[str, Any] = given if isinstance(given, dict) else {}
     details = usage.get("prompt_tokens_details")
-    cached = _number(details.get("cached_tokens")) if isinstance(details, dict) else None
-    prompt, completion = _number(usage.get("prompt_tokens")), _number(usage.get("completion_tokens"))
+    cached = _count(details.get("cached_tokens")) if isinstance(details, dict) else None
+    prompt, completion = _count(usage.get("prompt_tokens")), _count(usage.get("completion_tokens"))
     return ChatReply(
         text=text,
         reasoning=reasoning,
         prompt_tokens=estimate_tokens(request.messages) if prompt is None else prompt,
         completion_tokens=estimate_tokens([("", text), ("", reasoning)]) if completion is None else completion,
-        cached_tokens=cached if cached is not None else _number(usage.get("prompt_cache_hit_tokens")) or 0,
-        mode=mode if request.shape is not None else "text",
+        cached_tokens=cached if cached is not None else _count(usage.get("prompt_cache_hit_tokens")) or 0,
+        mode=mode if request.schema is not None else "text",
     )
 
 
 def read_vectors(value: Mapping[str, Any], count: int) -> list[list[float]]:
-    """The vectors of an embeddings answer, in the order of the texts. Raises WrongShape."""
-    if value.get("error"):
-        raise WrongShape(f"it says: {plain(error_words(value))}")
+    """The ``count`` vectors of an embeddings answer, in the order of the texts. Raises InvalidAnswer."""
+    _raise_reported_error(value)
     try:
         data: Sequence[Mapping[str, Any]] = value["data"]
-        placed = {int(each.get("index", place)): each["embedding"] for place, each in enumerate(data)}
-        vectors = [[float(x) for x in placed[i]] for i in range(count)]
+        by_index = {int(each.get("index", place)): each["embedding"] for place, each in enumerate(data)}
+        vectors = [[float(x) for x in by_index[i]] for i in range(count)]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise WrongShape(f"its body has no data with {count} embeddings") from error
+        raise InvalidAnswer(f"its body has no data with {count} embeddings") from error
     if not vectors or len({len(v) for v in vectors}) != 1 or not vectors[0]:
-        raise WrongShape("its embeddings are not of one length")
+        raise InvalidAnswer("its embeddings are not of one length")
     return vectors
 
 
-def error_words(value: Any) -> str:
-    """What a server says in an error's body."""
-    found = value.get("error", value) if isinstance(value, dict) else value
-    if isinstance(found, dict):
-        found = found.get("message") or found.get("detail") or json.dumps(found)
-    return str(found)
+def error_text(value: Any) -> str:
+    """The text that a server gives in the body of an error."""
+    error = value.get("error", value) if isinstance(value, dict) else value
+    if isinstance(error, dict):
+        error = error.get("message") or error.get("detail") or json.dumps(error)
+    return str(error)
 
 
-def plain(text: str) -> str:
-    """Somebody else's words on one line, without control characters, at most ``SAID`` of them."""
-    words = "".join(c if c.isprintable() else " " for c in text)
-    words = " ".join(words.split())
-    return words if len(words) <= SAID else words[: SAID - 3] + "..."
+def quoted(text: str) -> str:
+    """A server's text for a message: one line of at most ``MAX_QUOTED`` characters."""
+    line = one_line(text)
+    return line if len(line) <= MAX_QUOTED else line[: MAX_QUOTED - 3] + "..."
+
+
+def _raise_reported_error(value: Mapping[str, Any]) -> None:
+    if value.get("error"):
+        raise InvalidAnswer(f"it says: {quoted(error_text(value))}")
 
 
 def _content(given: Any) -> str:
@@ -133,5 +142,5 @@ def _content(given: Any) -> str:
     return given
 
 
-def _number(given: Any) -> int | None:
+def _count(given: Any) -> int | None:
     return int(given) if isinstance(given, int | float) and not isinstance(given, bool) and 0 <= given < 1e12 else None

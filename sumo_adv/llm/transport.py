@@ -1,0 +1,286 @@
+"""HTTP requests to one model server: deadline, retries, and the messages of failures.
+
+One deadline holds for a question with all its retries. It is kept by a clock of this module, so a server that hangs or
+sends a byte at a time is cut off too. Statuses 408, 429 and 5xx and broken connections are retried after a random wait.
+The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from email.utils import parsedate_to_datetime
+from typing import Any, NoReturn, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+import httpx
+from pydantic import SecretStr
+
+from sumo_adv import __version__
+from sumo_adv.config_model import ModelSettings
+from sumo_adv.errors import BudgetError, ModelError
+from sumo_adv.llm import wire
+from sumo_adv.llm.chat import run_in_thread
+
+MAX_ANSWER_BYTES = 2_000_000
+FIRST_WAIT = 0.5  # s, before the first retry
+MAX_WAIT = 8.0  # s, unless the server asks for more
+RETRIED_STATUSES = (408, 429)  # and 5xx
+SCHEMA_REJECTED_STATUSES = (400, 422)  # how servers reject a response_format that they do not support
+LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
+T = TypeVar("T")
+
+
+class Clock(Protocol):
+    """Time [s] for waits and deadlines."""
+
+    def now(self) -> float:
+        """A time that only grows."""
+        ...
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        ...
+
+
+class SystemClock:
+    """The computer's clock."""
+
+    now = staticmethod(time.monotonic)
+    sleep = staticmethod(time.sleep)
+
+
+@dataclass(frozen=True, slots=True)
+class _Response:
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Failure:
+    """A try that may be repeated: its reason, and the shortest wait [s] before the next try."""
+
+    reason: str
+    wait: float = 0.0
+
+
+class _TooLarge(Exception):
+    pass
+
+
+class _Compressed(Exception):
+    """The server compressed its answer, although the request forbids that."""
+
+
+class ServerConnection:
+    """One server: its address, its key, and the limit on questions that are open at the same time."""
+
+    def __init__(self, model: str, base_url: str, key: SecretStr | None, settings: ModelSettings, clock: Clock) -> None:
+        """``model``: the name that messages call the model by."""
+        self.model = model
+        self.settings = settings
+        self.clock = clock
+        self.host = urlsplit(base_url).netloc
+        self.jitter = random.Random()
+        self.slots = threading.BoundedSemaphore(settings.llm_concurrency)
+        self.has_answered = False
+        self._base_url = base_url
+        self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
+        self._key = key.get_secret_value() if key is not None else None
+
+    def question(self, seconds_left: float | None) -> Question:
+        """A new question. ``seconds_left``: the rest of the run's time for models [s], None for no limit."""
+        return Question(self, seconds_left)
+
+    def send(self, path: str, body: bytes, seconds: float) -> _Response:
+        """POST ``body`` and read the whole answer within ``seconds``; the key is blanked out in it.
+
+        Raises TimeoutError, httpx.HTTPError, _TooLarge, _Compressed.
+        """
+        answer = run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(path, body), seconds))).result()
+        if self._key is None:
+            return answer
+        return _Response(answer.status, answer.headers, answer.body.replace(self._key.encode(), b"***"))
+
+    async def _exchange(self, path: str, body: bytes) -> _Response:
+        headers = {
+            "Content-Type": "application/json", "User-Agent": f"sumo-adv/{__version__}", "Accept-Encoding": "identity",
+        }  # fmt: skip
+        if self._key is not None:
+            headers["Authorization"] = f"Bearer {self._key}"
+        timeout = httpx.Timeout(self.settings.llm_read_timeout, connect=self.settings.llm_connect_timeout)
+        async with (
+            httpx.AsyncClient(timeout=timeout, trust_env=self._use_proxy) as client,
+            client.stream("POST", self._base_url + path, content=body, headers=headers) as response,
+        ):
+            encoding = response.headers.get("content-encoding", "identity").strip().lower()
+            if encoding not in ("", "identity"):  # 2 kB may unpack to 3 GB
+                raise _Compressed(encoding)
+            parts, size = [], 0
+            async for part in response.aiter_raw(65536):
+                parts.append(part)
+                size += len(part)
+                if size > MAX_ANSWER_BYTES:
+                    raise _TooLarge
+            return _Response(response.status_code, dict(response.headers), b"".join(parts))
+
+
+class Question:
+    """One question to a server with all its retries. As a context manager it holds one of the server's slots."""
+
+    def __init__(self, server: ServerConnection, seconds_left: float | None) -> None:
+        self._server = server
+        allowed = server.settings.llm_question_seconds
+        self._limited_by_budget = seconds_left is not None and seconds_left < allowed
+        self._allowed = allowed if seconds_left is None else min(allowed, seconds_left)
+        self.retries = 0
+
+    def __enter__(self) -> Question:
+        self._server.slots.acquire()
+        self._began = self._server.clock.now()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.slots.release()
+
+    def seconds(self) -> float:
+        """Time since the question began [s], rounded to ms."""
+        return round(self._server.clock.now() - self._began, 3)
+
+    def post(
+        self,
+        path: str,
+        body: Mapping[str, Any],
+        read: Callable[[Mapping[str, Any]], T],
+        *,
+        none_if_rejected: bool = False,
+    ) -> T | None:
+        """Send ``body`` and return ``read(answer)``. Raises ModelError, BudgetError.
+
+        ``none_if_rejected``: return None for status 400 or 422.
+        """
+        raw = json.dumps(body).encode()
+        for number in range(self._server.settings.llm_retries + 1):
+            result = self._try(path, raw)
+            if isinstance(result, _Response):
+                if result.status in SCHEMA_REJECTED_STATUSES and none_if_rejected:
+                    self.retries += 1
+                    return None
+                if result.status != 200:
+                    self._fail_for_status(result)
+                try:
+                    value = wire.read_json(result.body)
+                except wire.InvalidAnswer as error:
+                    result = _Failure(f"sent an answer that cannot be read ({error})")
+                else:
+                    try:
+                        return read(value)
+                    except wire.InvalidAnswer as error:
+                        self._fail(f"gave no usable answer: {error}")
+            self._wait(number, result)
+        raise AssertionError("the last try answers or raises")
+
+    def _try(self, path: str, raw: bytes) -> _Response | _Failure:
+        """Send the question once. Raises ModelError for a failure that a retry cannot change."""
+        left = self._allowed - (self._server.clock.now() - self._began)
+        if left <= 0:
+            self._fail_for_time()
+        try:
+            answer = self._server.send(path, raw, left)
+        except TimeoutError:
+            self._fail_for_time()
+        except _TooLarge:
+            self._fail(
+                f"sent an answer of more than {MAX_ANSWER_BYTES // 1_000_000} MB, which is refused; "
+                "check SUMO_ADV_LLM_BASE_URL"
+            )
+        except _Compressed as error:
+            self._fail(
+                f"sent an answer with Content-Encoding {wire.quoted(str(error))}, which is refused; "
+                "turn compression off there"
+            )
+        except httpx.ConnectError as error:
+            if not self._server.has_answered:
+                self._fail(f"cannot be reached ({_reason(error)}); start it, or correct SUMO_ADV_LLM_BASE_URL")
+            return _Failure(f"cannot be reached any more ({_reason(error)})")
+        except httpx.TimeoutException:
+            return _Failure("sent nothing within the connect or read timeout")
+        except httpx.HTTPError as error:
+            return _Failure(f"broke the connection ({_reason(error)})")
+        except (httpx.InvalidURL, httpx.StreamError) as error:
+            self._fail(f"cannot be asked ({_reason(error)}); correct SUMO_ADV_LLM_BASE_URL")
+        self._server.has_answered = True
+        if answer.status in RETRIED_STATUSES or answer.status >= 500:
+            return _Failure(f"answered with status {answer.status}{_server_text(answer)}", _retry_after(answer.headers))
+        return answer
+
+    def _wait(self, number: int, failure: _Failure) -> None:
+        """Wait before the next try. Raises ModelError after the last try or if the deadline would pass."""
+        if number == self._server.settings.llm_retries:
+            retried = "" if self.retries == 0 else f", also after {self.retries} retries"
+            self._fail(f"{failure.reason}{retried}; try again later, or use another model")
+        backoff = min(MAX_WAIT, FIRST_WAIT * 2**number) * self._server.jitter.uniform(0.5, 1.0)
+        wait = max(failure.wait, backoff)
+        if self._server.clock.now() - self._began + wait >= self._allowed:
+            self._fail(
+                f"{failure.reason}, and the next try would be {wait:.0f} s later, but a question may take only "
+                f"{self._allowed:g} s; raise llm_question_seconds"
+            )
+        self._server.clock.sleep(wait)
+        self.retries += 1
+
+    def _fail_for_status(self, answer: _Response) -> NoReturn:
+        reason = {
+            401: "does not accept the key; set SUMO_ADV_LLM_API_KEY",
+            402: "demands a payment; add credit to the account, or choose another model",
+            403: "does not let this key use the model; set SUMO_ADV_LLM_API_KEY, or choose another model",
+            404: f"does not know this model or address; check the name '{self._server.model}' and "
+            "SUMO_ADV_LLM_BASE_URL",
+        }.get(answer.status, "rejected the question")
+        if 300 <= answer.status < 400:
+            reason = "redirects to another address; set SUMO_ADV_LLM_BASE_URL to that address"
+        self._fail(f"{reason} (status {answer.status}{_server_text(answer)})")
+
+    def _fail_for_time(self) -> NoReturn:
+        if self._limited_by_budget:
+            raise BudgetError(
+                f"The run's time for language models ended during a question to {self._server.host}; "
+                "raise llm_max_seconds for more.",
+                retries=self.retries, seconds=self.seconds(),
+            )  # fmt: skip
+        self._fail(f"did not answer within {self._allowed:g} s; raise llm_question_seconds for a slow model")
+
+    def _fail(self, reason: str) -> NoReturn:
+        message = f"The server {self._server.host} of model {self._server.model} {reason}"
+        raise ModelError(message.rstrip(".") + ".", retries=self.retries, seconds=self.seconds())
+
+
+def _reason(error: Exception) -> str:
+    return wire.quoted(str(error)) or type(error).__name__
+
+
+def _server_text(answer: _Response) -> str:
+    """The text that a server gives with its status, after a colon."""
+    try:
+        text = wire.quoted(wire.error_text(wire.read_json(answer.body)))
+    except wire.InvalidAnswer:
+        text = wire.quoted(answer.body[:1000].decode("utf-8", "replace"))
+    return f": {text.rstrip('.')}" if text else ""
+
+
+def _retry_after(headers: Mapping[str, str]) -> float:
+    """Seconds of the Retry-After header, which holds seconds or a date; 0 if it is absent or unreadable."""
+    given = headers.get("retry-after", "").strip()
+    if not given:
+        return 0.0
+    try:
+        seconds = float(given) if given[0].isdigit() else parsedate_to_datetime(given).timestamp() - time.time()
+    except (ValueError, TypeError, OverflowError):
+        return 0.0
+    return max(0.0, seconds)
