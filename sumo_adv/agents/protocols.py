@@ -1,4 +1,4 @@
-"""The three agents as protocols. A language model or the built-in expert implements each of them."""
+"""The three agents as protocols. A language model can play each of them, the built-in expert the first two."""
 
 from __future__ import annotations
 
