@@ -20,7 +20,7 @@ from sumo_adv.benchmark.rows.controls import SIZE, drive, objective, starts
 from sumo_adv.benchmark.rows.random_search import RandomSearch
 from sumo_adv.benchmark.rows.resampling import FUTURES, Resampling
 from sumo_adv.datatypes import Limits, PrescribedMotion, Proposal, Role, Track
-from sumo_adv.metrics.feasibility import failed_gates
+from sumo_adv.metrics.gates import failed_gates
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Target
 

@@ -11,6 +11,7 @@ from metrics_tracks import TIME, car, cruise
 from sumo_adv.datatypes import Boxes, Floats
 from sumo_adv.metrics.boxes import (
     at_time,
+    between_steps,
     corners,
     first_contact,
     gap,
@@ -44,6 +45,17 @@ def between(b: Boxes, part: Floats) -> Boxes:
     heading = b.heading[..., :-1, None] + part * wrap(np.diff(b.heading))[..., None]
     sizes = [np.asarray(v)[..., None] for v in (b.length, b.width)]
     return Boxes(x, y, heading, np.zeros_like(x), sizes[0], sizes[1])
+
+
+def test_a_box_within_a_step_is_on_the_line_between_its_ends_and_turns_the_shorter_way() -> None:
+    """From (0, 0) heading 3.0 to (4, 2) heading -3.0, which is 0.283 rad further; a quarter of the way there."""
+    boxes = Boxes(
+        np.array([[0.0, 4.0]]), np.array([[0.0, 2.0]]), np.array([[3.0, -3.0]]), np.array([[8.0, 4.0]]), 5.0, 2.0
+    )
+    at = between_steps(boxes, np.array([1]), np.array([0.25]))
+    assert (at.x[0], at.y[0], at.speed[0]) == (1.0, 0.5, 7.0)
+    assert at.heading[0] == pytest.approx(3.0 + (2 * np.pi - 6.0) / 4)
+    assert between_steps(boxes, np.array([0]), np.array([0.25])).x[0] == 0.0
 
 
 def test_corners_run_counter_clockwise_from_front_left() -> None:

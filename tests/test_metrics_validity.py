@@ -12,6 +12,7 @@ from metrics_tracks import DT, TIME, braking, car, cruise, drift
 from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, avoidance, careful_after
+from sumo_adv.metrics.boxes import at_time
 from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, impact, rear_end
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
 from sumo_adv.metrics.full import full_judge
@@ -59,9 +60,17 @@ def test_a_standing_ego_hit_from_behind_is_a_rear_end_and_never_valid() -> None:
 
 def test_a_moving_ego_hit_from_behind_is_nuplan_s_rear_class() -> None:
     ego, adversary = cruise("ego", 30, 0, 5), cruise("adversary", 0, 0.5, 10)
-    assert rear_end(ego, adversary, 5.0)
+    assert rear_end(at_time(ego, 5.0), at_time(adversary, 5.0))
     assert collision_class(ego, adversary, 5.0) is CollisionClass.ACTIVE_REAR
     assert judge(ego, adversary, [], trigger_time=1.0).fault == "adversary"
+
+
+def test_many_contacts_are_rear_ends_by_the_same_rule() -> None:
+    """The ego at the origin, 5 x 2 m at 5 m/s eastwards; the adversary touches its rear or its flank, or is slower."""
+    ego = Boxes(np.zeros(5), np.zeros(5), np.zeros(5), np.full(5, 5.0), 5.0, 2.0)
+    x, y = np.array([-5.0, -5.0, 0.0, 5.0, -3.5]), np.array([0.5, 0.5, 2.0, 0.0, 0.0])
+    heading, speed = np.array([0.0, 0.0, 0.0, np.pi, np.pi / 2]), np.array([10.0, 4.0, 10.0, 10.0, 10.0])
+    assert rear_end(ego, Boxes(x, y, heading, speed, 5.0, 2.0)).tolist() == [True, False, False, False, False]
 
 
 def test_an_ego_that_runs_into_a_braking_leader_is_at_fault_and_could_have_braked() -> None:

@@ -25,7 +25,7 @@ from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
-from sumo_adv.metrics.feasibility import motion
+from sumo_adv.metrics.gates import motion
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.follower import Follower, Line, aligned, off_road
 from sumo_adv.planners.sandbox import Sandbox

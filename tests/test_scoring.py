@@ -203,8 +203,23 @@ def test_what_does_not_count_as_a_collision() -> None:
     ego, behind = motion(0.0, 0.0, 30.0), motion(-15.0, 0.0, 40.0)
     assert judged(ego, behind)["score"] == REAR
     assert judged(ego, motion(50.0, DRIFTS, 5.0), road=(-4.8, 2.0))["score"] == OFF_ROAD  # its side is at 2.2 m
-    standing = vehicle("standing", motion(53.0, 0.6, 5.0))
+    standing = vehicle("standing", motion(56.0, 0.6, 0.0))  # 1 m ahead
     assert judged(ego, motion(50.0, DRIFTS, 5.0), [standing])["score"] == THIRD
+
+
+def test_a_third_party_counts_if_it_is_touched_between_steps_and_before_the_ego() -> None:
+    """The adversary reaches 55 m with its front after 1 s, when a car 1 m long crosses at 60 m/s, 6 m a step.
+
+    The bumpers of ego and adversary are 40 m apart, which 25 m/s close in 1.6 s.
+    """
+    ego, bv = motion(0.0, 0.0, 30.0), motion(45.0, 0.0, 5.0)
+    for meets, counts in ((1.05, True), (1.75, False)):
+        y = 60.0 * (TIME - meets)
+        crossing = replace(
+            vehicle("third", (0.0 * TIME + 52.0, y, 0.0 * TIME + np.pi / 2, 0.0 * TIME + 60.0)), length=1.0
+        )
+        found = judged(ego, bv, [crossing])
+        assert found["hit"] and found["third_party"] is counts
 
 
 @pytest.mark.parametrize(("aside", "closing", "rear"), [
@@ -281,7 +296,8 @@ def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts()
     (30.0, Role.BACKGROUND, True, False),  # it brakes
     (30.0, Role.BACKGROUND, False, True),  # a log moves it
     (30.0, Role.OBSTACLE, True, True),  # nobody drives it
-    (6.0, Role.BACKGROUND, True, True),  # 1 m behind: nobody can
+    (7.0, Role.BACKGROUND, True, True),  # 2 m behind: it cannot stop in time
+    (6.0, Role.BACKGROUND, True, False),  # 1 m behind: they touch at the first driven step, which the gate allows
 ])  # fmt: skip
 def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     behind: float, role: Role, reacting: bool, third: bool

@@ -1,9 +1,9 @@
 """Oriented boxes: corners, overlap, distance, and first contact between recorded steps.
 
-Overlap is the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 1996): with the relative heading's |cos|
-and |sin| the extent of one box along an axis of the other needs no corners.  Swept contact is conservative advancement
-(Mirtich 1996) with a bound for each axis, so that boxes that do not turn are solved in one or two steps.
-Boxes that touch overlap.  A NaN anywhere (a vehicle that is not there) is never a contact.
+Overlap is the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 1996). The relative heading's |cos| and
+|sin| give the extent of one box along an axis of the other without corners. Swept contact is conservative advancement
+(Mirtich 1996) with a bound for each axis, so that boxes that do not turn are solved in one or two iterations.
+Boxes that touch overlap. A vehicle that is not there is NaN, which is never in contact.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Track
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 
 LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
 TOUCH = 1e-9  # m, below this two boxes touch
@@ -76,17 +76,17 @@ def overlaps(a: Boxes, b: Boxes) -> Bools:
 
 
 def touching(a: Boxes, b: Boxes) -> Bools:
-    """As ``overlaps``, for many boxes of which few are near; positions of one shape, sizes broadcast to it."""
+    """As ``overlaps`` but faster if few boxes are near; positions of one shape, sizes broadcast to it."""
     near = np.asarray(np.hypot(a.x - b.x, a.y - b.y) < half_diagonal(a) + half_diagonal(b))
-    found = np.zeros(near.shape, bool)
+    touches = np.zeros(near.shape, bool)
     k = np.nonzero(near)
     if len(k[0]):
-        found[k] = overlaps(pick(a, k), pick(b, k))
-    return found
+        touches[k] = overlaps(pick(a, k), pick(b, k))
+    return touches
 
 
 def half_diagonal(b: Boxes) -> Floats:
-    """How far the corners are from the centre [m], in the shape of the sizes."""
+    """The distance of the corners from the centre [m], in the shape of the sizes."""
     return np.asarray(np.hypot(np.asarray(b.length, float), np.asarray(b.width, float)) / 2)
 
 
@@ -121,8 +121,8 @@ def _corner_distance(a: Boxes, b: Boxes) -> Floats:
 def sweep(a: Boxes, b: Boxes) -> Floats:
     """First contact inside each interval between consecutive steps, ``(..., n - 1)`` for arrays ``(..., n)``.
 
-    The fraction in [0, 1] of the interval, inf if none.  Between steps positions and headings run linearly (headings
-    the shorter way).  No contact longer than a thousandth of the interval is missed; none is invented.
+    Returns the fraction in [0, 1] of the interval, inf if there is no contact. Between steps positions and headings run
+    linearly, headings the shorter way. No contact longer than a thousandth of the interval is missed; none is invented.
     """
     shape = np.broadcast_shapes(*(np.shape(v) for box in (a, b) for v in (box.x, box.y, box.heading)))
     ends = [_ends(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading)]
@@ -147,20 +147,20 @@ def _ends(values: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
 
 def _advance(motion: list[Floats]) -> Floats:
     """Conservative advancement of ``(k,)`` intervals; see :func:`sweep`."""
-    found = np.full(len(motion[0]), np.inf)
-    active = np.arange(len(found))
-    at = np.zeros(len(found))
+    contact = np.full(len(motion[0]), np.inf)
+    active = np.arange(len(contact))
+    at = np.zeros(len(contact))
     while active.size:
         separated, safe = _safe_step(at, motion)
-        found[active[~separated]] = at[~separated]
+        contact[active[~separated]] = at[~separated]
         go_on = separated & (at < 1.0) & (at + safe <= 1.0 + 1e-12)
         active, motion = active[go_on], [v[go_on] for v in motion]
         at = np.minimum(at[go_on] + np.maximum(safe[go_on], LEAST_ADVANCE), 1.0)
-    return found
+    return contact
 
 
 def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
-    """Whether boxes are apart at fraction ``at``, and a further fraction for which they surely stay so."""
+    """Whether the boxes are apart at fraction ``at``, and a further fraction during which they surely stay apart."""
     x0, y0, vx, vy, ha, da, hb, db, la, wa, lb, wb = motion
     dx, dy, speed = x0 + at * vx, y0 + at * vy, np.hypot(vx, vy)
     ca, sa, cb, sb = np.cos(ha + at * da), np.sin(ha + at * da), np.cos(hb + at * db), np.sin(hb + at * db)
@@ -203,10 +203,24 @@ def at_time(track: Track, when: float) -> Boxes:
     return Boxes(x, y, heading, speed, track.length, track.width)
 
 
-def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
-    """Tracks on a common regular grid, as boxes ``(len(tracks), len(time))``; NaN where a vehicle is not there.
+def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
+    """The boxes ``(n,)`` of b ``(n, steps)`` within the step that ends at ``step`` ``(n,)``.
 
-    Tracks must lie on the same regular grid (any start, any end, steps left out between).
+    share: of that step, ``(n,)`` in [0, 1]. Linear, headings the shorter way. Nothing comes before step 0.
+    """
+    rows = np.arange(len(step))
+    before, after = pick(b, (rows, np.maximum(step - 1, 0))), pick(b, (rows, step))
+    x, y, speed = (
+        p + share * (q - p) for p, q in ((before.x, after.x), (before.y, after.y), (before.speed, after.speed))
+    )
+    heading = before.heading + share * wrap(after.heading - before.heading)
+    return Boxes(x, y, heading, speed, after.length, after.width)
+
+
+def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
+    """Tracks as boxes ``(len(tracks), len(time))`` at ``time`` [s]; NaN where a vehicle is not there.
+
+    The tracks must lie on the same regular grid. Each may begin and end anywhere and leave out steps.
     """
     step = time[1] - time[0] if len(time) > 1 else 1.0
     state = np.full((4, len(tracks), len(time)), np.nan)
@@ -215,7 +229,7 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
             continue
         first = int(np.rint((track.time[0] - time[0]) / step))
         sources = (track.x, track.y, track.heading, track.speed)
-        if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # it was away in between
+        if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # the vehicle was away in between
             at = np.rint((track.time - time[0]) / step).astype(np.intp)
             there = (at >= 0) & (at < len(time))
             for values, source in zip(state, sources, strict=True):

@@ -1,7 +1,7 @@
-"""What touched what: the sides in contact, nuPlan's collision classes, rear-end, impact.
+"""A contact of two boxes: the sides that meet, rear-end, nuPlan's collision classes, impact.
 
-Contact sides come from the separating axes at the moment of first contact: the axis along which the boxes were last
-apart is the one they touched across.
+Contact sides come from the separating axes at the moment of first contact. The boxes touch across the axis along which
+they were last apart.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from enum import StrEnum
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Floats, Track
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps, wrap
 
 STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
-SAME_DIRECTION = np.pi / 4  # rad, heading difference below which two vehicles go the same way
+SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles go the same way
 BEHIND = np.deg2rad(150.0)  # rad, nuPlan's angle from the rear axle beyond which an agent is behind
-BUMPER = 0.02  # m before the ego's front edge, and in from its ends: a touch of the corner alone is lateral
-REAR_AXLE = 0.3  # of the length, rear axle behind the box centre
+BUMPER = 0.02  # m ahead of the front edge; its ends are drawn in by this, so that a touch of a corner alone is lateral
+REAR_AXLE = 0.3  # of the length, how far the rear axle is behind the box centre
 
 
 class CollisionClass(StrEnum):
@@ -40,6 +40,10 @@ class Side(StrEnum):
     RIGHT = "right"
 
 
+SIDES = tuple(Side)
+FRONT, REAR, LEFT, RIGHT = range(4)  # indices into SIDES
+
+
 def heading_difference(a: Boxes, b: Boxes) -> Floats:
     """|heading of b - heading of a| in [0, pi] [rad]."""
     return np.abs(wrap(np.asarray(b.heading - a.heading)))
@@ -47,31 +51,28 @@ def heading_difference(a: Boxes, b: Boxes) -> Floats:
 
 def contact_sides(a: Boxes, b: Boxes) -> tuple[Side, Side]:
     """The side of a and the side of b that meet, for two boxes at first contact (0-d arrays)."""
-    separations = [float(v) for v in axis_separations(a, b)]
-    across = int(np.argmax(separations))
-    if across < 2:
-        return _face(a, b, across), _nearest_face(b, a, across, a)
-    return _nearest_face(a, b, across - 2, b), _face(b, a, across - 2)
+    of_a, of_b = _meeting_sides(a, b)
+    return SIDES[int(of_a)], SIDES[int(of_b)]
 
 
-def _face(own: Boxes, other: Boxes, axis: int) -> Side:
-    """The face of ``own`` that looks at ``other`` along its length (axis 0) or width (axis 1)."""
-    c, s = float(np.cos(own.heading)), float(np.sin(own.heading))
-    dx, dy = float(other.x - own.x), float(other.y - own.y)
-    if axis == 0:
-        return Side.FRONT if dx * c + dy * s >= 0 else Side.REAR
-    return Side.LEFT if dy * c - dx * s >= 0 else Side.RIGHT
+def _meeting_sides(a: Boxes, b: Boxes) -> tuple[Ints, Ints]:
+    """The sides of a and of b that meet, as indices into ``SIDES``, for boxes at first contact (any shape)."""
+    axis = np.argmax(np.stack(np.broadcast_arrays(*axis_separations(a, b))), axis=0)
+    of_a, across = axis < 2, axis % 2 == 1
+    turned = np.abs(np.cos(b.heading - a.heading)) < np.sqrt(0.5)  # by more than 45 degrees: length and width swap
+    return _facing_side(a, b, across ^ (~of_a & turned)), _facing_side(b, a, across ^ (of_a & turned))
 
 
-def _nearest_face(own: Boxes, other: Boxes, axis: int, frame: Boxes) -> Side:
-    """The face of ``own`` most nearly perpendicular to the contact axis of ``frame``, on the side of ``other``."""
-    turn = float(own.heading - frame.heading)
-    lengthwise = abs(np.cos(turn)) if axis == 0 else abs(np.sin(turn))
-    return _face(own, other, 0 if lengthwise >= np.sqrt(0.5) else 1)
+def _facing_side(own: Boxes, other: Boxes, across: Bools) -> Ints:
+    """The side of ``own`` that looks at ``other``, as an index into ``SIDES``; left or right where ``across``."""
+    c, s = np.cos(own.heading), np.sin(own.heading)
+    dx, dy = other.x - own.x, other.y - own.y
+    beside, along = np.where(dy * c - dx * s >= 0, LEFT, RIGHT), np.where(dx * c + dy * s >= 0, FRONT, REAR)
+    return np.where(across, beside, along)
 
 
 def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
-    """Where two boxes at first contact touch (x, y) [m]: the mean of the corners that lie in (or nearest) the other."""
+    """Where two boxes at first contact touch (x, y) [m]: the mean of the corners in (or nearest to) the other box."""
     points = []
     for own, other in ((a, b), (b, a)):
         c, s = float(np.cos(other.heading)), float(np.sin(other.heading))
@@ -91,23 +92,24 @@ def in_frame(b: Boxes, point: tuple[float, float]) -> tuple[float, float]:
     return dx * c + dy * s, dy * c - dx * s
 
 
-def rear_end(ego: Track, adversary: Track, contact_time: float) -> bool:
-    """Whether the adversary runs into the ego's back.
+def rear_end(ego: Boxes, adversary: Boxes) -> Bools:
+    """Whether the adversary runs into the ego's back, for boxes at first contact (any shape).
 
-    Both head the same way (within 45 degrees), the faces that meet are the ego's rear and the adversary's front, and
-    the adversary is the faster along the ego's heading.
+    Both head the same way (within 45 degrees), the ego's rear meets the adversary's front, and the adversary is the
+    faster along the ego's heading.
     """
-    a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
-    if heading_difference(a, b) > SAME_DIRECTION or contact_sides(a, b) != (Side.REAR, Side.FRONT):
-        return False
-    return bool(b.speed * np.cos(b.heading - a.heading) > a.speed)
+    of_ego, of_adversary = _meeting_sides(ego, adversary)
+    faster = adversary.speed * np.cos(adversary.heading - ego.heading) > ego.speed
+    return np.asarray(
+        (heading_difference(ego, adversary) <= SAME_DIRECTION) & (of_ego == REAR) & (of_adversary == FRONT) & faster
+    )
 
 
 def collision_class(ego: Track, adversary: Track, contact_time: float) -> CollisionClass:
     """nuPlan's class of a collision, in its order: stopped ego, stopped track, rear, front bumper, else lateral.
 
-    nuPlan looks at the first overlapping sample (0.1 s), where a box that ran into the ego's flank may already cut the
-    line of its front bumper; here it is the exact first contact.
+    nuPlan looks at the first overlapping sample (0.1 s), in which a box that ran into the ego's flank may already
+    overlap the front bumper. This function looks at the exact first contact.
     """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     if a.speed <= STOPPED:
@@ -126,13 +128,13 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """A collision's severity. Speeds m/s, angle rad, points m in each box's own frame (forward, left)."""
+    """How hard and where two boxes meet. Speeds m/s, angle rad, points m in each box's own frame (forward, left)."""
 
     time: float
     speed: float  # relative speed at contact
     ego_speed: float
     adversary_speed: float
-    delta_v: float  # of the ego, equal specific mass by area, plastic
+    delta_v: float  # of the ego
     angle: float  # heading of the adversary in the ego's frame
     ego_point: tuple[float, float]
     adversary_point: tuple[float, float]
@@ -141,9 +143,9 @@ class Impact:
 
 
 def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
-    """How hard, where and with which sides they met; delta-v of the ego for a plastic impact.
+    """The impact of ego a and adversary b at ``contact_time`` [s], taken as plastic.
 
-    delta_v = m_b / (m_a + m_b) |v_b - v_a| with masses taken as proportional to length x width.
+    delta_v = m_b / (m_a + m_b) |v_b - v_a|, with masses proportional to length x width.
     """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     vx = float(b.speed * np.cos(b.heading) - a.speed * np.cos(a.heading))

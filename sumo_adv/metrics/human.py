@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Track
-from sumo_adv.metrics.feasibility import motion
+from sumo_adv.metrics.gates import motion
 
 SLOW, FAST = 5.0, 20.0  # m/s
 BOUNDS = {

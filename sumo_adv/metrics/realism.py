@@ -15,7 +15,7 @@ from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import corners, gap, on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.feasibility import motion
+from sumo_adv.metrics.gates import motion
 
 ABNORMAL_LATERAL = 4.0  # m/s2, the paper's threshold of abnormal lateral acceleration
 PSEUDOCOUNT = 0.1  # added to every bin, WOSAC's

@@ -1,6 +1,6 @@
-"""The verdict on one attempt: critical, feasible, rear-end, avoidable, valid, strict.
+"""The gate verdict on one attempt: critical, feasible, rear-end, avoidable, valid, strict.
 
-:func:`judge` is the gate verdict of the search; ``metrics.full`` adds what only the attempt that counts needs.
+The search judges every attempt by :func:`judge`. ``metrics.full`` adds measures for the attempt that counts.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, PERCEPTION, REACTION, OnRoad, avoidance
-from sumo_adv.metrics.boxes import first_contact, gap, on_grid
+from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid
 from sumo_adv.metrics.contact import CollisionClass, collision_class, rear_end
 from sumo_adv.metrics.criticality import drac, pet, ttc
 from sumo_adv.metrics.fault import fault as fault_of
-from sumo_adv.metrics.feasibility import failed_gates
+from sumo_adv.metrics.gates import failed_gates
 from sumo_adv.metrics.hazard import KINDS, Kind, hazard_index
 
-MANOEUVRE_DELAY = 0.8  # s after the hazard shows, second tier
-MOST = 20.0  # m/s2: at contact what is required has no bound; more than any car can do is reported as this
+MANOEUVRE_DELAY = 0.8  # s after the hazard shows at which a manoeuvre begins
+MOST = 20.0  # m/s2, more than any car can do: larger required decelerations, unbounded at contact, are reported as this
 
 __all__ = [
     "CAREFUL_BRAKING", "PERCEPTION", "REACTION", "CollisionClass", "Encounter", "Kind", "align", "avoidance",
@@ -31,14 +31,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """Ego and adversary on one grid: boxes ``(1, n)``; the ego up to the contact, the adversary as far as known."""
+    """Ego and adversary on one grid as boxes ``(1, n)``: the ego to the contact, the adversary to its track's end."""
 
     time: Floats  # (n,) [s], of the ego's part
     dt: float
     ego: Boxes
     adversary: Boxes
     trigger: int
-    last: int  # the step of the contact (the last one before it) or of the end
+    last: int  # the last step before the contact, or of the track
     contact_time: float | None
 
     def until_last(self) -> Boxes:
@@ -50,15 +50,16 @@ class Encounter:
 def align(
     ego: Track, adversary: Track, trigger_time: float, end: float | None = None, contact_time: float | None = None
 ) -> Encounter:
-    """Both tracks on their common grid, cut at the first contact after the trigger (found here unless given).
+    """Both tracks on their common grid, cut at the first contact after the trigger (computed unless given).
 
-    Raises UsageError where the tracks do not overlap in time after the trigger.
+    Raises:
+        UsageError: the tracks do not overlap in time after the trigger.
     """
     start = max(ego.time[0], adversary.time[0])
     stop = min(ego.time[-1], adversary.time[-1], np.inf if end is None else end)
-    mine, foe = ego.between(start, stop), adversary.between(start, np.inf)
-    count = len(mine.time)
-    trigger = int(np.searchsorted(mine.time, trigger_time - 5e-4))
+    own, other = ego.between(start, stop), adversary.between(start, np.inf)
+    count = len(own.time)
+    trigger = int(np.searchsorted(own.time, trigger_time - 5e-4))
     if trigger >= count:
         raise UsageError(
             f"The tracks of {ego.id!r} and {adversary.id!r} have no step in common after the trigger at "
@@ -67,13 +68,13 @@ def align(
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 0.1
     if contact_time is None:
         after = slice(trigger, count)
-        when = float(first_contact(_part(mine, after), _part(foe, after), mine.time[after]))
+        when = float(first_contact(_part(own, after), _part(other, after), own.time[after]))
         contact_time = when if np.isfinite(when) else None
-    last = count - 1 if contact_time is None else int(np.searchsorted(mine.time, contact_time + 1e-9) - 1)
+    last = count - 1 if contact_time is None else int(np.searchsorted(own.time, contact_time + 1e-9) - 1)
     last = min(max(last, trigger), count - 1)
     every = slice(0, None)
     return Encounter(
-        mine.time[: last + 1], dt, _row(_part(mine, slice(0, last + 1))), _row(_part(foe, every)), trigger, last,
+        own.time[: last + 1], dt, _row(_part(own, slice(0, last + 1))), _row(_part(other, every)), trigger, last,
         contact_time,
     )  # fmt: skip
 
@@ -94,20 +95,20 @@ def hazard_time(
     contact_time: float | None = None,
     lane_half_width: float = 1.6,
 ) -> tuple[float, Kind]:
-    """When the hazard shows [s], between trigger and contact, and the kind of encounter; see :func:`hazard_index`.
+    """When the hazard shows [s], and the kind of encounter; see :func:`hazard_index`.
 
-    Without a contact the closest approach takes its place.
+    The time lies between the trigger and the contact, or the closest approach if there is no contact.
     """
     return _hazard(align(ego, adversary, trigger_time, contact_time=contact_time), lane_half_width)
 
 
 def _hazard(e: Encounter, lane_half_width: float) -> tuple[float, Kind]:
-    foe = e.until_last()
+    other = e.until_last()
     last = e.last
     if e.contact_time is None:
-        last = e.trigger + int(np.argmin(gap(e.ego, foe)[0, e.trigger :]))
+        last = e.trigger + int(np.argmin(gap(e.ego, other)[0, e.trigger :]))
     index, kind = hazard_index(
-        e.ego, foe, np.array([e.trigger]), np.array([last]), e.dt, lane_half_width=lane_half_width
+        e.ego, other, np.array([e.trigger]), np.array([last]), e.dt, lane_half_width=lane_half_width
     )
     return float(e.time[index[0]]), KINDS[int(kind[0])]
 
@@ -117,8 +118,8 @@ def careful_driver_avoids(
 ) -> bool:
     """Whether UN R157's careful and competent driver, braking 1.15 s + ``shift`` after ``hazard``, does not collide.
 
-    The ego follows its recorded path and is never further along it than it was; past the end of a track (cut the ego's
-    at the contact) motion goes on at constant speed and heading.
+    The ego follows its recorded path, never ahead of its recorded motion. Past the end of a track, motion goes on at
+    constant speed and heading; cut the ego's track at the contact.
     """
     e = align(ego, adversary, hazard)
     delay = max(PERCEPTION + REACTION + shift, 0.0)
@@ -134,7 +135,10 @@ def manoeuvre_avoids(
     on_road: OnRoad | None = None,
     others: Sequence[Track] = (),
 ) -> bool:
-    """Whether some braking and shift begun ``delay`` after ``hazard`` [s] avoids, on the road and clear of others."""
+    """Whether some braking or shift, begun ``delay`` after ``hazard`` [s], avoids the collision.
+
+    It must stay on the road and clear of the others.
+    """
     e = align(ego, adversary, hazard)
     return bool(_escapes(e, e.trigger, (delay,), on_road, others)["manoeuvre"][0, 0])
 
@@ -162,27 +166,27 @@ def judge(
 ) -> Verdict:
     """The gate verdict of one attempt, on recorded motion.
 
-    Tracks lie on one grid and begin at least two steps before the trigger; the adversary's may go on past the contact
-    (what it planned to do).  ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the trigger to
-    the first contact or ``end``; ``avoidable``, ``valid`` and ``strict`` are None where nothing collided.
+    The tracks lie on one grid and begin at least two steps before the trigger. The adversary's may go on past the
+    contact with its planned motion. ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the
+    trigger to the first contact or ``end``. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
     """
     e = align(ego, adversary, trigger_time, end)
     collided = e.contact_time is not None
     stop = e.contact_time if e.contact_time is not None else float(e.time[-1])
-    times, foe = ttc(e.ego, e.until_last())[0, e.trigger :], e.until_last()
+    times, other = ttc(e.ego, e.until_last())[0, e.trigger :], e.until_last()
     lowest = int(np.argmin(times))
     any_ttc = _least_ttc(e, others)
-    threat = drac(e.ego, foe)[0, e.trigger :]
-    driven = trigger_time + e.dt / 2  # the state at the trigger is SUMO's own still
+    threat = drac(e.ego, other)[0, e.trigger :]
+    driven = trigger_time + e.dt / 2  # SUMO itself drove up to the state at the trigger
     gates = failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven)
     hazard, _ = _hazard(e, lane_half_width)
-    from_behind = e.contact_time is not None and rear_end(ego, adversary, e.contact_time)
+    from_behind = e.contact_time is not None and bool(rear_end(*(at_time(t, e.contact_time) for t in (ego, adversary))))
     avoidable = _avoidable(e, hazard, on_road, others) if collided else None
     valid = not gates and not from_behind and avoidable != "unavoidable" if collided else None
     min_ttc = 0.0 if collided else float(times[lowest])
     return Verdict(
         min_ttc=min_ttc,
-        min_distance=0.0 if collided else float(gap(e.ego, foe)[0, e.trigger :].min()),
+        min_distance=0.0 if collided else float(gap(e.ego, other)[0, e.trigger :].min()),
         collided=collided,
         critical=collided or min_ttc <= ttc_threshold,
         feasible=not gates,
@@ -202,7 +206,7 @@ def judge(
 
 
 def _least_ttc(e: Encounter, others: Sequence[Track]) -> float:
-    """Least TTC of the ego with anyone else from the trigger on."""
+    """The ego's least TTC with any other vehicle, from the trigger on."""
     if not others:
         return float("inf")
     x, y, heading, speed = (v[0, e.trigger :] for v in (e.ego.x, e.ego.y, e.ego.heading, e.ego.speed))

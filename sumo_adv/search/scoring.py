@@ -17,26 +17,19 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Prediction, Proposa
 from sumo_adv.drivers.third_parties import braking
 from sumo_adv.geometry import wrap_all
 from sumo_adv.metrics.avoidance import avoidance, careful_after
-from sumo_adv.metrics.boxes import axis_separations, gap, half_diagonal, on_grid, overlaps, pick, touching
+from sumo_adv.metrics.boxes import between_steps, gap, on_grid, overlaps, pick, sweep, touching
+from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.feasibility import (
-    CRAWL,
-    CURVATURE_SLACK,
-    JERK_SLACK,
-    LATERAL_SLACK,
-    REST,
-    SIDEWAYS,
-    STEP_SHARE,
-    STEP_SLACK,
-)
-from sumo_adv.metrics.hazard import SAME, hazard_index
+from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
+from sumo_adv.metrics.hazard import hazard_index
 from sumo_adv.search.rollouts import Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
 GENTLY = 1.0  # m/s2: gentler braking does not count
-INSET = 0.05  # m: corners this far inside the box must stay on the road; the judge's tolerance is 0.15 m
+ROAD_INSET = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
+ROAD_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
 LEAST_STEPS = 3  # before a contact, for a hazard to show
 MANOEUVRE = 1  # the place of the verdict's delay among ``manoeuvre_delays``
 
@@ -58,15 +51,18 @@ def judge_all(
     firm = np.asarray(touching(ego, smaller).any(axis=1))
     end = int(min(steps - 1, situation.left))
     last = np.minimum(contact, end)
-    third = _third_party(situation, proposals, adversary, last)
-    off_road = _off_road(adversary, last, drivable)
-    beyond = _beyond(adversary, last, limits, situation.dt)
-    rear = hit & _rear(ego, adversary, last)
+    end_time, at_contact = _ends(ego, adversary, last, hit, rollouts.time)
+    judged = (rollouts.time > 0) & (rollouts.time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
+    before = np.array([situation.targets[p.bv].state.acceleration for p in proposals])
+    third = _third_party(situation, proposals, adversary, rollouts.time, end_time)
+    leaves = _leaves_road(adversary, judged, drivable)
+    beyond = _beyond_limits(adversary, before, rollouts.time, judged, limits)
+    rear = hit & rear_end(*at_contact)
     least, nearest = _least(ego, adversary, last)
-    good = np.flatnonzero(hit & ~third & ~off_road & ~beyond & ~rear & (contact >= LEAST_STEPS))
+    good = np.flatnonzero(hit & ~third & ~leaves & ~beyond & ~rear & (contact >= LEAST_STEPS))
     missed = weights.miss_by_ttc * np.minimum(least, 10.0) + weights.miss_by_gap * np.minimum(nearest, 30.0)
     score = np.where(hit, weights.unavoidable, weights.miss + missed)
-    score = np.where(off_road, weights.off_road, np.where(beyond, weights.beyond_limits, score))
+    score = np.where(leaves, weights.off_road, np.where(beyond, weights.beyond_limits, score))
     score = np.where(third, weights.third_party, np.where(rear, weights.rear_end, score))
     delays = weights.manoeuvre_delays
     careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(delays)), bool), np.array(last)
@@ -84,7 +80,7 @@ def judge_all(
             warning=float((last[k] - hazard[k]) * situation.dt),
             braking=float(brakes[k, : max(int(last[k]), 1)].mean()), careful=bool(careful[k]),
             manoeuvre=bool(by_manoeuvre[k]), rear_end=bool(rear[k]), third_party=bool(third[k]),
-            off_road=bool(off_road[k]), beyond_limits=bool(beyond[k]),
+            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]),
         ))
         for k in range(n)
     ]  # fmt: skip
@@ -129,22 +125,16 @@ def _score(
     return np.where(careful, np.where(late, weights.by_late_careful, weights.by_careful), score)
 
 
-def _rear(ego: Boxes, adversary: Boxes, at: Any) -> Bools:
-    """Whether the adversary runs into the ego's back, as the judge has it (``metrics.contact.rear_end``); the faces
-    that meet are those of the axis along which the boxes are apart last, from the step before the contact on."""
-    rows = np.arange(len(at))
-    now, before = ((rows, k) for k in (at, np.maximum(at - 1, 0)))
-    a, b = pick(ego, now), pick(adversary, now)
-    was = np.array(axis_separations(pick(ego, before), pick(adversary, before)))
-    closed = was - np.array(axis_separations(a, b))
-    when = np.maximum(was, 0.0) / np.maximum(np.maximum(closed, was), 1e-9)  # share of the step, at which each closes
-    last = when.argmax(axis=0)
-    turn, dx, dy = b.heading - a.heading, b.x - a.x, b.y - a.y
-    behind = np.cos(a.heading) * dx + np.sin(a.heading) * dy < 0.0
-    front = np.cos(b.heading) * dx + np.sin(b.heading) * dy <= 0.0
-    same = np.abs(wrap_all(turn)) <= SAME
-    lengthwise = (last == 0) | (last == 2)
-    return np.asarray(same & lengthwise & behind & front & (b.speed * np.cos(turn) > a.speed))
+def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:
+    """When each rollout ends ``(n,)`` [s], and both boxes ``(n,)`` then.
+
+    That is the exact first contact, which lies in the step to ``last`` ``(n,)``, or ``last`` without a hit.
+    """
+    before = np.maximum(last - 1, 0)
+    steps = (np.arange(len(last))[:, None], np.stack([before, last], axis=1))
+    share = np.where(hit, np.minimum(sweep(pick(ego, steps), pick(adversary, steps))[:, 0], 1.0), 1.0)
+    at_contact = between_steps(ego, last, share), between_steps(adversary, last, share)
+    return time[before] + share * (time[last] - time[before]), at_contact
 
 
 def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
@@ -158,78 +148,45 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
     return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(pick(a, at), pick(b, at)))
 
 
-def _third_party(situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, last: Any) -> Bools:
-    """Whether the adversary touches another vehicle before the ego, also one that brakes for it."""
+def _third_party(
+    situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, time: Floats, end: Floats
+) -> Bools:
+    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], even one that brakes for it."""
     tracks = situation.others
-    found = np.zeros(len(proposals), bool)
+    touched = np.zeros(len(proposals), bool)
     if not tracks:
-        return found
-    steps = adversary.x.shape[1]
-    grid = on_grid(tracks, np.asarray(situation.time + np.arange(steps) * situation.dt, float))
-    names = np.array([t.id for t in tracks])
-    pairs: list[tuple[int, int]] = []
-    for k, proposal in enumerate(proposals):
-        until = slice(0, int(last[k]) + 1)
-        apart = np.hypot(grid.x[:, until] - adversary.x[k, until], grid.y[:, until] - adversary.y[k, until])
-        near = apart < half_diagonal(grid) + half_diagonal(adversary)[k]
-        near &= (names != proposal.bv)[:, None]
-        i, j = np.nonzero(near)
-        if len(i):
-            rows = np.full(len(i), k)
-            touched = overlaps(pick(grid, (i, j)), pick(adversary, (rows, j)))
-            pairs += [(k, m) for m in np.unique(i[touched])]
-    if not pairs:
-        return found
-    rows, others = np.array(pairs).T
-    driven = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
-    found[rows[~driven]] = True
-    rows, others = rows[driven], others[driven]
-    if not len(rows):
-        return found
-    mine = _steps(_rows(adversary, rows), slice(0, int(last[rows].max()) + 1))
-    reacted = braking(_rows(grid, others), mine, situation.lane_width, situation.dt)
-    hit = _first(touching(reacted, mine)) <= last[rows]
-    found[rows[hit]] = True
-    return found
+        return touched
+    around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
+    mine, theirs, when = _steps(adversary, driven), _steps(around, driven), time[driven]
+    rows, others = near_pairs(mine, theirs, when, end)
+    is_other = np.array([t.id for t in tracks])[others] != np.array([p.bv for p in proposals])[rows]
+    rows, others = rows[is_other], others[is_other]
+    meets = third_party(_rows(mine, rows), _rows(theirs, others), when, end[rows])
+    rows, others = rows[meets], others[meets]
+    reacts = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
+    touched[rows[~reacts]] = True
+    rows, others = rows[reacts], others[reacts]
+    if len(rows):
+        steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
+        mine = _steps(_rows(adversary, rows), steps)
+        braked = braking(_rows(around, others), mine, situation.lane_width, situation.dt)
+        meets = third_party(_steps(mine, driven), _steps(braked, driven), time[steps][driven], end[rows])
+        touched[rows[meets]] = True
+    return touched
 
 
-def _off_road(adversary: Boxes, last: Any, drivable: Drivable) -> Bools:
-    """Whether a corner (``INSET`` within the box) leaves the carriageway, every fourth step."""
-    steps = np.arange(0, adversary.x.shape[1], 4)
-    x, y, h = adversary.x[:, steps], adversary.y[:, steps], adversary.heading[:, steps]
-    out = np.zeros(x.shape, bool)
-    for along in (-0.5, 0.5):
-        for aside in (-0.5, 0.5):
-            a = along * (np.asarray(adversary.length) - 2 * INSET)
-            b = aside * (np.asarray(adversary.width) - 2 * INSET)
-            out |= ~drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
-    return np.asarray((out & (steps[None, :] <= last[:, None])).any(axis=1))
+def _leaves_road(adversary: Boxes, judged: Bools, drivable: Drivable) -> Bools:
+    """Whether a corner leaves the carriageway at the first driven step or every fourth after it, ``(n,)``."""
+    looked_at = judged & (np.arange(judged.shape[1]) % ROAD_STRIDE == 1)
+    return np.asarray(off_road(adversary, looked_at, drivable, ROAD_INSET).any(axis=1))
 
 
-def _beyond(adversary: Boxes, last: Any, limits: Limits, dt: float) -> Bools:
-    """Whether it turns or jerks harder than the gates allow, or leaps from one way to another."""
-    yaw_rate = np.abs(np.gradient(np.unwrap(adversary.heading, axis=1), dt, axis=1))
-    lateral, curvature = adversary.speed * yaw_rate, yaw_rate / np.maximum(adversary.speed, CRAWL)
-    total = np.hypot(np.gradient(adversary.speed, dt, axis=1), lateral)
-    bad = lateral > limits.lateral + LATERAL_SLACK
-    bad |= curvature > limits.curvature + CURVATURE_SLACK
-    bad |= total > max(limits.braking, limits.acceleration, limits.lateral) + LATERAL_SLACK
-    bad[:, 1:] |= _leaps(adversary, limits, dt)
-    jerk = np.abs(np.diff(adversary.speed, n=2, axis=1)) / dt**2
-    bad[:, 2:] |= (jerk > limits.jerk + JERK_SLACK) & (adversary.speed[:, 2:] >= REST)
-    return np.asarray((bad & (np.arange(bad.shape[1]) <= np.asarray(last)[:, None])).any(axis=1))
-
-
-def _leaps(b: Boxes, limits: Limits, dt: float) -> Bools:
-    """Whether each step is not what its speeds and headings say (the gate ``continuity``), ``(n, steps - 1)``."""
-    dx, dy = np.diff(b.x, axis=1), np.diff(b.y, axis=1)
-    middle = b.heading[:, :-1] + wrap_all(np.diff(b.heading, axis=1)) / 2
-    speed = (b.speed[:, 1:] + b.speed[:, :-1]) / 2
-    c, s = np.cos(middle), np.sin(middle)
-    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, CRAWL) ** 2)
-    slip = speed * (curve * np.asarray(b.length) / 2 + 0.05) + SIDEWAYS
-    along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
-    return np.asarray((np.abs(along - speed * dt) > STEP_SLACK + STEP_SHARE * speed * dt) | (across > slip * dt + 0.02))
+def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools, limits: Limits) -> Bools:
+    """Whether a kinematic gate fails ``(n,)``; ``before``: the acceleration at the trigger ``(n,)`` [m/s2]."""
+    change = np.diff(adversary.speed, axis=1) / np.diff(time)
+    acceleration = np.concatenate([before[:, None], change], axis=1)
+    broken = kinematic_gates(adversary, acceleration, time, limits)
+    return np.asarray((np.any(list(broken.values()), axis=0) & judged).any(axis=1))
 
 
 def _avoidable(

@@ -22,8 +22,7 @@ from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Verdict
 from sumo_adv.drivers.bicycle import MAX_STEERING, apply_steer
 from sumo_adv.drivers.protocol import Steer
 from sumo_adv.geometry import PATH_STEP, wrap
-from sumo_adv.metrics.boxes import corners
-from sumo_adv.metrics.feasibility import ROAD_TOLERANCE
+from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.trajectory import Scalar, faster
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import ReferencePath, Target
@@ -86,9 +85,8 @@ def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) 
 def _on_road(poses: Floats, target: Target, drivable: Drivable) -> PrescribedMotion:
     """The motion up to the step in which a corner leaves the road, as the gate sees it, and there it stands."""
     x, y, heading, speed = (np.ascontiguousarray(column) for column in poses.T)
-    length, width = (size - 2 * ROAD_TOLERANCE for size in (target.state.length, target.state.width))
-    points = corners(Boxes(x, y, heading, speed, length, width))
-    off = np.flatnonzero(~drivable(points[..., 0], points[..., 1]).all(axis=1))
+    boxes = Boxes(x, y, heading, speed, target.state.length, target.state.width)
+    off = np.flatnonzero(off_road(boxes, np.ones(len(x), bool), drivable))
     if not len(off):
         return PrescribedMotion(x, y, heading, speed)
     n = int(off[0]) + 1

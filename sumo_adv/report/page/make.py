@@ -11,7 +11,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Track
 from sumo_adv.errors import UsageError
-from sumo_adv.metrics.feasibility import GATES
+from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.page.document import asset, document
 from sumo_adv.report.page.read import RunRead, read_run
 from sumo_adv.report.page.road import Strip, network, strips_near

@@ -1,4 +1,4 @@
-"""Each gate failed by hand, one at a time, and none by decent driving."""
+"""Each gate failed by hand, one at a time, and none by decent driving; many adversaries at once as one by one."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from metrics_tracks import TIME, car, cruise, drift
 
-from sumo_adv.datatypes import Bools, Floats, Limits, Track
-from sumo_adv.metrics.feasibility import failed_gates, motion
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track
+from sumo_adv.metrics.gates import failed_gates, kinematic_gates, motion, near_pairs, off_road, third_party
 
 FAR = cruise("ego", 0, 500, 10)
 
@@ -99,3 +99,59 @@ def test_only_the_motion_up_to_the_contact_counts() -> None:
     late = speeding(-20.0 * (TIME > 5.0) * (TIME < 5.5))
     assert gates(late, end=4.0) == ()
     assert "longitudinal" in gates(late)
+
+
+# ---- many at once
+
+
+def stacked(tracks: list[Track]) -> Boxes:
+    """Tracks on one grid as boxes ``(n, steps)``."""
+    x, y, heading, speed = (np.stack([getattr(t, n) for t in tracks]) for n in ("x", "y", "heading", "speed"))
+    return Boxes(x, y, heading, speed, 5.0, 2.0)
+
+
+def test_many_adversaries_fail_the_gates_that_each_fails_alone() -> None:
+    tracks = [cruise("a", 0, 0, 20), circle(7.0, 10.0), circle(3.0, 4.0), speeding(-5.0 * (TIME > 2.0) * (TIME < 3.0))]
+    tracks.append(replace(tracks[0], x=tracks[0].x + 3.0 * (TIME > 4.0)))
+    broken = kinematic_gates(stacked(tracks), np.stack([t.acceleration for t in tracks]), TIME, Limits())
+    failed = [{name for name, steps in broken.items() if steps[k, 10:].any()} for k in range(len(tracks))]
+    assert failed == [set(), {"lateral"}, {"curvature"}, {"jerk"}, {"continuity"}]
+    assert failed == [set(gates(track)) for track in tracks]
+
+
+def test_only_the_steps_asked_for_are_tested_against_the_road_and_the_inset_decides() -> None:
+    """Cars 2 m wide on a road to y = 2: at y = 1.1 the side is 0.1 m off, which an inset of 0.15 m allows."""
+    boxes = stacked([cruise("a", 0, 0.9, 10), cruise("b", 0, 1.1, 10)])
+    judged = np.zeros(boxes.x.shape, bool)
+    judged[:, 3:5] = True
+
+    def on_road(x: Floats, y: Floats) -> Bools:
+        assert x.size == 2 * 2 * 4  # corners
+        return np.abs(y) <= 2.0
+
+    assert not off_road(boxes, judged, on_road).any()
+    assert off_road(boxes, judged, on_road, inset=0.05).tolist() == [[False] * len(TIME), judged[1].tolist()]
+
+
+def test_a_third_party_that_is_touched_between_two_steps_counts_up_to_the_end_of_its_row() -> None:
+    """Both boxes are 1 x 1 m. One passes the other at 60 m/s: 3 m before it at 2.0 s, 3 m behind it at 2.1 s.
+
+    They touch once the centres are 1 m apart along the way, after 2 m or 0.033 s.
+    """
+    standing = Boxes(0.0 * TIME[None], 0.0 * TIME[None], 0.0 * TIME[None], 0.0 * TIME[None], 1.0, 1.0)
+    y = -3.0 + 60.0 * (TIME[None] - 2.0)
+    passing = Boxes(0.9 + 0.0 * y, y, np.pi / 2 + 0.0 * y, 60.0 + 0.0 * y, 1.0, 1.0)
+    assert third_party(standing, passing, TIME, np.array([2.2])).tolist() == [True]
+    assert third_party(standing, passing, TIME, np.array([2.03])).tolist() == [False]
+
+
+def test_pairs_that_cannot_touch_are_left_out() -> None:
+    """The first of the others stands in the way 50 m ahead and is reached within 6 s; the second is 30 m aside."""
+    mine, others = (
+        stacked([cruise("a", 0, 0, 10), cruise("b", 0, 100, 10)]),
+        [cruise("c", 55, 0, 0), cruise("d", 55, 30, 0)],
+    )
+    rows, columns = near_pairs(mine, stacked(others), TIME, np.array([6.0, 6.0]))
+    assert (rows.tolist(), columns.tolist()) == ([0], [0])
+    rows, columns = near_pairs(mine, stacked(others), TIME, np.array([3.0, 6.0]))
+    assert (rows.tolist(), columns.tolist()) == ([], [])

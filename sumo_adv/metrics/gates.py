@@ -1,0 +1,193 @@
+"""The gates: whether an adversary's motion was possible, stayed on the road and touched no third party first.
+
+Each rule flags steps of boxes ``(..., steps)``. :func:`failed_gates` applies all rules to one recorded adversary, which
+is the verdict. The search applies the same rules to many predicted adversaries at once.
+
+Each slack covers no more than sampling at 0.1 s and rounding to a millimetre can cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Limits, Track
+from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of, wrap
+
+ACCELERATION_SLACK = 0.1  # m/s2: a speed rounded to 5 mm/s over 0.1 s
+LATERAL_SLACK = 0.1  # m/s2: a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
+CURVATURE_SLACK = 0.01  # 1/m
+JERK_SLACK = 3.0  # m/s3: accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
+CRAWL = 1.0  # m/s, below it two poses 0.2 s apart do not define a curvature
+REST = 0.05  # m/s, below it a vehicle has come to rest, which ends any braking within one step
+ROAD_TOLERANCE = 0.15  # m that a corner may be off the drivable area
+STEP_SLACK, STEP_SHARE = 0.15, 0.05  # m, and share of v dt, by which a step may differ from its mean speed
+SLIP_ANGLE, SLIP_SLACK = 0.05, 0.02  # rad and m that the centre may slip sideways besides what a curve explains
+SIDEWAYS = 1.2  # m/s: the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
+CLOCK_SLACK = 5e-4  # s, times this close are equal
+GATES = (
+    "longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Derivatives of a motion, each ``(..., steps)``: speed m/s, acceleration and lateral acceleration m/s2, yaw rate
+    rad/s, curvature 1/m, jerk m/s3 (0 at the first step)."""
+
+    speed: Floats
+    acceleration: Floats
+    yaw_rate: Floats
+    lateral: Floats
+    curvature: Floats
+    jerk: Floats
+
+
+def motion(track: Track) -> Motion:
+    """The derivatives ``(steps,)`` of a recorded track."""
+    return derivatives(track.boxes(), track.acceleration, track.time)
+
+
+def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> Motion:
+    """Differentiate boxes ``(..., steps)`` with accelerations [m/s2] of the same shape at ``time`` ``(steps,)`` [s].
+
+    The yaw rate is the central difference of headings, one-sided at the ends. Lateral acceleration is v |yaw rate|.
+    Curvature is |yaw rate| / v with v at least 1 m/s, so that turning on the spot shows and noise at standstill does
+    not. The jerk of coming to rest (speed below 0.05 m/s) is 0.
+    """
+    jerk, turned = np.zeros_like(b.heading), np.unwrap(b.heading, axis=-1)
+    yaw_rate = np.gradient(turned, time, axis=-1) if len(time) > 1 else np.zeros_like(turned)
+    jerk[..., 1:] = np.where(b.speed[..., 1:] < REST, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
+    size = np.abs(yaw_rate)
+    return Motion(b.speed, acceleration, yaw_rate, b.speed * size, size / np.maximum(b.speed, CRAWL), jerk)
+
+
+def kinematic_gates(b: Boxes, acceleration: Floats, time: Floats, limits: Limits) -> dict[str, Bools]:
+    """The steps ``(..., steps)`` that break each gate on the motion itself, by the gate's name.
+
+    b, acceleration, time: as in :func:`derivatives`.
+    """
+    m = derivatives(b, acceleration, time)
+    friction = max(limits.braking, limits.acceleration, limits.lateral)
+    return {
+        "longitudinal": (m.acceleration < -limits.braking - ACCELERATION_SLACK)
+        | (m.acceleration > limits.acceleration + ACCELERATION_SLACK),
+        "lateral": m.lateral > limits.lateral + LATERAL_SLACK,
+        "friction_circle": np.hypot(m.acceleration, m.lateral) > friction + LATERAL_SLACK,
+        "curvature": m.curvature > limits.curvature + CURVATURE_SLACK,
+        "jerk": np.abs(m.jerk) > limits.jerk + JERK_SLACK,
+        "continuity": _discontinuous(b, time, limits),
+    }
+
+
+def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
+    """Which steps do not follow from their speeds and headings, ``(..., steps)``; never the first.
+
+    Along the mean heading a step may differ from the mean speed by 0.15 m + 5 %. Across it the box centre may move as
+    far as it slips in the tightest curve allowed, plus 1.2 m/s. The speed may change by twice the acceleration limit
+    and by 1.5 times the braking limit.
+    """
+    dt = np.diff(time)
+    dx, dy = np.diff(b.x, axis=-1), np.diff(b.y, axis=-1)
+    middle = b.heading[..., :-1] + wrap(np.diff(b.heading, axis=-1)) / 2
+    speed = (b.speed[..., 1:] + b.speed[..., :-1]) / 2
+    c, s = np.cos(middle), np.sin(middle)
+    along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
+    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, CRAWL) ** 2)
+    slip = speed * (curve * np.asarray(b.length) / 2 + SLIP_ANGLE) + SIDEWAYS
+    change = np.diff(b.speed, axis=-1) / dt
+    broken = np.zeros(b.x.shape, bool)
+    broken[..., 1:] = np.abs(along - speed * dt) > STEP_SLACK + STEP_SHARE * speed * dt
+    broken[..., 1:] |= across > slip * dt + SLIP_SLACK
+    broken[..., 1:] |= (change > 2 * limits.acceleration) | (change < -1.5 * limits.braking)
+    return broken
+
+
+def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLERANCE) -> Bools:
+    """The steps of ``judged`` at which a corner is off the drivable area, in the shape of the positions.
+
+    inset: the corners are drawn in by this on each side [m]. ``on_road(x, y)`` says which points are drivable.
+    """
+    boxes = pick(b, judged)
+    points = corners(replace(boxes, length=boxes.length - 2 * inset, width=boxes.width - 2 * inset))
+    broken = np.zeros(b.x.shape, bool)
+    broken[judged] = ~np.asarray(on_road(points[..., 0], points[..., 1])).all(axis=-1)
+    return broken
+
+
+def third_party(adversary: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
+    """Whether each adversary touches the other vehicle of its row before ``end`` ``(n,)`` [s], ``(n,)``.
+
+    Both boxes are ``(n, steps)`` at ``time`` ``(steps,)`` [s]. A contact that exists at the first step does not count,
+    because logs hold boxes that overlap all the time.
+    """
+    when = first_contact(adversary, other, time)
+    return np.asarray((when > time[0]) & (when < end))
+
+
+def near_pairs(adversary: Boxes, others: Boxes, time: Floats, end: Floats) -> tuple[Ints, Ints]:
+    """The pairs of adversaries ``(n, steps)`` and others ``(m, steps)`` that may touch by ``end`` ``(n,)`` [s].
+
+    Returns the pairs' rows in ``adversary`` and in ``others``. It leaves out the pairs that are too far apart at every
+    step to touch even between steps, which is most of them, so that :func:`third_party` need not judge these.
+    """
+    reach, reaches = _reach(adversary), _reach(others)
+    stops = np.searchsorted(time, end, side="right") + 1
+    rows = []
+    for k, stop in enumerate(stops):
+        dx, dy = others.x[:, :stop] - adversary.x[k, :stop], others.y[:, :stop] - adversary.y[k, :stop]
+        near = dx * dx + dy * dy <= ((reaches + reach[k]) ** 2)[:, None]
+        rows.append(np.flatnonzero(near.any(axis=1)))
+    counts = [len(r) for r in rows]
+    return np.repeat(np.arange(len(rows)), counts), np.concatenate([np.zeros(0, np.intp), *rows])
+
+
+def _reach(b: Boxes) -> Floats:
+    """How far a box reaches from its centre at the nearest step [m]: half its diagonal and half its longest step."""
+    step = np.hypot(np.diff(b.x, axis=1), np.diff(b.y, axis=1))
+    longest = np.fmax.reduce(step, axis=1, initial=0.0)  # steps at which the vehicle is not there are NaN
+    return np.asarray(np.broadcast_to(half_diagonal(b), b.x.shape)[:, 0] + longest / 2)
+
+
+def failed_gates(
+    adversary: Track,
+    limits: Limits,
+    *,
+    on_road: OnRoad | None,
+    ego: Track,
+    others: Sequence[Track],
+    end: float | None,
+    start: float | None = None,
+) -> tuple[str, ...]:
+    """The names of the gates (of ``GATES``) that the adversary fails between ``start`` and ``end`` [s].
+
+    start: the trigger. By default it is the third state, so that the first steps are judged against two states of
+    history. end: the first contact with the ego, None for the end of the shorter track. ``on_road(x, y)`` says which
+    points are drivable; None leaves that gate out.
+    """
+    start = float(adversary.time[min(2, len(adversary.time) - 1)]) if start is None else start
+    end = float(min(ego.time[-1], adversary.time[-1])) if end is None else end
+    judged = (adversary.time >= start - CLOCK_SLACK) & (adversary.time <= end + CLOCK_SLACK)
+    judged[0] = judged[0] and len(judged) == 1  # the first state has no derivative of its own
+    if not judged.any():
+        return ()
+    boxes = adversary.boxes()
+    broken = kinematic_gates(boxes, adversary.acceleration, adversary.time, limits)
+    failed = {name for name, steps in broken.items() if (steps & judged).any()}
+    if on_road is not None and off_road(boxes, judged, on_road).any():
+        failed.add("off_road")
+    if _touches(adversary.between(start, end), others, end):
+        failed.add("third_party")
+    return tuple(name for name in GATES if name in failed)
+
+
+def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
+    """Whether the adversary touches any of the others before ``end`` [s]."""
+    if not others or len(adversary.time) < 2:
+        return False
+    boxes, around, time = row_of(adversary), on_grid(others, adversary.time), adversary.time
+    row, other = near_pairs(boxes, around, time, np.array([end]))
+    return bool(third_party(pick(boxes, row), pick(around, other), time, np.array(end)).any())
