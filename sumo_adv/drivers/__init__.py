@@ -6,7 +6,7 @@ driver is any class with ``reset(seed)`` and ``act(observation)``: see ``example
 
 from sumo_adv.drivers.bicycle import apply_steer
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.drivers.lattice_controller import LatticeEgo
+from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Road, Steer, model_of
 from sumo_adv.drivers.registry import ExternalEgo, make_ego
 from sumo_adv.drivers.replay import ReplayEgo

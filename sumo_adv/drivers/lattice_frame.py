@@ -1,21 +1,22 @@
-"""The frame of the ego's route path, and where others will be in it.
+"""The frame of the ego's path, and where other vehicles are expected in it.
 
-Others that go along the path, either way, keep their speed (or their braking, to standstill) and their drift sideways;
-one that comes into the ego's lane stays on its centre.  All others go on at constant speed and yaw rate.  Left out are
-followers in the ego's own lane, and vehicles on crossing courses that can still stop short of the path at 3 m/s2 (the
-rule of ``hazard.py``).
+A vehicle along the path, either way, keeps its speed (or its braking, until standstill) and its drift sideways.  Where
+it comes into the ego's lane the same way, it stays on the centre.  All others go on at constant speed and yaw rate.
+Left out are followers in the ego's own lane, and vehicles on crossing courses that can still stop short of the path at
+3 m/s2 (the rule of ``hazard.py``).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap, wrap_all
+from sumo_adv.drivers.lattice import Egos, Expected, Size
+from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
 from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
 
 COARSE = 2  # samples of the path between those that points are compared with
@@ -23,11 +24,16 @@ BEND_LATERAL, BEND_BRAKING = 3.2, 3.0  # m/s2, m/s2: how bends are taken
 BEND_SPAN = 8  # samples to either side, over which the path turns: a lane's points are no smooth line
 FASTEST = 60.0  # m/s
 DRIFT_RATE = 0.15  # m/s, slower sideways motion is lane keeping
-DRIFT_BEND = 1.2  # m, times the yaw rate of a bend: so much more is lane keeping there
-DRIFT_TIME = 2.5  # s, so long a vehicle is taken to move over
+DRIFT_BEND = 1.2  # m, times the yaw rate of a bend: added to that rate there
+DRIFT_TIME = 2.5  # s, how long a vehicle is expected to drift
 BRAKING = 0.5  # m/s2, less is no braking
-ALONG = math.pi / 4  # rad to the path: more is crossing
+ALONG, ASIDE = math.pi / 4, 12.0  # rad, m: a vehicle at more than that to the path is not along it
 SMOOTHING = 0.5  # -, weight of the newest yaw rate
+NEARBY = 15.0  # m, a vehicle matters at that distance and what both go within the horizon
+FOLLOWER_GAP = 0.3  # m, added to the width of the ego's way for followers
+
+Poses: TypeAlias = tuple[Floats, Floats, Floats]
+"""x, y [m] and heading [rad], or station, offset and heading against the path; any one shape."""
 
 
 class RoadFrame:
@@ -56,44 +62,42 @@ class RoadFrame:
         there = np.interp(s, self._grid, p.heading)
         return s, cos * dy - sin * dx, wrap_all(heading - there)
 
-    @property
-    def length(self) -> float:
-        """Metres that are known; beyond, nothing is said of those who come from there."""
-        return self.path.length
-
     def locate(self, state: VehicleState) -> tuple[float, float, float]:
         """Station, offset and relative heading of one vehicle."""
-        found = self.project(*(np.array([q]) for q in (state.x, state.y, state.heading)))
-        s, d, h = (float(q[0]) for q in found)
-        return s, d, h
+        s, d, turn = self.project(*(np.array([q]) for q in (state.x, state.y, state.heading)))
+        return float(s[0]), float(d[0]), float(turn[0])
 
     def bend(self, s: Floats) -> tuple[Floats, Floats]:
         """Curvature [1/m] and the fastest comfortable speed [m/s] at stations."""
         return np.interp(s, self._grid, self._curvature, right=0.0), np.interp(s, self._grid, self._pace)
 
 
-@dataclass(frozen=True, slots=True)
-class Others:
-    """Predicted boxes along the path's axes. s, d: centres; half_s, half_d: half extents [m]; all ``(n, time)``.
+class Others(NamedTuple):
+    """Vehicles now, ``m`` for each of ``n`` egos, all ``(n, m)``.
 
-    speed: along the path [m/s], ``(n,)``.
+    pose: on any plane; place: on the path.  speed, acceleration.  drift: rate of the offset [m/s], 0 for lane keeping.
+    yaw_rate [rad/s].  distance: from the ego [m], ``inf`` if nothing is known of the way between.  length, width [m].
     """
 
-    s: Floats
-    d: Floats
-    half_s: Floats
-    half_d: Floats
+    pose: Poses
+    place: Poses
     speed: Floats
+    acceleration: Floats
+    drift: Floats
+    yaw_rate: Floats
+    distance: Floats
+    length: Floats
+    width: Floats
 
 
 class Watch:
-    """Remembers where others were, for their yaw rates and drifts."""
+    """Remembers where other vehicles were, for their velocities and yaw rates."""
 
     def __init__(self) -> None:
         self._seen: dict[str, tuple[float, float, float, float, float]] = {}  # time, x, y, heading, yaw rate
 
     def look(self, time: float, others: Sequence[VehicleState]) -> Floats:
-        """Velocities in x and y [m/s] and yaw rates [rad/s] of all, ``(n, 3)``."""
+        """Velocities in x and y [m/s] and yaw rates [rad/s] of all, ``(m, 3)``."""
         seen, rows = {}, np.zeros((len(others), 3))
         for k, o in enumerate(others):
             vx, vy, rate = o.speed * math.cos(o.heading), o.speed * math.sin(o.heading), 0.0
@@ -101,69 +105,81 @@ class Watch:
                 before, x, y, h, rate = self._seen[o.id]
                 passed = max(time - before, 1e-3)
                 vx, vy = (o.x - x) / passed, (o.y - y) / passed
-                rate += SMOOTHING * (wrap(o.heading - h) / passed - rate)
+                rate = float(smoothed(rate, o.heading - h, passed))
             seen[o.id] = (time, o.x, o.y, o.heading, rate)
             rows[k] = vx, vy, rate
         self._seen = seen
         return rows
 
 
-def predict(
-    frame: RoadFrame,
-    ego: VehicleState,
-    at: tuple[float, float],
-    others: Sequence[VehicleState],
-    moving: Floats,
-    times: Floats,
-) -> Others:
-    """Where others will be at ``times`` (from now, s).
-
-    ``at``: the ego's station and offset; ``moving``: what ``Watch.look`` said of the others.
-    """
+def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState], moving: Floats) -> Others:
+    """The other vehicles of one ego, ``(1, m)``; ``moving``: what ``Watch.look`` returned for them."""
     state = np.array([[o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width] for o in others])
-    x, y, h, v, a, length, width = state.reshape(-1, 7).T
-    near = np.hypot(x - ego.x, y - ego.y) < 15.0 + times[-1] * (v + ego.speed)
-    x, y, h, v, a, length, width = (q[near] for q in (x, y, h, v, a, length, width))
-    vx, vy, rate = moving[near].T
+    x, y, h, v, a, length, width = state.reshape(-1, 7).T[:, None]
+    vx, vy, yaw_rate = moving.T[:, None]
     s, d, turn = frame.project(x, y, h)
     direction = h - turn
     drift = vy * np.cos(direction) - vx * np.sin(direction)
-    wander = DRIFT_RATE + DRIFT_BEND * v * np.abs(frame.bend(s)[0])
-    drift = np.where(np.abs(drift) < wander, 0.0, drift)
-    along = (np.abs(np.sin(turn)) < math.sin(ALONG)) & (np.abs(d) < 12.0)
-    way = _travelled(v, a, times)
-    all_s, all_d = s[:, None] + np.cos(turn)[:, None] * way, _drifting(d, drift, turn, times)
-    angle = np.tile(turn[:, None], (1, len(times)))
+    unknown = (s >= frame.path.length) & (np.cos(turn) <= math.cos(ALONG))  # it comes from beyond the known path
+    return Others(
+        (x, y, h), (s, d, turn), v, a, kept_drift(drift, v * np.abs(frame.bend(s)[0])), yaw_rate,
+        np.where(unknown, np.inf, np.hypot(x - ego.x, y - ego.y)), length, width,
+    )  # fmt: skip
+
+
+def smoothed(rate: Floats | float, turned: Floats | float, dt: float) -> Floats:
+    """The yaw rate [rad/s] after ``rate``, for a vehicle that ``turned`` [rad] within ``dt`` [s]."""
+    return np.asarray(rate + SMOOTHING * (wrap_all(np.asarray(turned)) / dt - rate))
+
+
+def kept_drift(drift: Floats, bend: Floats | float = 0.0) -> Floats:
+    """The drift [m/s], 0 for lane keeping; ``bend``: the yaw rate [rad/s] of following the path."""
+    return np.where(np.abs(drift) < DRIFT_RATE + DRIFT_BEND * bend, 0.0, drift)
+
+
+def expect(
+    others: Others, egos: Egos, size: Size, times: Floats, project: Callable[..., Poses] | None = None
+) -> Expected:
+    """Where other vehicles are expected at ``times`` [s] from now.
+
+    ``project`` puts poses of the plane on the path. None: the plane is the path's own.
+    """
+    (s, d, turn), v = others.place, others.speed
+    way = _travelled(v, others.acceleration, times)
+    all_s, all_d = s[..., None] + np.cos(turn)[..., None] * way, _drifting(d, others.drift, turn, times)
+    angle = np.repeat(turn[..., None], len(times), axis=-1)
+    along = (np.abs(np.sin(turn)) < math.sin(ALONG)) & (np.abs(d) < ASIDE)
     if not along.all():
         free = ~along
-        arcs = _arcs(x[free], y[free], h[free], rate[free], way[free], v[free])
-        all_s[free], all_d[free], angle[free] = frame.project(*arcs)
+        x, y, h = (q[free] for q in others.pose)
+        arcs = _arcs(x, y, h, others.yaw_rate[free], way[free], v[free])
+        all_s[free], all_d[free], angle[free] = arcs if project is None else project(*arcs)
     cos, sin = np.abs(np.cos(angle)), np.abs(np.sin(angle))
-    half_s = (cos * length[:, None] + sin * width[:, None]) / 2
-    half_d = (sin * length[:, None] + cos * width[:, None]) / 2
-    matter = ~_behind(ego, at, s, d, turn, half_s[:, 0], half_d[:, 0])
-    matter &= (s < frame.length) | (np.cos(turn) > math.cos(ALONG))
-    matter &= along | ~_yields(ego, d, turn, v, half_d[:, 0])
-    return Others(all_s[matter], all_d[matter], half_s[matter], half_d[matter], (v * np.cos(turn))[matter])
+    length, width = others.length[..., None], others.width[..., None]
+    half_s, half_d = (cos * length + sin * width) / 2, (sin * length + cos * width) / 2
+    matters = others.distance < NEARBY + times[-1] * (v + egos.speed[:, None])
+    matters &= ~_follows(others, egos, size, half_s[..., 0], half_d[..., 0])
+    matters &= along | ~_yields(others, size, half_d[..., 0])
+    return Expected(np.where(matters[..., None], all_s, np.inf), all_d, half_s, half_d, v * np.cos(turn))
 
 
 def _travelled(v: Floats, a: Floats, times: Floats) -> Floats:
-    """Metres at ``times``: those that brake go on braking, to standstill; all others keep their speed."""
-    braking = np.where(a < -BRAKING, a, 0.0)[:, None]
-    until = np.where(braking < 0, v[:, None] / np.maximum(-braking, 1e-6), np.inf)
+    """Metres at ``times``: a braking vehicle goes on braking, until standstill; all others keep their speed."""
+    braking = np.where(a < -BRAKING, a, 0.0)[..., None]
+    until = np.where(braking < 0, v[..., None] / np.maximum(-braking, 1e-6), np.inf)
     t = np.minimum(times, until)
-    return np.asarray(v[:, None] * t + braking / 2 * t * t)
+    return np.asarray(v[..., None] * t + braking / 2 * t * t)
 
 
 def _drifting(d: Floats, drift: Floats, turn: Floats, times: Floats) -> Floats:
-    """Offsets of those that go along the path; one that comes the same way into its middle stays there."""
-    moved = d[:, None] + drift[:, None] * np.minimum(times, DRIFT_TIME)
-    through = (moved * d[:, None] < 0) & (np.cos(turn) > 0)[:, None]
+    """Offsets of vehicles along the path; where one comes the same way to its centre, it stays there."""
+    moved = d[..., None] + drift[..., None] * np.minimum(times, DRIFT_TIME)
+    through = (moved * d[..., None] < 0) & (np.cos(turn) > 0)[..., None]
     return np.where(through, 0.0, moved)
 
 
-def _arcs(x: Floats, y: Floats, h: Floats, rate: Floats, way: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
-    """Poses after ``way`` metres on the circles that they are on, at most a quarter turn on."""
+def _arcs(x: Floats, y: Floats, h: Floats, rate: Floats, way: Floats, v: Floats) -> Poses:
+    """Poses after ``way`` metres on the present circles, at most a quarter turn on."""
     bend = np.where(v > 0.5, rate / np.maximum(v, 0.5), 0.0)[:, None]
     turned = np.clip(bend * way, -math.pi / 2, math.pi / 2)
     chord = way * np.sinc(turned / math.tau)
@@ -171,17 +187,17 @@ def _arcs(x: Floats, y: Floats, h: Floats, rate: Floats, way: Floats, v: Floats)
     return x[:, None] + chord * np.cos(direction), y[:, None] + chord * np.sin(direction), h[:, None] + turned
 
 
-def _behind(
-    ego: VehicleState, at: tuple[float, float], s: Floats, d: Floats, turn: Floats, half_s: Floats, half_d: Floats
-) -> Bools:
-    """Followers: wholly behind the ego, in its lane, going the same way."""
-    lane = np.abs(d - at[1]) < half_d + ego.width / 2 + 0.3
-    return np.asarray((s + half_s < at[0] - ego.length / 2) & lane & (np.cos(turn) > 0))
+def _follows(others: Others, egos: Egos, size: Size, half_s: Floats, half_d: Floats) -> Bools:
+    """Whether a vehicle is wholly behind the ego, in its lane, and goes the same way."""
+    s, d, turn = others.place
+    lane = np.abs(d - egos.d[:, None]) < half_d + size.width / 2 + FOLLOWER_GAP
+    return np.asarray((s + half_s < egos.s[:, None] - size.length / 2) & lane & (np.cos(turn) > 0))
 
 
-def _yields(ego: VehicleState, d: Floats, turn: Floats, v: Floats, half_d: Floats) -> Bools:
-    """On a crossing course, and still able to stop short of the path."""
+def _yields(others: Others, size: Size, half_d: Floats) -> Bools:
+    """Whether a vehicle on a crossing course can still stop short of the path."""
+    (_, d, turn), v = others.place, others.speed
     towards = -np.sign(d) * v * np.sin(turn)
-    side_gap = np.abs(d) - half_d - ego.width / 2
+    side_gap = np.abs(d) - half_d - size.width / 2
     room = side_gap * v / np.maximum(towards, 1e-6)
     return np.asarray((side_gap > 0) & (towards > 0) & (room >= v * v / (2 * STOPPING_SHORT)))

@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.drivers.lattice_controller import LatticeEgo
+from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
 from sumo_adv.drivers.replay import ReplayEgo
 from sumo_adv.drivers.sumo_driven import MODELS, SumoEgo

@@ -1,4 +1,4 @@
-"""The ego ``lattice``: stories on a straight road with numbers worked out by hand, and drives inside SUMO."""
+"""The lattice driver, as an ego and as predicted: stories on a straight road worked out by hand, and drives in SUMO."""
 
 from __future__ import annotations
 
@@ -6,16 +6,23 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from cli_samples import Program
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from sumo_adv.datatypes import Boxes, VehicleState
+from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
 from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
-from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, predict
-from sumo_adv.drivers.lattice_sample import aside
+from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
+from sumo_adv.drivers.lattice_candidates import Space, aside, choose
+from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
+from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.protocol import Road
+from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import LaneLine
 from sumo_adv.episode.road_here import RoadHere
@@ -156,33 +163,62 @@ def test_at_its_routes_end_sumo_takes_over() -> None:
 # ---- parts
 
 
+def at(x: float, speed: float) -> Egos:
+    """One ego on the centre of its path, its wheel straight."""
+    return Egos(np.array([x]), np.zeros(1), np.array([speed]), *(np.zeros(1) for _ in range(5)))
+
+
+def expected(x: float, speed: float, others: Sequence[VehicleState], times: Sequence[float]) -> Expected:
+    """Where an ego on the straight road expects other vehicles that it sees for the first time."""
+    frame = RoadFrame(STRAIGHT)
+    placed = others_on(frame, car("ego", x, speed=speed), others, Watch().look(0.0, others))
+    return expect(placed, at(x, speed), Size(5.0, 2.0), np.array(times), frame.project)
+
+
 def test_a_quintic_by_hand() -> None:
     # 2 m in 2 s: half way there at 1 s with 15/8 of the mean rate of 1 m/s; integral of jerk^2 = 720 * 4 / 32 = 90
-    moves = aside((0.0, 0.0, 0.0), np.array([2.0]), None, np.array([0.0, 1.0, 2.0, 3.0]))
-    k = int(np.flatnonzero(moves.duration == 2.0)[0])
-    assert moves.d[k] == pytest.approx([0.0, 1.0, 2.0, 2.0])
-    assert moves.rate[k] == pytest.approx([0.0, 1.875, 0.0, 0.0], abs=1e-9)
-    assert moves.jerk[k] == pytest.approx(90.0)
+    moves = aside(at(0.0, 10.0), np.array([2.0]), np.array([0.0, 1.0, 2.0, 3.0]))
+    k = int(np.flatnonzero(moves.duration[0] == 2.0)[0])
+    assert moves.d[0, k] == pytest.approx([0.0, 1.0, 2.0, 2.0])
+    assert moves.rate[0, k] == pytest.approx([0.0, 1.875, 0.0, 0.0], abs=1e-9)
+    assert moves.jerk[0, k] == pytest.approx(90.0)
 
 
 def test_crossing_cars_that_can_still_stop_short_are_left_to_right_of_way() -> None:
-    frame, me, times = RoadFrame(STRAIGHT), car("ego", 5.0, speed=14.0), np.array([0.0, 1.0, 2.0])
     # 12 m/s needs 144 / 6 = 24 m; from y = -28 its front has 28 - 2.5 - 1 = 24.5 m to the ego's side
     able, late = (car("bv", 33.0, y, 12.0, math.pi / 2) for y in (-28.0, -27.0))
-    for other, count in ((able, 0), (late, 1)):
-        found = predict(frame, me, (5.0, 0.0), [other], Watch().look(0.0, [other]), times)
-        assert len(found.s) == count
-    assert found.d[0] == pytest.approx([-27.0, -15.0, -3.0])
-    assert found.half_s[0] == pytest.approx([1.0, 1.0, 1.0])  # across: its width lies along the path
+    boxes = expected(5.0, 14.0, [able, late], (0.0, 1.0, 2.0))
+    assert np.isinf(boxes.s[0, 0]).all()
+    assert boxes.s[0, 1] == pytest.approx([33.0, 33.0, 33.0])
+    assert boxes.d[0, 1] == pytest.approx([-27.0, -15.0, -3.0])
+    assert boxes.half_s[0, 1] == pytest.approx([1.0, 1.0, 1.0])  # across: its width lies along the path
 
 
 def test_followers_are_left_to_their_drivers() -> None:
-    frame, me = RoadFrame(STRAIGHT), car("ego", 50.0, speed=14.0)
     behind, beside = car("behind", 40.0, speed=20.0), car("beside", 40.0, 3.2, speed=20.0)
-    moving = Watch().look(0.0, [behind, beside])
-    found = predict(frame, me, (50.0, 0.0), [behind, beside], moving, np.array([0.0, 1.0]))
-    assert found.d[:, 0] == pytest.approx([3.2])
-    assert found.s[0] == pytest.approx([40.0, 60.0])
+    boxes = expected(50.0, 14.0, [behind, beside], (0.0, 1.0))
+    assert np.isinf(boxes.s[0, 0]).all()
+    assert boxes.d[0, 1] == pytest.approx([3.2, 3.2])
+    assert boxes.s[0, 1] == pytest.approx([40.0, 60.0])
+
+
+def test_egos_choose_together_as_each_chooses_alone() -> None:
+    """At 20 m/s, with a free lane on the left, 20 m before a box in the lane, one on its right edge, and none."""
+    settings, size = LatticeSettings(), Size(5.0, 2.0)
+    parked = car("parked", 30.0, -9.0)
+    seen = [expected(5.0, 20.0, [parked, car("box", 30.0, y)], settings.times) for y in (0.0, -1.9, -60.0)]
+
+    def chosen(others: Expected) -> list[list[float]]:
+        n = len(others.s)
+        egos = Egos(*(np.repeat(q, n) for q in at(5.0, 20.0)))
+        space = Space.between(np.full(n, 1.6), [(3.2,)] * n, np.full(n, 400.0), size.width)
+        keep = np.zeros((n, len(settings.times)))
+        best = choose(egos, size, keep, np.full(n, 20.0), others, space, settings, 0.1)
+        return np.stack([best.acceleration, best.second, best.target, best.duration], axis=1).tolist()
+
+    together = chosen(Expected(*(np.concatenate(q) for q in zip(*seen, strict=True))))
+    assert together == [chosen(others)[0] for others in seen]
+    assert [target for _, _, target, _ in together] == [3.2, 0.5, 0.0]
 
 
 def test_wrong_settings_are_named() -> None:
@@ -191,6 +227,110 @@ def test_wrong_settings_are_named() -> None:
     with pytest.raises(UsageError, match="no parameter 'swerve'; it knows tau"):
         make_ego("lattice", {"swerve": 1})
     assert make_ego("lattice", {"horizon": 3.0, "tau": 1.5}).sumo_type["tau"] == "1.5"
+
+
+# ---- as predicted: the same as in the simulation
+
+Motion = tuple[float, float, float, float, float, float]  # x, y, heading, speed, acceleration, turn rate
+
+
+class StraightScenes:
+    """Egos alone on a straight road at ``speed`` [m/s], 3.2 m lanes, with a lane to the left if there is one."""
+
+    def __init__(self, speed: float, sides: tuple[float, ...]) -> None:
+        self.dt, self.speed, self.ego = 0.1, speed, SimpleNamespace(length=5.0, width=2.0)
+        beside = tuple((offset, "same") for offset in sides)
+        self.of = [SimpleNamespace(ego_sides=beside, lane_width=3.2, junction=math.inf, profile_a=[0.0])]
+
+    def each(self, value: Any) -> Floats:
+        return np.array([value(s) for s in self.of], float)
+
+    def profile_now(self, time: float) -> tuple[Floats, Floats]:
+        return np.array([self.speed * time]), np.array([self.speed])
+
+    def profile(self, time: Floats) -> tuple[Floats, Floats]:
+        return self.speed * time[None], np.full((1, len(time)), self.speed)
+
+    def pace(self, station: Floats) -> Floats:
+        return np.full(len(station), self.speed)
+
+
+def driven(speed: float, motion: Motion, sides: tuple[float, ...] = (), steps: int = 50) -> tuple[Floats, Floats]:
+    """x, y, heading, speed by step of the ego in the simulation, and as predicted; ``(steps, 4)``."""
+    x, y, heading, v, acceleration, turn = motion
+    real, road = LatticeEgo(), Road(limit=speed, sides=sides, until=400.0)
+    model = DriverModel("lattice", 2.6, 4.5, 1.0, 2.5, speed)  # IDM's defaults
+    scenes = cast(Scenes, StraightScenes(speed, sides))
+    many = LatticeDrivers(scenes, np.array([5.0]), np.array([2.0]), model)
+    ego, at, pace = car("ego", 0.0, speed=speed), np.zeros(1), np.array([speed])
+    simulated, predicted = [], []
+    for k in range(steps):
+        other = replace(car("bv", x, y, v, heading), acceleration=acceleration)
+        action = real.act(Observation(k / 10, 0.1, ego, (other,), path=STRAIGHT, road=road))
+        assert isinstance(action, Steer)
+        ego = apply_steer(ego, action, 0.1)
+        simulated.append((ego.x, ego.y, ego.heading, ego.speed))
+        place = (np.array([x]), np.array([y]), np.array([heading]))
+        at, pace = many.step(k / 10, (at, pace), place, np.array([v]), np.array([np.inf]))
+        predicted.append((at[0], many.d[0], many.turn[0], pace[0]))
+        x, y = x + v * 0.1 * math.cos(heading), y + v * 0.1 * math.sin(heading)
+        heading, v = heading + turn * 0.1, max(v + acceleration * 0.1, 0.0)
+    return np.array(simulated), np.array(predicted)
+
+
+def test_predicted_alone_it_goes_on_as_unattacked() -> None:
+    """50 steps of 0.1 s at 15 m/s: 75 m."""
+    simulated, predicted = driven(15.0, (300.0, 0.0, 0.0, 15.0, 0.0, 0.0))
+    assert predicted[-1] == pytest.approx((75.0, 0.0, 0.0, 15.0), abs=1e-6)
+    assert simulated == pytest.approx(predicted, abs=0.05)
+
+
+def test_it_brakes_for_an_adversary_that_cuts_in() -> None:
+    """On one lane there is nowhere to go: it brakes, hard at first."""
+    simulated, predicted = driven(15.0, (4.0, 3.2, -0.12, 15.0, 0.0, 0.0))
+    assert predicted[:, 3].min() < 9.0
+    assert abs(predicted[:, 1]).max() < 0.01
+    assert simulated == pytest.approx(predicted, abs=0.3)
+
+
+def test_it_is_predicted_to_swerve_into_a_free_lane_for_a_wreck() -> None:
+    """A stopped car 25 m ahead, which full braking from 20 m/s (25 m) cannot stop short of: it goes round on the left
+    of it, at more than the boxes' width of 2 m."""
+    simulated, predicted = driven(20.0, (27.0, -0.4, 0.0, 0.0, 0.0, 0.0), sides=(3.2,))
+    passing = predicted[(predicted[:, 0] > 22.0) & (predicted[:, 0] < 32.0), 1]
+    assert len(passing)
+    assert passing.min() > 1.6
+    assert simulated == pytest.approx(predicted, abs=0.3)
+
+
+def test_an_adversary_wholly_behind_in_its_lane_is_ignored() -> None:
+    _, predicted = driven(15.0, (-12.0, 0.0, 0.0, 20.0, 0.0, 0.0), steps=8)
+    assert predicted[-1] == pytest.approx((12.0, 0.0, 0.0, 15.0), abs=1e-6)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    st.floats(6.0, 28.0), st.floats(3.0, 60.0), st.floats(-5.0, 5.0), st.floats(-0.15, 0.15), st.floats(0.0, 28.0),
+    st.floats(-4.0, 2.0), st.booleans(),
+)  # fmt: skip
+def test_an_adversary_the_same_way_is_met_as_the_ego_meets_it(
+    speed: float, x: float, y: float, heading: float, other: float, acceleration: float, two: bool
+) -> None:
+    """For two seconds within a metre: where two candidates cost nearly the same either may be taken for a step."""
+    simulated, predicted = driven(speed, (x, y, heading, other, acceleration, 0.0), (3.2,) if two else (), steps=20)
+    assert np.abs(simulated[:, :2] - predicted[:, :2]).max() < 1.0
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    st.floats(6.0, 20.0), st.floats(10.0, 50.0), st.floats(-25.0, -8.0), st.floats(1.2, 1.9), st.floats(2.0, 15.0),
+    st.floats(-0.3, 0.3),
+)  # fmt: skip
+def test_a_crossing_adversary_is_met_as_the_ego_meets_it(
+    speed: float, x: float, y: float, heading: float, other: float, turn: float
+) -> None:
+    simulated, predicted = driven(speed, (x, y, heading, other, 0.0, turn), steps=20)
+    assert np.abs(simulated[:, :2] - predicted[:, :2]).max() < 1.0
 
 
 # ---- the same again

@@ -1,0 +1,179 @@
+"""The lattice driver's settings, and its rules for one step: ordinary driving, and the wheel.
+
+The driver lays candidate motions along its path (``lattice_candidates.py``), expects other vehicles there
+(``lattice_frame.py``) and carries out the beginning of the cheapest candidate.  It perceives at once and exactly, and
+knows no intentions of others.  The rules hold for ``n`` egos at once.  ``lattice_ego.py`` drives one ego in SUMO by
+them, and ``lattice_model.py`` predicts many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.drivers.bicycle import MAX_STEERING
+from sumo_adv.drivers.sumo_driven import Idm
+
+WHEELBASE = 2.8  # m, as ``bicycle.py``
+STEP = 0.2  # s between the compared times
+EASING, EASED = 3.0, -2.0  # m/s3, m/s2: how fast it releases the brake, and from which acceleration on
+SETTING_OFF = 1.0  # m/s, below it the brake is released at once
+KEEPING = 2.0  # 1/s, how fast it slows down to a desired speed below its own
+SLOWEST = 0.5  # m/s, the lowest desired speed
+LOOK, LEAST_LOOK = 0.2, 2.0  # s, m: how far ahead the wheel aims
+FOLLOWING_GAP = 0.1  # m, added to the width of the ego's way
+
+
+@dataclass(frozen=True, slots=True)
+class LatticeSettings:
+    """The driver's own settings, and those of IDM for ordinary driving."""
+
+    horizon: float = 4.0  # s, how far it plans
+    braking: float = 8.0  # m/s2, its emergency brake
+    lateral: float = 6.5  # m/s2, the maximum that its wheel asks for
+    idm: Idm = field(default_factory=Idm)
+
+    @property
+    def times(self) -> Floats:
+        """The compared times [s] from now, ``(time,)``."""
+        return STEP * np.arange(round(self.horizon / STEP) + 1.0)
+
+
+class Size(NamedTuple):
+    """Length and width [m] of all egos."""
+
+    length: float
+    width: float
+
+
+class Egos(NamedTuple):
+    """Egos on their paths, each ``(n,)``: station s and offset d (left positive) of the box centre [m], speed,
+    acceleration, first and second derivative of the offset; target offset [m] and remaining time [s] of the present
+    move sideways."""
+
+    s: Floats
+    d: Floats
+    speed: Floats
+    acceleration: Floats
+    rate: Floats
+    second: Floats
+    target: Floats
+    left: Floats
+
+    def of(self, rows: Any) -> Egos:
+        """Some of them."""
+        return Egos(*(q[rows] for q in self))
+
+
+class Expected(NamedTuple):
+    """Expected boxes of ``m`` vehicles for each ego, along the axes of its path.
+
+    s, d: centres, half_s, half_d: half extents [m], ``(n, m, time)``.  speed: along the path [m/s], ``(n, m)``.  The
+    stations of a vehicle that does not matter to the ego are ``inf``.
+    """
+
+    s: Floats
+    d: Floats
+    half_s: Floats
+    half_d: Floats
+    speed: Floats
+
+    def of(self, rows: Any) -> Expected:
+        """Those of some egos."""
+        return Expected(*(q[rows] for q in self))
+
+
+class Memory(NamedTuple):
+    """What egos keep from one step to the next, each ``(n,)``: acceleration and reference acceleration [m/s2], slip
+    angle [rad]; target offset [m], remaining time [s] and second derivative [m/s2] of the move sideways."""
+
+    acceleration: Floats
+    reference: Floats
+    slip: Floats
+    target: Floats
+    left: Floats
+    second: Floats
+
+    @staticmethod
+    def first(acceleration: Floats, reference: Floats) -> Memory:
+        """Before the first step: on the centre, the wheel straight."""
+        return Memory(acceleration, reference, *(np.zeros(len(acceleration)) for _ in range(4)))
+
+    def egos(self, s: Floats, d: Floats, turn: Floats, speed: Floats) -> Egos:
+        """The egos that remember this; ``turn``: heading against the path [rad]."""
+        rate = speed * np.sin(turn + self.slip)
+        return Egos(s, d, speed, self.acceleration, rate, self.second, self.target, self.left)
+
+
+class Cruise(NamedTuple):
+    """Speeds [m/s] by time, ``(n, time)``: ``desired`` on a free road, ``fastest`` behind a leader.  ``exact``,
+    ``(n,)``: the ego takes the desired speed at once, and does not approach it as IDM does."""
+
+    desired: Floats
+    fastest: Floats
+    exact: Floats
+
+
+def reference(
+    egos: Egos, size: Size, others: Expected, cruise: Cruise, cap: Floats, settings: LatticeSettings
+) -> Floats:
+    """Accelerations [m/s2] of ordinary driving (IDM behind the expected leader) by time, ``(n, time)``.
+
+    ``cap``, ``(n,)``: the maximum now. A braking cap holds for all times, any other for the first one only.
+    """
+    idm = settings.idm
+    rear, pace = _leader(egos, size, others, len(settings.times))
+    v, front, root = egos.speed, egos.s + size.length / 2, 2 * np.sqrt(idm.accel * idm.decel)
+    result = np.empty_like(rear)
+    for k in range(rear.shape[1]):
+        desired = cruise.desired[:, k]
+        free = idm.accel * _free(v, np.maximum(desired, SLOWEST), idm)
+        free = np.where(cruise.exact, (desired - v) / STEP, free)
+        wish = idm.minGap + np.maximum(0.0, v * idm.tau + v * (v - pace[:, k]) / root)
+        gap = np.maximum(rear[:, k] - front, 0.1)
+        held = idm.accel * (_free(v, cruise.fastest[:, k], idm) - (wish / gap) ** 2)
+        a = np.minimum(np.minimum(free, np.where(np.isfinite(gap), held, np.inf)), cap)
+        result[:, k] = a = np.minimum(np.maximum(a, np.maximum(-settings.braking, -v / STEP)), idm.accel)
+        front = front + np.maximum(v * STEP + a * STEP * STEP / 2, 0.0)
+        v = np.maximum(v + a * STEP, 0.0)
+        cap = np.where(cap < 0.0, cap, np.inf)
+    return result
+
+
+def eased(cap: Floats, speed: Floats, before: Floats, dt: float) -> Floats:
+    """``cap`` [m/s2], lowered so that the brake is released gradually; ``before``: the reference a step ago."""
+    gradual = np.maximum(before, EASED) + EASING * dt
+    return np.where(speed > SETTING_OFF, np.minimum(cap, gradual), cap)
+
+
+def look_ahead(speed: Floats) -> Floats:
+    """How far ahead [m] the wheel aims."""
+    return np.maximum(LOOK * speed, LEAST_LOOK)
+
+
+def steering(angle: Floats, ahead: Floats, speed: Floats, lateral: float) -> tuple[Floats, Floats]:
+    """Wheel and slip angle [rad] that lead to a point ``ahead`` [m] at ``angle`` [rad] to the heading."""
+    grip = np.arcsin(np.minimum(1.0, lateral * WHEELBASE / (2 * np.maximum(speed, 1.0) ** 2)))
+    slip = np.clip(angle / (1 + ahead / WHEELBASE), -grip, grip)
+    wheel = np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
+    return wheel, np.arctan(np.tan(wheel) / 2)
+
+
+def _free(v: Floats, desired: Floats, idm: Idm) -> Floats:
+    """The free-road term of IDM, as a share of its acceleration; above the desired speed it slows down to it."""
+    return np.where(v <= desired, 1.0 - (v / desired) ** idm.delta, (desired - v) * KEEPING / idm.accel)
+
+
+def _leader(egos: Egos, size: Size, others: Expected, count: int) -> tuple[Floats, Floats]:
+    """Station of the nearest rear ahead in the ego's way, and its speed, ``(n, time)``; ``inf`` and 0 without one."""
+    n, m = others.speed.shape
+    if m == 0:
+        return np.full((n, count), np.inf), np.zeros((n, count))
+    inside = np.abs(others.d - egos.d[:, None, None]) < others.half_d + size.width / 2 + FOLLOWING_GAP
+    inside &= ((others.s[:, :, 0] > egos.s[:, None]) & (others.speed > -0.5))[:, :, None]
+    rears = np.where(inside, others.s - others.half_s, np.inf)
+    nearest = rears.argmin(axis=1)
+    return rears.min(axis=1), np.take_along_axis(np.maximum(others.speed, 0.0), nearest, axis=1)

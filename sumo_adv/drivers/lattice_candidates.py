@@ -1,0 +1,258 @@
+"""The candidates of lattice drivers and their costs: each motion along the path with each motion sideways.
+
+Sideways: quintic polynomials from the present offset, its rate and its second derivative to an offset that is then kept
+(Werling et al. 2010, "Optimal trajectory generation for dynamic street scenarios in a Frenet frame").  Along: the
+reference (ordinary driving), and accelerations that are ramped to and held, until standstill or the maximum speed;
+quartics towards a speed, as in the paper, would be too slow in an emergency.
+
+A contact costs more the sooner and the faster it is.  So a far one asks for gentle braking, and a near one for anything
+that avoids it.  Boxes are compared along the path's axes, which for a box at an angle to them is the larger box.
+
+Arrays are ``(n, along, time)`` and ``(n, aside, time)`` for the candidates of ``n`` egos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.drivers.lattice import STEP, Egos, Expected, LatticeSettings, Size
+from sumo_adv.geometry import quintics
+
+DURATIONS = (1.2, 2.0, 3.0)  # s, of a move sideways
+SHORTEST = 0.5  # s, the least that is left of a move
+STEPS_ASIDE = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # m from the lane's centre
+BRAKES = (2.0, 4.0)  # m/s2: comfortable, hard; the emergency brake is a setting
+RAMP = 20.0  # m/s3, how fast pedals act
+CONTACT, CONTACT_SOON, CONTACT_FADES = 1000.0, 1.5, 0.8  # -, s, s
+NEAR, CLOSE, NEAR_FADES = 60.0, 6.0, 1.5  # 1/s, 1/s, s: within the margins of a contact
+CONTACT_MARGIN = (0.3, 0.15)  # m along, m across
+NEAR_MARGIN = (1.0, 0.3)
+CLOSE_MARGIN, CLOSE_HEADWAY = (1.5, 0.6), 0.2  # m, s: the margin along grows with speed
+OFF_ROAD = 800.0  # 1/m
+SLOWER, FASTER = 0.5, 4.0  # 1/(m/s)2, mean square deviation from the reference
+BRAKING, JERK_ASIDE, ACCELERATION_ASIDE = 0.2, 0.02, 0.05
+ASIDE, STRAYING, CHANGE = 0.5, 4.0, 0.5  # 1/m2: target, mean offset, another target than before
+OTHER_LANE = 8.0
+SLOPE, STEEP = 0.3, 20.0  # -, (s/m)2: a car moves sideways by at most that share of its way
+GRIP, SLIDING = 8.5, 40.0  # m/s2, 1/(m/s2): beyond the friction circle
+BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)  # of each byte, the highest first
+FIRST = np.where(BITS.any(axis=1), BITS.argmax(axis=1), 1 << 20)  # the first bit set; a large number if there is none
+
+
+class Space(NamedTuple):
+    """Where egos may go: target offsets [m], ``(k,)``; half the lane's width, right and left edge with the lanes beside
+    it [m], and how far ahead these lanes lead [m], each ``(n,)``."""
+
+    offsets: Floats
+    half: Floats
+    right: Floats
+    left: Floats
+    until: Floats
+
+    @staticmethod
+    def between(half: Floats, sides: Sequence[Sequence[float]], until: Floats, width: float) -> Space:
+        """The space of egos of a width [m]; ``sides``: centres of the lanes beside theirs [m].
+
+        The targets are those of the first ego: the lane's centre, steps aside within the edges, and ``sides``.
+        """
+        right, left = (np.array([edge((0.0, *s)) for s in sides]) for edge in (min, max))
+        right, left = right - half, left + half
+        steps = [d for d in STEPS_ASIDE if right[0] + width / 2 <= d <= left[0] - width / 2]
+        return Space(np.array([0.0, *steps, *sides[0]]), half, right, left, until)
+
+    def of(self, rows: Any) -> Space:
+        """That of some egos."""
+        return Space(self.offsets, *(q[rows] for q in self[1:]))
+
+
+class Along(NamedTuple):
+    """Candidates along, the reference first: station s [m], speed v [m/s], acceleration a [m/s2]."""
+
+    s: Floats
+    v: Floats
+    a: Floats
+
+
+class Aside(NamedTuple):
+    """Candidates sideways: offset d [m], its rate and second derivative; target [m], duration [s] and jerk (integral of
+    the third derivative's square [m2/s5]), ``(n, aside)``."""
+
+    d: Floats
+    rate: Floats
+    second: Floats
+    target: Floats
+    duration: Floats
+    jerk: Floats
+
+
+class Chosen(NamedTuple):
+    """The cheapest candidates, ``(n,)``: index of the one along (0: the reference); acceleration and second derivative
+    of the offset a step on [m/s2]; target [m] and duration [s] sideways; s and d [m] by time, ``(n, time)``."""
+
+    along: Ints
+    acceleration: Floats
+    second: Floats
+    target: Floats
+    duration: Floats
+    s: Floats
+    d: Floats
+
+    def offset_after(self, ahead: Floats) -> Floats:
+        """The offsets [m] where they are ``ahead`` [m] of the present stations, ``(n,)``."""
+        way = self.s - self.s[:, :1] + 1e-6 * STEP * np.arange(self.s.shape[1])  # grows even at standstill
+        reached = way >= ahead[:, None]
+        k = np.where(reached.any(axis=1), np.maximum(reached.argmax(axis=1), 1), way.shape[1] - 1)
+        rows = np.arange(len(way))
+        before, after = way[rows, k - 1], way[rows, k]
+        w = np.clip((ahead - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
+        return np.asarray(self.d[rows, k - 1] * (1 - w) + self.d[rows, k] * w)
+
+
+def choose(
+    egos: Egos, size: Size, reference: Floats, fastest: Floats, others: Expected, space: Space,
+    settings: LatticeSettings, dt: float, curvature: Callable[[Floats], Floats] | None = None,
+) -> Chosen:  # fmt: skip
+    """The cheapest candidates. ``reference``, ``(n, time)``; ``fastest``: the maximum speed [m/s], ``(n,)``;
+    ``curvature`` [1/m] of the paths at stations, None if they are straight; ``dt``: a step [s]."""
+    times = settings.times
+    on, off = along(egos, reference, fastest, settings), aside(egos, space.offsets, times)
+    bend = None if curvature is None else curvature(on.s)
+    costs = _comfort(off, egos, space)[:, None] + _pace(on)[:, :, None]
+    costs = costs + _off_road(off, on, egos, size, space, times)[:, None] + _physics(on, off, bend)
+    costs = costs + _meetings(on, off, others, size, times)
+    rows, count = np.arange(len(egos.s)), costs.shape[2]
+    best = costs.reshape(len(rows), -1).argmin(axis=1)
+    k, j = best // count, best % count
+    a, second = _after(on.a[rows, k], dt), _after(off.second[rows, j], dt)
+    return Chosen(
+        k, np.where(k == 0, reference[:, 0], a), second, off.target[rows, j], off.duration[rows, j], on.s[rows, k],
+        off.d[rows, j],
+    )  # fmt: skip
+
+
+def in_conflict(egos: Egos, size: Size, reference: Floats, others: Expected, times: Floats) -> Bools:
+    """Whether egos come close to another vehicle by their reference on the lane's centre, ``(n,)``."""
+    v = np.maximum(egos.speed[:, None] + _summed(reference), 0.0)
+    s = egos.s[:, None] + _summed(v)
+    gap_s = np.abs(others.s - s[:, None]) - others.half_s - size.length / 2
+    gap_d = np.abs(others.d) - others.half_d - size.width / 2
+    close = (gap_s < (CLOSE_MARGIN[0] + CLOSE_HEADWAY * v)[:, None]) & (gap_d < CLOSE_MARGIN[1])
+    return np.asarray(close.any(axis=(1, 2)))
+
+
+def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSettings) -> Along:
+    """The reference, keep the speed, accelerate to the ``fastest`` [m/s], and three brakes."""
+    times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
+    aims = np.zeros((len(fastest), 5, 1))
+    aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKES), -settings.braking]
+    now = egos.acceleration[:, None, None]
+    pedals = np.concatenate([reference[:, None], now + np.clip(aims - now, -RAMP * times, RAMP * times)], axis=1)
+    v = np.maximum(egos.speed[:, None, None] + _summed(pedals), 0.0)
+    v[:, 2] = np.minimum(v[:, 2], np.maximum(fastest, egos.speed)[:, None])
+    return Along(egos.s[:, None, None] + _summed(v), v, pedals)
+
+
+def aside(egos: Egos, offsets: Floats, times: Floats) -> Aside:
+    """To each of ``offsets`` [m] in each of ``DURATIONS``, and the rest of the present move."""
+    count = len(DURATIONS) * len(offsets)
+    target, duration = np.empty((2, len(egos.d), count + 1))
+    target[:, :-1], duration[:, :-1] = np.repeat(offsets, len(DURATIONS)), np.tile(DURATIONS, len(offsets))
+    target[:, -1], duration[:, -1] = egos.target, np.maximum(egos.left, SHORTEST)
+    start = (egos.d[:, None], egos.rate[:, None], egos.second[:, None])
+    d, rate, second, jerk = quintics(start, target, duration, times)
+    return Aside(d, rate, second, target, duration, jerk)
+
+
+def _summed(values: Floats) -> Floats:
+    """The integral by time (the last axis), by trapezia from 0."""
+    result = np.zeros_like(values)
+    np.cumsum((values[..., 1:] + values[..., :-1]) * (STEP / 2), axis=-1, out=result[..., 1:])
+    return result
+
+
+def _after(values: Floats, dt: float) -> Floats:
+    """``values``, ``(n, time)``, ``dt`` [s] from now."""
+    at = min(dt / STEP, values.shape[1] - 1.0)
+    k = min(int(at), values.shape[1] - 2)
+    return np.asarray(values[:, k] * (k + 1 - at) + values[:, k + 1] * (at - k))
+
+
+def _comfort(off: Aside, egos: Egos, space: Space) -> Floats:
+    here = np.abs(off.target) < space.half[:, None]
+    away = np.where(here, ASIDE * off.target**2 + STRAYING * (off.d**2).mean(axis=2), OTHER_LANE)
+    change = CHANGE * np.minimum((off.target - egos.target[:, None]) ** 2, 4.0)
+    return np.asarray(away + change + JERK_ASIDE * off.jerk + ACCELERATION_ASIDE * (off.second**2).mean(axis=2))
+
+
+def _pace(on: Along) -> Floats:
+    slower, faster = np.maximum(on.v[:, :1] - on.v, 0.0), np.maximum(on.v - on.v[:, :1], 0.0)
+    braking = BRAKING * np.minimum(on.a, 0.0) ** 2
+    braking[:, 0] = 0.0  # the reference brakes where it must, not by choice
+    return np.asarray((SLOWER * slower**2 + FASTER * faster**2 + braking).mean(axis=2))
+
+
+def _turned(off: Aside, on: Along) -> Floats:
+    """The heading [rad] against the path, as the reference would have it."""
+    return np.asarray(np.minimum(np.abs(off.rate) / np.maximum(on.v[:, :1], 3.0), 0.4))
+
+
+def _off_road(off: Aside, on: Along, egos: Egos, size: Size, space: Space, times: Floats) -> Floats:
+    """By the metres that the box sticks out over the road's edges, more than it does now; ``(n, aside)``."""
+    beside = egos.speed[:, None] * times < space.until[:, None]
+    right = np.where(beside, space.right[:, None], -space.half[:, None])[:, None]
+    left = np.where(beside, space.left[:, None], space.half[:, None])[:, None]
+    corner = size.width / 2 + size.length / 2 * _turned(off, on)
+    out = np.maximum(np.maximum(off.d + corner - left, right - off.d + corner), 0.0)
+    return np.asarray(OFF_ROAD * np.maximum(out.max(axis=2) - out[:, :, 0], 0.0))
+
+
+def _physics(on: Along, off: Aside, bend: Floats | None) -> Floats:
+    """Moving sideways without going on, and accelerations beyond the friction circle; ``(n, along, aside)``."""
+    slope = (np.abs(off.rate)[:, None] - (SLOPE * on.v + 0.1)[:, :, None]).max(axis=3)
+    sideways = off.second[:, None] if bend is None else off.second[:, None] + (bend * on.v**2)[:, :, None]
+    square = np.where((on.v > 0.5)[:, :, None], sideways**2 + (on.a**2)[:, :, None], 0.0).max(axis=3)
+    return np.asarray(STEEP * np.maximum(slope, 0.0) ** 2 + SLIDING * np.maximum(np.sqrt(square) - GRIP, 0.0))
+
+
+def _meetings(on: Along, off: Aside, others: Expected, size: Size, times: Floats) -> Floats:
+    """Contacts with and nearness to other vehicles; ``(n, along, aside)``."""
+    gap_s = np.abs(others.s[:, None] - on.s[:, :, None]) - others.half_s[:, None] - size.length / 2
+    corner = _turned(off, on)[:, :, None] * size.length / 2
+    gap_d = np.abs(others.d[:, None] - off.d[:, :, None]) - others.half_d[:, None] - size.width / 2 - corner
+    contact = _overlap(gap_s < CONTACT_MARGIN[0], gap_d < CONTACT_MARGIN[1])
+    near = _overlap(gap_s < NEAR_MARGIN[0], gap_d < NEAR_MARGIN[1])
+    long = (CLOSE_MARGIN[0] + CLOSE_HEADWAY * on.v)[:, :, None]
+    close = _overlap(gap_s < long, gap_d < CLOSE_MARGIN[1])
+    first = _first(contact)
+    when = np.minimum(first, len(times) - 1)
+    pace = np.take_along_axis(on.v, when, axis=2)
+    weight = CONTACT * np.exp(-np.maximum(times - CONTACT_SOON, 0.0) / CONTACT_FADES)
+    hit = np.where(first < len(times), weight[when] * (0.5 + pace / 20.0), 0.0)
+    fades = np.exp(-times / NEAR_FADES) * STEP
+    return np.asarray(hit + _total(near, NEAR * fades) + _total(close, CLOSE * fades))
+
+
+def _overlap(along: Bools, across: Bools) -> Ints:
+    """Times at which any other vehicle overlaps along ``(n, along, m, time)`` and across ``(n, aside, m, time)``: a bit
+    for each time, eight to a byte, ``(bytes, n, along, aside)``."""
+    a, b = (np.moveaxis(np.packbits(q, axis=-1), (-1, 2), (0, 1)) for q in (along, across))
+    result = np.zeros((len(a), *along.shape[:2], across.shape[1]), np.uint8)
+    for i in range(a.shape[1]):
+        result |= a[:, i, :, :, None] & b[:, i, :, None, :]
+    return result
+
+
+def _first(bits: Ints) -> Ints:
+    """The index of the first time with a bit set; a large number if there is none."""
+    return np.min([FIRST[byte] + 8 * k for k, byte in enumerate(bits)], axis=0)
+
+
+def _total(bits: Ints, weights: Floats) -> Floats:
+    """The sum of ``weights``, ``(time,)``, over the times with a bit set."""
+    padded = np.zeros(8 * len(bits))
+    padded[: len(weights)] = weights
+    return np.sum([(BITS @ padded[8 * k : 8 * k + 8])[byte] for k, byte in enumerate(bits)], axis=0)

@@ -1,0 +1,141 @@
+"""The lattice driver as an ego: it brakes and swerves.
+
+In every step it takes the cheapest of its candidates (``lattice_candidates.py``) on the frame of its route path, and
+carries out the beginning of it with the bicycle model (``bicycle.py``).  Without danger it drives as IDM behind the
+vehicle ahead, slower in bends and where SUMO's own driver would be (``Road.advised``: lights and right of way).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import DriverModel, Floats, VehicleState
+from sumo_adv.drivers.lattice import (
+    SLOWEST,
+    Cruise,
+    Egos,
+    Expected,
+    LatticeSettings,
+    Memory,
+    Size,
+    eased,
+    look_ahead,
+    reference,
+    steering,
+)
+from sumo_adv.drivers.lattice_candidates import Space, choose
+from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
+from sumo_adv.drivers.protocol import Action, Observation, Road, Steer
+from sumo_adv.drivers.sumo_driven import Idm, sumo_type
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap
+
+HELD = -3.0  # m/s2 at a line where it must wait
+OWN = ("horizon", "braking", "lateral")  # settings that SUMO does not know
+
+
+class LatticeEgo:
+    """State: the frame of the path, where other vehicles were, and what the ego began in the last step."""
+
+    name = "lattice"
+    forkable = True
+    needs_observation = True
+    needs_road = True
+
+    def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
+        """``parameters``: horizon, braking, lateral of ``LatticeSettings``, and those of IDM. Raises UsageError."""
+        others = dict(parameters or {})
+        own = {name: others.pop(name) for name in OWN if name in others}
+        for name, value in own.items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0.5 <= value <= 20.0:
+                raise UsageError(f"The ego 'lattice' needs {name!r} to be a number from 0.5 to 20, not {value!r}.")
+        self.sumo_type: Mapping[str, str] = sumo_type("idm", others)
+        idm = Idm(**{name: float(value) for name, value in self.sumo_type.items() if name != "carFollowModel"})
+        self.settings = LatticeSettings(**{name: float(value) for name, value in own.items()}, idm=idm)
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Forget everything; the seed is not needed."""
+        self._watch = Watch()
+        self._points: Sequence[tuple[float, float]] | None = None
+        self._frame: RoadFrame | None = None
+        self._memory: Memory | None = None
+        self._speed, self._asked = 0.0, 0.0  # m/s, before the last step, and asked for after it
+        self._cruising: float | None = None
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Predicted by ``lattice_model.py``; SUMO's lane rules do not hold for it."""
+        return replace(numbers, kind=self.name, known=True)
+
+    def act(self, observation: Observation) -> Action:
+        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        ego, dt, settings = observation.ego, observation.dt, self.settings
+        moving = self._watch.look(observation.time, observation.others)
+        frame = self._framed(observation)
+        if frame is None or (observation.road is not None and observation.road.leaves):
+            return None
+        if self._memory is None:
+            acceleration, self._speed, self._asked = np.array([ego.acceleration]), ego.speed, ego.speed
+            self._memory = Memory.first(acceleration, acceleration)
+        memory, size = self._memory, Size(ego.length, ego.width)
+        place = frame.locate(ego)
+        egos = memory.egos(*(np.array([q]) for q in (*place, ego.speed)))
+        others = expect(others_on(frame, ego, observation.others, moving), egos, size, settings.times, frame.project)
+        road = observation.road or Road(self._free_speed(ego))
+        space = Space.between(np.array([road.width / 2]), [road.sides], np.array([road.until]), ego.width)
+        ordinary = self._reference(frame, egos, size, others, road, dt)
+        chosen = choose(
+            egos, size, ordinary, np.array([road.limit]), others, space, settings, dt, lambda s: frame.bend(s)[0]
+        )
+        ahead = look_ahead(egos.speed)
+        x, y, _ = frame.path.at(egos.s + ahead, chosen.offset_after(ahead))
+        angle = wrap(math.atan2(y[0] - ego.y, x[0] - ego.x) - ego.heading)
+        wheel, slip = steering(np.array([angle]), ahead, egos.speed, settings.lateral)
+        pedal = float(chosen.acceleration[0])
+        self._speed, self._asked = ego.speed, max(0.0, ego.speed + pedal * dt)
+        self._memory = Memory(
+            np.maximum(chosen.acceleration, -egos.speed / dt), ordinary[:, 0], slip, chosen.target,
+            chosen.duration - dt, chosen.second,
+        )  # fmt: skip
+        return Steer(pedal, float(wheel[0]))
+
+    def _framed(self, observation: Observation) -> RoadFrame | None:
+        """The frame of the present path, else the last one; the target offset is carried over to a new one."""
+        if observation.path is None or observation.path is self._points:
+            return self._frame
+        frame = RoadFrame(observation.path)
+        if self._frame is not None and self._memory is not None:
+            shift = frame.locate(observation.ego)[1] - self._frame.locate(observation.ego)[1]
+            self._memory = self._memory._replace(target=self._memory.target + shift)
+        self._points, self._frame = observation.path, frame
+        return frame
+
+    def _free_speed(self, ego: VehicleState) -> float:
+        """Without a road: the ego's first speed [m/s]."""
+        if self._cruising is None:
+            self._cruising = max(ego.speed, 1.0)
+        return self._cruising
+
+    def _reference(
+        self, frame: RoadFrame, egos: Egos, size: Size, others: Expected, road: Road, dt: float
+    ) -> Floats:  # fmt: skip
+        """Accelerations [m/s2] of ordinary driving, ``(1, time)``."""
+        assert self._memory is not None
+        times, v = self.settings.times, egos.speed[:, None]
+        bends = frame.bend(egos.s[:, None] + size.length / 2 + np.maximum(v, 1.0) * times)[1]
+        speed = np.maximum(np.minimum(road.limit, bends), SLOWEST)
+        cap = eased(np.array([self._advice(road, dt)]), egos.speed, self._memory.reference, dt)
+        return reference(egos, size, others, Cruise(speed, speed, np.zeros(1, bool)), cap, self.settings)
+
+    def _advice(self, road: Road, dt: float) -> float:
+        """The maximum acceleration [m/s2] by SUMO's driver, if it was slower than the ego asked for or may not go."""
+        if road.held:
+            return HELD
+        if road.advised is None or road.advised > self._asked - 1e-3:
+            return math.inf
+        return (road.advised - self._speed) / dt
