@@ -29,13 +29,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.app import batch_parts, open_agents
 from sumo_adv.batch.campaign import Orders, run_batch
 from sumo_adv.batch.local import Pace
 from sumo_adv.batch.nouns import Job, Learn, Row, Setup
 from sumo_adv.batch.plan import Plan, make_plan
 from sumo_adv.batch.worker import Runner
-from sumo_adv.cli.batch_parts import batch_parts
-from sumo_adv.cli.models import open_agents
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.worker import body

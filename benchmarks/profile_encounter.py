@@ -16,9 +16,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from sumo_adv.agents.agents import Agents
+from sumo_adv.app import load
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.suites import load_suite
-from sumo_adv.cli.records import load
 from sumo_adv.config import load_settings
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.episode.attempt_runner import AttemptRunner

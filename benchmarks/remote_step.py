@@ -22,8 +22,8 @@ from typing import Any
 import traci
 from traci import constants
 
-from sumo_adv.serve.sumo_process import find_sumo
 from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.remote import STATE, Remote
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 

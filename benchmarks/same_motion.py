@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.cli.once import new_engine
+from sumo_adv.app import new_engine
 from sumo_adv.datatypes import PrescribedMotion
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import replay_episode

@@ -73,15 +73,15 @@ class Result:
 
         Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
         """
-        from sumo_adv.cli.export import write
         from sumo_adv.report.export.choices import Format, Variant
         from sumo_adv.report.export.piece import read_piece
+        from sumo_adv.report.export.write import write_export
 
         try:
             chosen, driven = Format(format), Variant(variant)
         except ValueError as error:
             raise UsageError(f"{str(error)[:1].upper()}{str(error)[1:]} of an export.") from error
-        write(Path(out), read_piece(self.folder), chosen, driven, force=False)
+        write_export(Path(out), read_piece(self.folder), chosen, driven, force=False)
         return Path(out)
 
     def __repr__(self) -> str:
@@ -129,8 +129,7 @@ def run(
         UsageError: bad input or settings, or ``out`` is taken and ``force`` is not given.
         BankError: the bank cannot be opened.
     """
-    from sumo_adv.cli.once import play
-    from sumo_adv.cli.records import load
+    from sumo_adv.app import load, play
     from sumo_adv.config import load_settings
     from sumo_adv.report.folder import staged, write_run
 

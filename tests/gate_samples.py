@@ -18,8 +18,9 @@ import traci
 from sumo_adv.errors import UsageError
 from sumo_adv.serve.gate import EventKind, Gate, GateEvent
 from sumo_adv.serve.policy import Rules
-from sumo_adv.serve.sumo_process import SumoProcess, find_sumo
+from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.simulation import SimulationSpec
 
 try:

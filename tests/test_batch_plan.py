@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
+from sumo_adv.app import batch_parts
 from sumo_adv.batch.learning import Lesson, as_text, from_text, teach
 from sumo_adv.batch.nouns import Job
 from sumo_adv.batch.pack import pack, packed_rows, packed_texts, unpack
@@ -18,13 +19,12 @@ from sumo_adv.batch.plan import Plan, differences, is_plan, make_plan, read_plan
 from sumo_adv.batch.results import COLUMNS, row_of, table_of, write_csv, write_failure
 from sumo_adv.batch.store import open_store
 from sumo_adv.batch.worker import share
-from sumo_adv.cli.batch_parts import batch_parts
-from sumo_adv.cli.records import choice_of, find_record
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import staged
+from sumo_adv.womd.reader import choice_of, find_record
 
 SCENARIOS = ROOT / "scenarios"
 

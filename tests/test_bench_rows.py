@@ -8,11 +8,11 @@ import pytest
 from bench_rows_samples import LIBRARY, asked, encounter
 from situation_samples import leader, neighbour
 
+from sumo_adv.app import shipped_bank
 from sumo_adv.benchmark.rows.fixed_intent import LABELS, FixedIntent
 from sumo_adv.benchmark.rows.oracle import MOST, Oracle, oracle_labels, split_half
 from sumo_adv.benchmark.rows.random_intent import RandomIntent
 from sumo_adv.benchmark.rows.registry import make_row
-from sumo_adv.cli.memory_common import shipped_bank
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 

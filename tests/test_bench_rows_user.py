@@ -13,11 +13,10 @@ import pytest
 from bench_rows_samples import LIBRARY, encounter
 from situation_samples import neighbour
 
+from sumo_adv.app import load, shipped_bank
 from sumo_adv.benchmark.arena import Arena
 from sumo_adv.benchmark.nouns import course_proposal
 from sumo_adv.benchmark.rows.registry import make_row
-from sumo_adv.cli.memory_common import shipped_bank
-from sumo_adv.cli.records import load
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Level, PrescribedMotion, Proposal
 from sumo_adv.episode.loop import make_task

@@ -22,7 +22,7 @@ from sumo_adv.report.export.openscenario import ROAD, SCENARIO, write_openscenar
 from sumo_adv.report.export.piece import Piece, read_piece
 from sumo_adv.report.export.replay import CONFIGURATION, write_replay
 from sumo_adv.simulation.network import read_network
-from sumo_adv.womd.network.netconvert import find_netconvert
+from sumo_adv.simulation.programs import find_netconvert
 
 CASES = [(geometry, unattacked) for geometry in GEOMETRIES for unattacked in (False, True)]
 IDS = [f"{geometry}, {'unattacked' if unattacked else 'attacked'}" for geometry, unattacked in CASES]

@@ -12,11 +12,10 @@ import pytest
 from cli_samples import Program, files_of, lacking
 from womd_samples import WITH_MAP, empty, four_way, frame, no_map, straight, write
 
-from sumo_adv.cli.records import choice_of
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.womd.convert import cache_folder, conversion
-from sumo_adv.womd.reader import Choice, read_records
+from sumo_adv.womd.reader import Choice, choice_of, read_records
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.table import COLUMNS, row, shortfalls, totals
 from sumo_adv.womd.traffic import _teleports, random_traffic

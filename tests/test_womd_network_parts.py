@@ -17,9 +17,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.womd.network import convert_network
 from sumo_adv.womd.network.foes import bend_together, find_foes
-from sumo_adv.womd.network.netconvert import find_netconvert, run_netconvert
+from sumo_adv.womd.network.netconvert import run_netconvert
 from sumo_adv.womd.network.roads import Link
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
@@ -174,9 +175,7 @@ def test_a_failing_netconvert_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_a_missing_netconvert_names_the_extra() -> None:
-    ask = (
-        "import sys\nfrom sumo_adv.womd.network.netconvert import find_netconvert\nsys.path.clear()\nfind_netconvert()"
-    )
+    ask = "import sys\nfrom sumo_adv.simulation.programs import find_netconvert\nsys.path.clear()\nfind_netconvert()"
     done = subprocess.run([sys.executable, "-c", ask], env={"PATH": ""}, capture_output=True, text=True, check=False)
     said = done.stderr.strip().splitlines()[-1]
     assert said.startswith("sumo_adv.errors.UsageError") and "sumo-adv[sumo]" in said

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from sumo_adv.agents.agents import ROLES, Agents
-from sumo_adv.cli.models import shipped_prompts
+from sumo_adv.app import shipped_prompts
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import make_task, run_episode
 from sumo_adv.episode.worker import body

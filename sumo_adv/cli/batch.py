@@ -76,8 +76,8 @@ def batch(
 
     Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
     """
+    from sumo_adv.app import batch_parts
     from sumo_adv.batch.plan import is_plan, make_plan, read_plan
-    from sumo_adv.cli.batch_parts import batch_parts
 
     if parquet:
         from sumo_adv.batch.results import check_parquet
@@ -164,10 +164,9 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
 
 
 def _run(plan: Plan, orders: Orders, *, as_json: bool) -> None:
+    from sumo_adv.app import batch_parts, open_bank
     from sumo_adv.batch.campaign import run_batch
-    from sumo_adv.cli.batch_parts import batch_parts
     from sumo_adv.cli.batch_progress import Quiet, make_watcher
-    from sumo_adv.cli.memory_common import open_bank
 
     if plan.learn == "during" and not as_json:
         typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)

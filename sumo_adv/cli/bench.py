@@ -199,9 +199,9 @@ def _order(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
     setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, keep_runs: bool,
 ) -> tuple[Asked, Means]:  # fmt: skip
+    from sumo_adv.app import bench_parts
     from sumo_adv.benchmark.run import Asked, Means
     from sumo_adv.benchmark.suites import load_suite
-    from sumo_adv.cli.bench_parts import bench_parts
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
 

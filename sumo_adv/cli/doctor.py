@@ -74,7 +74,7 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
 
 def version_line() -> str:
     """This program, SUMO and the memory bank that a run would use (the shipped one where there is none yet)."""
-    from sumo_adv.cli.memory_common import shipped_bank
+    from sumo_adv.app import shipped_bank
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
     from sumo_adv.memory.paths import default_bank_path

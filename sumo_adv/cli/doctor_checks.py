@@ -139,8 +139,7 @@ def simulator(network: Path) -> Iterator[Finding]:
 
 def programs(which: Callable[[str], str | None] = shutil.which, *, developing: bool = False) -> Iterator[Finding]:
     """Programs that some commands start; ``developing``: also what only the tests want."""
-    from sumo_adv.serve.sumo_process import find_sumo
-    from sumo_adv.womd.network.netconvert import find_netconvert
+    from sumo_adv.simulation.programs import find_netconvert, find_sumo
 
     for name, find, use in (("sumo", find_sumo, "serve"), ("netconvert", find_netconvert, "Waymo and OpenSCENARIO")):
         try:

@@ -75,7 +75,7 @@ def _reached(name: str, server: Server, level: Level) -> Finding:
 
 def bank(path: Path | None) -> Iterator[Finding]:
     """The bank that a run would use; none is made."""
-    from sumo_adv.cli.memory_common import shipped_bank
+    from sumo_adv.app import shipped_bank
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
     from sumo_adv.memory.paths import default_bank_path

@@ -42,51 +42,12 @@ def export(
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
     from sumo_adv.report.export.piece import read_piece
+    from sumo_adv.report.export.write import write_export
 
     piece = read_piece(folder, unattacked=unattacked, before=before, whole=whole)
     target = out or folder.resolve().parent / f"{folder.resolve().name}{ENDINGS[format]}"
-    write(target, piece, format, variant, force=force)
+    write_export(target, piece, format, variant, force=force)
     _say(target, piece, format, as_json=as_json)
-
-
-def write(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    """Write the piece whole or not at all. Raises UsageError: ``target`` is taken; and what the format may raise."""
-    if format in (Format.OPENSCENARIO, Format.SUMO):
-        _folder(target, piece, format, variant, force=force)
-    else:
-        _file(target, piece, format, force=force)
-
-
-def _folder(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    from sumo_adv.report.export.openscenario import SCENARIO, write_openscenario
-    from sumo_adv.report.export.replay import CONFIGURATION, write_replay
-    from sumo_adv.report.folder import staged
-    from sumo_adv.womd.network.netconvert import find_netconvert
-
-    marker = SCENARIO if format is Format.OPENSCENARIO else CONFIGURATION
-    with staged(target, force=force, marker=marker) as folder:
-        if format is Format.OPENSCENARIO:
-            write_openscenario(folder.stage, piece, find_netconvert(), variant)
-        else:
-            write_replay(folder.stage, piece)
-        folder.keep(force=force)
-
-
-def _file(target: Path, piece: Piece, format: Format, *, force: bool) -> None:
-    from sumo_adv.files import sentences, write_text, write_whole
-    from sumo_adv.report.export.fcd import fcd
-    from sumo_adv.report.export.table import table
-    from sumo_adv.report.tables import write_gzip
-
-    if target.is_dir() or (target.exists() and not force):
-        raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
-    text = fcd(piece) if format is Format.FCD else table(piece)
-    with sentences(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if target.suffix == ".gz":
-            write_whole(target, lambda part: write_gzip(part, text))
-        else:
-            write_text(target, text)
 
 
 def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:

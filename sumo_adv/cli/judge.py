@@ -86,9 +86,7 @@ def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:
     """A run simulated again, and its reference drivers with it."""
-    from sumo_adv.cli.once import new_engine
-    from sumo_adv.episode.loop import replay_episode
-    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.app import replay
     from sumo_adv.report.judging import Judgement
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.report.outcome import verdict
@@ -100,10 +98,7 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     driver = recorded.task.ego_driver
     if trusted_driver(ego, driver, str(folder)) != driver and ":" in driver:
         raise UsageError(f"The run in {folder} was driven by {driver!r}, not by {ego!r}.")
-    with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, new_engine() as engine:
-        episode = replay_episode(
-            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
-        )
+    episode = replay(recorded)
     if episode.best is None:
         raise SumoAdvError(f"The encounter did not come back ({episode.reason})")
     return Judgement(folder, driver, before, verdict(episode.best.verdict), "replay")

@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
+from sumo_adv.app import open_bank
 from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_generate
-from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent, open_bank
+from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
 
 app = typer.Typer(
     no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent, open_bank
+from sumo_adv.app import open_bank
+from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
 
 if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner

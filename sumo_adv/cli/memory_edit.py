@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent, open_bank, shipped_bank
+from sumo_adv.app import open_bank, shipped_bank
+from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent
 
 if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank

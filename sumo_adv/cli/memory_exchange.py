@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from sumo_adv.cli.memory_common import Bank, Json, answer, open_bank, parse_parameters
+from sumo_adv.app import open_bank
+from sumo_adv.cli.memory_common import Bank, Json, answer, parse_parameters
 
 
 def export(

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sumo_adv.cli.memory_common import Bank, Json, answer, open_bank
+from sumo_adv.app import new_sandbox, open_bank, shipped_prompts
+from sumo_adv.cli.memory_common import Bank, Json, answer
 
 if TYPE_CHECKING:
-    from sumo_adv.agents.prompts import Prompts
     from sumo_adv.config import Settings
     from sumo_adv.datatypes import LibraryEntry, Planner
     from sumo_adv.memory.bank import MemoryBank
@@ -78,24 +78,16 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.client import connect
     from sumo_adv.llm.ledger import Ledger
-    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.planners.trial import trial
 
     ledger = Ledger.for_settings(settings)
-    prompts: Prompts = _prompts()
-    with Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox:
+    with new_sandbox(settings) as sandbox:
         generator = ModelGenerator(
-            MeteredModel(connect(name, settings, ledger), ledger), prompts, settings.limits.limits(),
+            MeteredModel(connect(name, settings, ledger), ledger), shipped_prompts(), settings.limits.limits(),
             lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
             instruction=settings.instruction,
         )  # fmt: skip
         return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)[0]
-
-
-def _prompts() -> Prompts:
-    from sumo_adv.cli.models import shipped_prompts
-
-    return shipped_prompts()
 
 
 def _free_mode(bank: MemoryBank, intent: IntentRecord, planner: Planner) -> Planner:

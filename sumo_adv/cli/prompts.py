@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from sumo_adv.app import new_engine, new_sandbox, open_for_run, shipped_prompts
 from sumo_adv.config import Settings
 
 if TYPE_CHECKING:
@@ -34,20 +35,16 @@ def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
 
 def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.agents.agents import Agents
-    from sumo_adv.cli.memory_common import open_for_run
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.loop import make_task, meet
-    from sumo_adv.episode.worker import body
     from sumo_adv.errors import UsageError
-    from sumo_adv.planners.sandbox import Sandbox
-    from sumo_adv.simulation.engine import Engine
 
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
         with (
             open_for_run(settings) as bank,
-            Sandbox(bubblewrap=None if settings.bubblewrap else False) as sandbox,
-            Engine(body) as engine,
+            new_sandbox(settings) as sandbox,
+            new_engine() as engine,
         ):
             met = meet(episode, engine, sandbox, bank, lambda *_: None)
             if met is None or not met.search.pool:
@@ -58,7 +55,6 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
 def _analyzer(episode: Any, met: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.evidence import evidence_words
-    from sumo_adv.cli.models import shipped_prompts
     from sumo_adv.episode.memory_access import remembered
 
     settings, allowed = episode.settings, episode.source.intents
@@ -74,7 +70,6 @@ def _analyzer(episode: Any, met: PlannedEncounter, bank: Any) -> Prompt:
 def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
-    from sumo_adv.cli.models import shipped_prompts
     from sumo_adv.episode.attempt_runner import AttemptRunner
     from sumo_adv.episode.refinement import Refinement, Refiner
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv import app
 from sumo_adv.cli.memory_common import Metric
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
@@ -97,9 +98,7 @@ def run(
         return
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
-    from sumo_adv.cli.records import load
-
-    given = load(source, record)
+    given = app.load(source, record)
     settings = load_settings(
         settings_file, ego=given.driver(ego), ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
@@ -118,7 +117,6 @@ def run(
 
 def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.once import play
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.report.folder import staged
 
@@ -130,7 +128,7 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
     ):
         tell = interrupts.checked(reporter.tell)
         with reporter:
-            episode = play(given, settings, folder.stage, Path(scratch), tell, interrupts.hold)
+            episode = app.play(given, settings, folder.stage, Path(scratch), tell, interrupts.hold)
         _finish(folder, episode, force=force, as_json=as_json)
 
 
@@ -161,9 +159,6 @@ def _refuse_what_a_replay_ignores(context: typer.Context) -> None:
 
 
 def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
-    from sumo_adv.cli.once import new_engine
-    from sumo_adv.episode.loop import replay_episode
-    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.simulation.inputs import trusted_driver
@@ -177,9 +172,5 @@ def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_
         )
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
-        with Sandbox(bubblewrap=None if recorded.settings.bubblewrap else False) as sandbox, new_engine() as engine:
-            episode = replay_episode(
-                recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
-            )
-            episode.isolation = sandbox.isolation
+        episode = app.replay(recorded)
         _finish(folder, episode, force=force, as_json=as_json)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv import app
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -87,8 +88,8 @@ def serve(
     ] = False,
 ) -> None:
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
-    from sumo_adv.serve.sumo_process import find_sumo
     from sumo_adv.simulation.inputs import load_input
+    from sumo_adv.simulation.programs import find_sumo
 
     find_sumo()
     given = load_input(source)
@@ -118,11 +119,7 @@ def _serve(
     status_port: int | None, *, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.models import open_agents
     from sumo_adv.cli.serve_progress import make_terminal
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
-    from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.serve.clerk import ResultWriter
     from sumo_adv.serve.events import EventFile, Events, Status
@@ -130,7 +127,6 @@ def _serve(
     from sumo_adv.serve.policy import Rules
     from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.serve.status import StatusPage
-    from sumo_adv.simulation.inputs import data_folder
     from sumo_adv.simulation.network import read_network
 
     with ExitStack() as stack:
@@ -140,10 +136,8 @@ def _serve(
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)
-        bank = stack.enter_context(
-            MemoryBank.open(settings.memory or default_bank_path(), seed_from=data_folder("memory_bank.sqlite"))
-        )
-        sandbox = stack.enter_context(Sandbox(bubblewrap=None if settings.bubblewrap else False))
+        bank = stack.enter_context(app.open_for_run(settings))
+        sandbox = stack.enter_context(app.new_sandbox(settings))
         status, terminal = Status(), make_terminal(quiet=as_json)
         listeners: list[Any] = [status, terminal]
         if events_file is not None:
@@ -161,7 +155,7 @@ def _serve(
             )
         )
         _claim(target, force=force)
-        agents = stack.enter_context(open_agents(settings, sandbox, target / MODEL_FILE))
+        agents = stack.enter_context(app.open_agents(settings, sandbox, target / MODEL_FILE))
         _note(target, given, settings, options, None)
         clerk = ResultWriter(_writer(target), events)
         stack.enter_context(terminal)

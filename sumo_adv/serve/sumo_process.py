@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import shutil
 import socket
 import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Sequence
-from pathlib import Path
 
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import SimulationError
+from sumo_adv.simulation.programs import find_sumo
 
 CLIENTS = 2
 KEPT_LINES = 50  # of what SUMO said last
@@ -24,27 +22,6 @@ ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)
 os.getppid() == int(sys.argv[1]) or os._exit(1)
 os.execv(sys.argv[2], sys.argv[2:])
 """  # Linux kills SUMO with us: 1 is PR_SET_PDEATHSIG, it stays over exec
-
-
-def find_sumo() -> Path:
-    """The program: of the ``eclipse-sumo`` wheel, else below ``SUMO_HOME``, else on the path.
-
-    Raises:
-        UsageError: there is none.
-    """
-    name = "sumo.exe" if sys.platform == "win32" else "sumo"
-    wheel = importlib.util.find_spec("sumo")
-    homes = [Path(folder) for folder in (wheel.submodule_search_locations or ())] if wheel else []
-    if home := os.environ.get("SUMO_HOME"):
-        homes.append(Path(home))
-    for folder in homes:
-        if (folder / "bin" / name).is_file():
-            return folder / "bin" / name
-    if found := shutil.which(name):
-        return Path(found)
-    raise UsageError(
-        "The program sumo was not found: install it with pip install 'sumo-adv[sumo]', or set SUMO_HOME to where it is."
-    )
 
 
 def free_port() -> int:

@@ -32,6 +32,7 @@ from sumo_adv.womd.record import (
 )
 
 MPH = 0.44704  # m/s
+INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
 _AREAS = ("crosswalk", "speed_bump", "driveway")
 _FIELDS = (
@@ -69,6 +70,26 @@ def read_records(path: Path, choice: Choice = ALL, told: Told | None = None) -> 
             yield from _chosen(_patient(frames, told), path, choice, parse, told)
     except OSError as error:
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
+
+
+def find_record(source: Path, choice: Choice) -> Record:
+    """The chosen record. The search for an id passes over records that cannot be read. Raises UsageError."""
+    wrong: list[UsageError] = []
+    try:
+        return next(read_records(source, choice, None if choice.id is None else wrong.append))
+    except UsageError as error:
+        if wrong:
+            raise UsageError(f"{str(error).rstrip('.')} that can be read. {wrong[0]}") from error
+        raise
+
+
+def choice_of(record: str | None) -> Choice:
+    """The choice that ``--record`` means; the first record if it was not given."""
+    if record is None:
+        return Choice(index=0)
+    if record.isascii() and record.isdigit() and len(record) <= INDEX_DIGITS:
+        return Choice(index=int(record))
+    return Choice(id=record)
 
 
 def _parser() -> Callable[[bytes], Any]:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.simulation.demand import generate
-from sumo_adv.womd.network.netconvert import find_netconvert
+from sumo_adv.simulation.programs import find_netconvert
 
 DURATION = 120.0  # s
 PATIENCE = 60.0  # s without a move after which SUMO teleports a vehicle

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.womd.network.finish import finish
 from sumo_adv.womd.network.foes import bend_together, find_foes
 from sumo_adv.womd.network.lanes import keep
 from sumo_adv.womd.network.layout import make_layout
-from sumo_adv.womd.network.netconvert import find_netconvert, run_netconvert
+from sumo_adv.womd.network.netconvert import run_netconvert
 from sumo_adv.womd.network.pieces import Piece, find_pieces
 from sumo_adv.womd.network.plain import write_plain
 from sumo_adv.womd.network.report import make_report

@@ -1,11 +1,8 @@
-"""Running netconvert, from the extra ``sumo`` or the path."""
+"""Runs netconvert."""
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
-from importlib.util import find_spec
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
@@ -16,18 +13,6 @@ OPTIONS = (
     "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
 )  # fmt: skip
 TIMEOUT = 120.0  # s
-
-
-def find_netconvert() -> Path:
-    """The program. Raises UsageError if it is not installed."""
-    name = "netconvert.exe" if os.name == "nt" else "netconvert"
-    spec = find_spec("sumo")
-    for folder in spec.submodule_search_locations or [] if spec is not None else []:
-        if (program := Path(folder) / "bin" / name).is_file():
-            return program
-    if (found := shutil.which(name)) is not None:
-        return Path(found)
-    raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
 
 
 def run_netconvert(program: Path, folder: Path, target: Path) -> None:

@@ -1,0 +1,289 @@
+"""Composition: builds an episode, and the parts of a batch and of a benchmark, from settings.
+
+The commands and the Python interface call these functions. Imports stand inside the functions, so that a command loads
+only what it needs. The functions of ``batch_parts`` and ``bench_parts`` go to other processes, which import them by
+name.
+"""
+
+from __future__ import annotations
+
+import atexit
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from sumo_adv.errors import BankError, UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.agents.agents import Agents
+    from sumo_adv.agents.prompts import Prompts
+    from sumo_adv.batch.nouns import Parts as BatchParts
+    from sumo_adv.benchmark.jobs import Parts as BenchParts
+    from sumo_adv.config import Settings
+    from sumo_adv.episode.episode import Episode
+    from sumo_adv.llm.chat import ChatModel
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.similarity import Similarity
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.report.manifest import Recorded
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.inputs import RunInput
+
+# -- the input and the memory bank --------------------------------------------------------------------------------
+
+
+def load(source: Path, record: str | None) -> RunInput:
+    """The input at ``source``. A file of Waymo records is converted, or its conversion is taken from the cache.
+
+    record: the id, or the place from 0, of the record to take from such a file (default: the first).
+    Raises SumoAdvError for what cannot be read or converted.
+    """
+    from sumo_adv.simulation.inputs import load_input
+
+    if ".tfrecord" not in source.name.lower() or not source.is_file():
+        if record is not None:
+            raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
+        return load_input(source)
+    from sumo_adv.womd.convert import conversion
+    from sumo_adv.womd.reader import choice_of, find_record
+
+    chosen = find_record(source, choice_of(record))
+    stack = ExitStack()  # a conversion that cannot be cached is removed at exit
+    atexit.register(stack.close)
+    made = stack.enter_context(conversion(chosen, traffic=False))
+    return replace(load_input(made.scenario), name=chosen.scenario_id)
+
+
+def shipped_bank() -> Path:
+    """The bank of the paper's seven intents that comes with the program."""
+    from sumo_adv.simulation.inputs import data_folder
+
+    return data_folder("memory_bank.sqlite")
+
+
+def open_bank(path: Path | None, *, make: bool = False, similarity: Similarity | None = None) -> MemoryBank:
+    """The bank at ``path``, by default the user's own. The user's own bank starts as a copy of the shipped one.
+
+    make: make the bank at ``path`` in the same way if it does not exist. Raises BankError.
+    """
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.paths import default_bank_path
+
+    if path is not None and not make and not path.exists():
+        raise BankError(f"There is no memory bank at {path}; check the path given with --memory.")
+    return MemoryBank.open(path or default_bank_path(), seed_from=shipped_bank(), similarity=similarity)
+
+
+def open_for_run(settings: Settings) -> MemoryBank:
+    """The bank and the metric of a run's settings; made from the shipped bank if it does not exist.
+
+    Raises BankError, also for a metric that was never calibrated for the bank, and UsageError.
+    """
+    bank = open_bank(settings.memory, make=True, similarity=make_similarity(settings))
+    try:
+        bank.epsilon()
+    except BaseException:
+        bank.close()
+        raise
+    return bank
+
+
+def make_similarity(settings: Settings) -> Similarity:
+    """The metric that the settings name. Raises UsageError: no such model folder, or no server for the name."""
+    from sumo_adv.memory.embeddings import Embedded
+    from sumo_adv.memory.similarity import TfIdf
+
+    kind, _, name = settings.metric.partition(":")
+    if kind == "endpoint":
+        from sumo_adv.llm.client import connect_embedder
+
+        return Embedded(connect_embedder(name, settings), kind)
+    if kind == "local":
+        from sumo_adv.memory.sentence_model import SentenceModel
+
+        return Embedded(SentenceModel(Path(name).expanduser()), kind)
+    return TfIdf()
+
+
+# -- analyzer, generator and modifier -----------------------------------------------------------------------------
+
+
+def new_sandbox(settings: Settings) -> Sandbox:
+    """The sandbox in which planners run."""
+    from sumo_adv.planners.sandbox import Sandbox
+
+    return Sandbox(bubblewrap=None if settings.bubblewrap else False)
+
+
+@contextmanager
+def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Agents]:
+    """The agents; every exchange with their models is written to the file ``record``. Raises UsageError."""
+    from sumo_adv.agents.agents import ROLES, Agents
+    from sumo_adv.llm.ledger import Ledger
+
+    names = {role: name for role in ROLES if (name := settings.player(role)) is not None}
+    if not names:
+        yield Agents(settings, sandbox)
+        return
+    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.recording import Recorder
+
+    ledger = Ledger.for_settings(settings)
+    by_name: dict[str, ChatModel] = {name: connect(name, settings, ledger) for name in sorted(set(names.values()))}
+    with ExitStack() as stack:
+        if record is not None:
+            said = ", ".join(model.name for model in by_name.values())
+            recorder = stack.enter_context(Recorder(record, said))
+            by_name = {name: recorder.wrap(model) for name, model in by_name.items()}
+        models = {role: by_name[name] for role, name in names.items()}
+        yield Agents(settings, sandbox, models, ledger, shipped_prompts())
+
+
+def shipped_prompts() -> Prompts:
+    """The prompts that come with the program."""
+    from sumo_adv.agents.prompts import Prompts
+    from sumo_adv.simulation.inputs import data_folder
+
+    return Prompts(data_folder("prompts"))
+
+
+# -- an episode ---------------------------------------------------------------------------------------------------
+
+
+def play(
+    given: RunInput,
+    settings: Settings,
+    stage: Path,
+    scratch: Path,
+    tell: Callable[[str, Any], None],
+    played: Callable[[], None] = lambda: None,
+) -> Episode:
+    """Run one episode.
+
+    stage: the folder in which the models' answers are recorded; scratch: the folder for generated demand, which the
+    episode needs until it is written; played: called when the episode ends, before its processes end.
+
+    Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
+    """
+    from sumo_adv.episode.loop import make_task, run_episode
+    from sumo_adv.report.outcome import MODEL_FILE
+
+    task = make_task(given, settings, scratch)
+    with (
+        open_for_run(settings) as bank,
+        new_sandbox(settings) as sandbox,
+        open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
+        new_engine() as engine,
+    ):
+        episode = run_episode(given, settings, task, engine, agents, bank, tell)
+        played()
+    return episode
+
+
+def replay(recorded: Recorded) -> Episode:
+    """Repeat the attempt that a manifest records."""
+    from sumo_adv.episode.loop import replay_episode
+
+    with new_sandbox(recorded.settings) as sandbox, new_engine() as engine:
+        episode = replay_episode(
+            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
+        )
+        episode.isolation = sandbox.isolation
+    return episode
+
+
+def new_engine() -> Engine:
+    """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
+    from sumo_adv.episode.worker import body
+    from sumo_adv.simulation.engine import Engine, deaf
+
+    with _without_main(), deaf():
+        return Engine(body)
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Start processes that do not import the main module.
+
+    A spawned process imports the main module unless that has no file. Without that import scripts need no guard
+    (``if __name__ == "__main__"``), and notebooks need no file.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+# -- what the workers of a batch and of a benchmark call ----------------------------------------------------------
+
+
+def batch_parts() -> BatchParts:
+    """The functions that a batch's workers need."""
+    from sumo_adv.batch.nouns import Parts
+    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.outcome import MODEL_FILE
+
+    return Parts(load, record_contents, open_agents, make_similarity, staged, write_run, MODEL_FILE)
+
+
+def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
+    """For each Waymo record in a file its id and the hash of its content, or a sentence on what is wrong with it.
+
+    Raises UsageError.
+    """
+    from sumo_adv.womd.reader import read_records
+
+    wrong: list[str] = []
+    for record in read_records(path, told=lambda error: wrong.append(str(error))):
+        yield from wrong
+        wrong.clear()
+        yield record.scenario_id, record.content
+    yield from wrong
+
+
+def bench_parts() -> BenchParts:
+    """The functions that a benchmark's workers need."""
+    from sumo_adv.benchmark.jobs import Parts
+
+    return Parts(load, open_agents, full_outcome, keep_run, draw_example)
+
+
+def full_outcome(episode: Episode) -> dict[str, Any]:
+    """The content of ``outcome.json`` for an episode. Nothing is written."""
+    from sumo_adv.report.folder import raw_figures
+    from sumo_adv.report.outcome import outcome
+    from sumo_adv.report.verdicts import figures, judge_best
+
+    judged = judge_best(episode)
+    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else None)
+
+
+def keep_run(target: Path, episode: Episode) -> None:
+    """Write the whole folder of a run. Raises UsageError."""
+    from sumo_adv.report.folder import staged, write_run
+
+    with staged(target, force=True) as folder:
+        write_run(folder, episode)
+        folder.keep(force=True)
+
+
+def draw_example(target: Path, episode: Episode) -> None:
+    """Draw the encounter without and with the attack, as ``figure`` does. Raises UsageError."""
+    from sumo_adv.files import sentences
+    from sumo_adv.report.figures.paper import draw_paper, save
+    from sumo_adv.report.figures.story import read_story
+    from sumo_adv.report.folder import staged, write_run
+
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch, sentences(target):
+        with staged(Path(scratch) / "run", force=False) as folder:
+            write_run(folder, episode, figure=False)
+            folder.keep(force=False)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        save(draw_paper(read_story(folder.target)), target, "png")

@@ -1,0 +1,40 @@
+"""Finds SUMO's programs: those of the ``eclipse-sumo`` wheel, else below ``SUMO_HOME``, else on the path."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+from sumo_adv.errors import UsageError
+
+
+def find_sumo() -> Path:
+    """The program ``sumo``. Raises UsageError if it is not installed."""
+    if found := _find("sumo"):
+        return found
+    raise UsageError(
+        "The program sumo was not found: install it with pip install 'sumo-adv[sumo]', or set SUMO_HOME to where it is."
+    )
+
+
+def find_netconvert() -> Path:
+    """The program ``netconvert``. Raises UsageError if it is not installed."""
+    if found := _find("netconvert"):
+        return found
+    raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
+
+
+def _find(program: str) -> Path | None:
+    name = f"{program}.exe" if sys.platform == "win32" else program
+    wheel = find_spec("sumo")
+    homes = [Path(folder) for folder in (wheel.submodule_search_locations or ())] if wheel else []
+    if home := os.environ.get("SUMO_HOME"):
+        homes.append(Path(home))
+    for folder in homes:
+        if (folder / "bin" / name).is_file():
+            return folder / "bin" / name
+    found = shutil.which(name)
+    return None if found is None else Path(found)
