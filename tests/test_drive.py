@@ -92,6 +92,19 @@ def test_a_driver_sees_itself_and_those_within_120_metres(tmp_path: Path) -> Non
         assert [(o.id, o.x) for o in seen.others] == [("leader", pytest.approx(122.5))]
 
 
+def test_distances_are_those_of_box_centres(tmp_path: Path) -> None:
+    """A bus of 12 m has its front bumper 124.7 m, and its centre 118.7 m, ahead of the ego's centre at 97.5 m."""
+    bus = '<vType id="long" vClass="bus" length="12"/>' + vehicle("bus", "eastbound", 2, 222.2, 17.0, "long")
+    driver = Scripted()
+    with driving(tmp_path, driver, more=bus) as drive:
+        assert drive.pose("bus") == pytest.approx((216.2, 3.2, 0.0))
+        ego = drive.state("ego")
+        assert drive.near(ego, 118.0) == ["leader"]
+        assert set(drive.near(ego, 120.0)) == {"leader", "bus"}
+        drive.tick()
+        assert {o.id for o in driver.seen[0].others} == {"leader", "bus"}
+
+
 def test_a_pose_is_where_the_ego_is_after_the_step(tmp_path: Path) -> None:
     with driving(tmp_path, Scripted(EgoPose(99.0, -2.9, 0.2, 16.5))) as drive:
         drive.tick()

@@ -11,7 +11,7 @@ from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, 
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.start_times import delays, spent
 from sumo_adv.situation import Target
 
@@ -25,8 +25,8 @@ def drives(name: str, speed: float, seconds: float = 30.0) -> Track:
     return Track(name, Role.BACKGROUND, time, speed * time, 0 * time, 0 * time, same, 0 * time, 5.0, 2.0)
 
 
-def candidate(one: Target) -> Candidate:
-    return Candidate(one.state.id, one.relation, 0.5, one.ways, "")
+def ranked(vehicle: Target) -> RankedVehicle:
+    return RankedVehicle(vehicle.state.id, vehicle.relation, 0.5, vehicle.ways, "")
 
 
 def far_crossing(x: float, before: float) -> Target:
@@ -40,21 +40,21 @@ TRACKS = {"ego": drives("ego", 10.0), "bv": drives("bv", 10.0)}
 
 def test_where_ways_meet_130_m_ahead_attacks_begin_6_s_later() -> None:
     """The ego is there after 13 s, 7 s of which an attack may take."""
-    assert delays([candidate(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings()) == [6.0, 7.5, 9.0]
+    assert delays([ranked(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings()) == [6.0, 7.5, 9.0]
 
 
 def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
     """It is there after 9 s."""
-    assert delays([candidate(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings(), both=True) == [2.0, 3.5, 5.0]
+    assert delays([ranked(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings(), both=True) == [2.0, 3.5, 5.0]
 
 
 def test_who_drives_beside_the_ego_can_attack_at_once() -> None:
-    both = [candidate(far_crossing(130.0, 90.0)), candidate(neighbour())]
+    both = [ranked(far_crossing(130.0, 90.0)), ranked(neighbour())]
     assert delays(both, TRACKS, "ego", Settings()) == [0.0, 1.5, 3.0]
 
 
 def test_no_attack_begins_more_than_8_s_later() -> None:
-    assert delays([candidate(far_crossing(250.0, 90.0))], TRACKS, "ego", Settings()) == [8.0, 9.5, 11.0]
+    assert delays([ranked(far_crossing(250.0, 90.0))], TRACKS, "ego", Settings()) == [8.0, 9.5, 11.0]
 
 
 def test_one_that_is_past_the_place_is_spent_and_a_leader_never_is() -> None:

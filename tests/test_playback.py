@@ -14,7 +14,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role
 from sumo_adv.drivers import CarefulEgo, EgoController, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter import ego_path
+from sumo_adv.episode.encounter_detector import ego_path
 from sumo_adv.episode.encounter_filter import danger
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import FoundEncounter

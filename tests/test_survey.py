@@ -10,7 +10,7 @@ import pytest
 from situation_samples import car
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.episode.situation_builder import _goes_first, _onward
+from sumo_adv.episode.situation_builder import goes_first, way_ahead
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
 
@@ -22,7 +22,7 @@ def road(name: str) -> RoadMap:
 
 def ahead(network: str, ego: VehicleState, route: tuple[str, ...]) -> tuple[float, str] | None:
     """Metres to the junction, and the right of way letter there."""
-    way = _onward(road(network), ego, route)
+    way = way_ahead(road(network), ego, route)
     return None if way is None else (way.junction, way.rule)
 
 
@@ -68,9 +68,9 @@ def test_from_the_side_road_one_waits_for_the_main_road_and_not_the_other_way_ro
     """Of two who both give way, from the south and from the north, straight on, neither waits for the other."""
     lanes = ("south_in_0", "west_in_1", "north_in_0")
     south, west, north = (road("priority_crossing").ways(lane, 100.0, 200.0)[0].first for lane in lanes)
-    assert _goes_first(west, south)
-    assert not _goes_first(south, west)
-    assert not _goes_first(north, south)
+    assert goes_first(west, south)
+    assert not goes_first(south, west)
+    assert not goes_first(north, south)
 
 
 def test_where_they_meet_at_another_junction_either_may_go_first() -> None:
@@ -79,6 +79,6 @@ def test_where_they_meet_at_another_junction_either_may_go_first() -> None:
     assert here is not None
     assert other is not None
     elsewhere = replace(other, link=("another", 0))
-    assert _goes_first(elsewhere, here)
-    assert _goes_first(None, here)
-    assert _goes_first(here, None)
+    assert goes_first(elsewhere, here)
+    assert goes_first(None, here)
+    assert goes_first(here, None)

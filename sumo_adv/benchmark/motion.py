@@ -61,7 +61,7 @@ def motion_of(episode: Episode) -> dict[str, Any]:
 def _raw(episode: Episode, found: FoundEncounter) -> dict[str, Track]:
     before = episode.prefix.snapshots[-2:] if episode.prefix is not None else []
     sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **found.sizes}
-    tracks = tracks_of([*before, *found.raw], sizes, episode.task.roles(found.ego), episode.settings.step_length)
+    tracks = tracks_of([*before, *found.baseline], sizes, episode.task.roles(found.ego), episode.settings.step_length)
     return {t.id: t for t in tracks}
 
 

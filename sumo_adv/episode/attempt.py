@@ -1,8 +1,8 @@
-"""One attempt: from the trigger on, the adversary is driven by a planner against the real ego.
+"""One attempt: from the trigger on, a planner drives the adversary against the real ego.
 
-Every ``replan`` steps the planner is asked with what the ego really does; between, f_traj leads the adversary towards
-the endpoint and its pose is injected step by step.  Or a motion given in advance is driven as it stands.  The attempt
-ends at the first contact of the two, when they have parted, or at the time limit.
+Every ``replan`` steps the planner gets the ego's real state and returns an endpoint. In between f_traj leads the
+adversary towards that endpoint, and its pose is injected at every step. An adversary may also follow a motion that is
+given in advance. The attempt ends at the first contact of the two, when they have parted, or at the time limit.
 """
 
 from __future__ import annotations
@@ -25,16 +25,15 @@ from sumo_adv.planners.trajectory import Goal, Motion, PathRow, Scalar, advance,
 from sumo_adv.simulation.simulation import Pose
 from sumo_adv.situation import Situation
 
-PARTED = 90.0  # m between bumpers: nothing will come of it any more
-CLEAR = 1e-3  # m: further apart along an axis, boxes need no exact test
-CONTINUED = 4.0  # s the adversary's plan is followed beyond a contact, for the judge
-
-LEFT_LINE = 1.0  # m: further off a planner's trajectory is worth a word to the modifier
+PARTED = 90.0  # m between centres: further apart, and still parting, the two will not meet any more
+CLEAR = 1e-3  # m: boxes with a larger gap along an axis need no exact test
+CONTINUED = 4.0  # s beyond a contact for which the adversary's plan is continued, for the judge
+LEFT_LINE = 1.0  # m: a larger distance from a planner's own trajectory is reported to the modifier
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """How an attempt went. ``message``: why the planner failed, or what was done to its trajectories; ``beyond``: the
+    """How an attempt went. ``message``: why the planner failed, or how its trajectories were changed; ``beyond``: the
     adversary's planned motion after the contact."""
 
     ending: str  # contact | passed | time_limit | ego_left | planner_failed
@@ -43,7 +42,7 @@ class Driven:
 
 
 class AdversaryController(Protocol):
-    """A BV that somebody leads. ``message``: what was done to what its planner wanted."""
+    """Drives one adversary. ``message``: why the planner failed, or how its trajectories were changed."""
 
     situation: Situation
     name: str
@@ -53,20 +52,20 @@ class AdversaryController(Protocol):
 
     @property
     def acceleration(self) -> float:
-        """Of the step that was advanced last [m/s2]."""
+        """That of the last step [m/s2]."""
         ...
 
     def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
-        """Look at the ego: x, y, speed, acceleration; ``now`` s since the takeover. A sentence if that failed."""
+        """Plan anew for the ego's x, y, speed, acceleration, ``now`` s after the takeover. A sentence if it failed."""
         ...
 
     def advance(self) -> Pose:
-        """One step on; where it is then."""
+        """The pose after one more step."""
         ...
 
 
 class PrescribedAdversary:
-    """A BV on a motion given in advance, and straight on at its last speed beyond its end; it asks nobody."""
+    """An adversary on a motion given in advance. After its end it goes straight on at its last speed."""
 
     message = ""
 
@@ -93,13 +92,12 @@ class PrescribedAdversary:
 
 
 class PlannedAdversary:
-    """One BV that is led along its ways by a planner's endpoints, or by its own trajectories to them."""
+    """An adversary that a planner leads along its ways, by endpoints or by its own trajectories."""
 
     def __init__(self, situation: Situation, name: str, limits: Limits) -> None:
         self.situation, self.name, self.limits = situation, name, limits
         self.ground = AdversaryBatch([situation], [name])
-        many = self.ground.begin()
-        self.motion = one_of(many, 0)
+        self.motion = one_of(self.ground.begin(), 0)
         self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
         self.last: Mapping[str, float] | None = None
         self._follower: Follower | None = None
@@ -107,59 +105,59 @@ class PlannedAdversary:
         self._farthest = 0.0
         self._cap = situation.targets[name].fastest
         self._ego_station = 0.0
-        self._asked: tuple[float, float] | None = None  # when the planner was asked last [s], and the ego's speed then
+        self._planned: tuple[float, float] | None = None  # the last time of planning [s], and the ego's speed then
 
     @property
     def road(self) -> PathRow:
-        """The way it is on."""
+        """The way that the adversary is on."""
         return self.ground.road(0)
 
     @property
     def message(self) -> str:
-        """What was done to the planner's own trajectories, the first time of each kind; empty if nothing was."""
+        """How the planner's own trajectories were changed, the first change of each kind; empty without a change."""
         self._note_distance()
         return " ".join(self._remarks.values())
 
     @property
     def acceleration(self) -> float:
-        """Of the step that was advanced last [m/s2]."""
+        """That of the last step [m/s2]."""
         return self.motion.a
 
     def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
-        """Ask the planner; ``now`` s since the trigger, ``ego``: x, y, speed, acceleration. A sentence if it failed."""
+        """Ask the planner. ``now``: s after the takeover; ``ego``: x, y, speed, acceleration. A sentence on failure."""
         s, d = self.situation.ego_path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
-        many = _many(self.motion)
-        observation = self.ground.observe(many, now, array, [self.last])[0]  # type: ignore[arg-type]
+        batch = _many(self.motion)
+        observation = self.ground.observe(batch, now, array, [self.last])[0]  # type: ignore[arg-type]
         answer = ask(observation)
         if isinstance(answer, str):
             return answer
         self.last = local_endpoint(self.situation, answer.endpoint)
         before = Goal(*(np.array([q]) for q in self.goal))
-        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(many, [answer.endpoint], before)))
+        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(batch, [answer.endpoint], before)))
         self._built_in()
-        self._own(answer, many, now)
+        self._follow(answer, batch, now)
         return None
 
     def _mean_acceleration(self, now: float, speed: float, acceleration: float) -> float:
-        """The ego's [m/s2] since it was last asked: drivers between two minds brake and speed up in turns."""
-        asked, self._asked = self._asked, (now, speed)
-        return acceleration if asked is None or now <= asked[0] else (speed - asked[1]) / (now - asked[0])
+        """The ego's mean since the last planning [m/s2]: some drivers brake and accelerate in turns."""
+        before, self._planned = self._planned, (now, speed)
+        return acceleration if before is None or now <= before[0] else (speed - before[1]) / (now - before[0])
 
     def _built_in(self) -> None:
-        """Towards the goal by the built-in f_traj."""
+        """Go towards the goal by the built-in f_traj."""
         self._note_distance()
         motion = release(self.motion) if self._follower is not None else self.motion
         self._follower = None
         self.motion = steer(Scalar, motion, self.goal, self.road.at(motion.s)[3])
 
-    def _own(self, answer: Answer, many: Motion, now: float) -> None:
-        """AdversaryController by the planner's own trajectory from now on, where there is a usable one."""
+    def _follow(self, answer: Answer, batch: Motion, now: float) -> None:
+        """Follow the planner's own trajectory from now on, if it has a usable one."""
         remark, kind = answer.remark, "refused"
         if answer.trajectory is not None:
             try:
-                self._follower = self.ground.follower(0, many, answer.trajectory)
+                self._follower = self.ground.follower(0, batch, answer.trajectory)
                 self.motion = self._follower.begin(self.motion)
                 kind, beyond = "limited", self._follower.line.beyond(self.limits, self._cap)
                 remark = f"trajectory() was brought within the limits: it has {beyond}" if beyond else ""
@@ -175,7 +173,7 @@ class PlannedAdversary:
             self._remarks["left"] = f"It was up to {self._farthest:.1f} m from where trajectory() had it."
 
     def advance(self) -> Pose:
-        """One step on; where it is then."""
+        """The pose after one more step."""
         dt = self.situation.dt
         if self._follower is not None and self._follower.over:
             self._built_in()
@@ -190,19 +188,20 @@ class PlannedAdversary:
 
 
 def _many(motion: Motion) -> Motion:
+    """A batch of one."""
     fields: list[Any] = [tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion]
     return Motion(*fields)
 
 
 def leader(situation: Situation, proposal: Proposal, limits: Limits) -> AdversaryController:
-    """Who leads the BV of a proposal."""
+    """The controller of a proposal's adversary."""
     if proposal.course is not None:
         return PrescribedAdversary(situation, proposal.bv, proposal.course)
     return PlannedAdversary(situation, proposal.bv, limits)
 
 
 def attack(drive: Drive, adversary: AdversaryController, ask: AskOne, *, steps: int, replan: int) -> Driven:
-    """Drive the adversary against the ego for at most ``steps`` steps; the drive records everything."""
+    """Drive the adversary against the ego for at most ``steps`` steps. The drive records the states."""
     assert drive.ego is not None
     ego_id, bv, dt, apart = drive.ego, adversary.name, adversary.situation.dt, math.inf
     for k in range(steps):
@@ -223,15 +222,13 @@ def attack(drive: Drive, adversary: AdversaryController, ask: AskOne, *, steps: 
 
 
 def _apart(drive: Drive, ego: str, bv: str) -> float:
-    """Distance of the two bumpers [m]; exactly 0 only where the boxes overlap."""
+    """Distance of the two centres [m]; exactly 0 only if the boxes overlap."""
     raw = drive.snapshot.raw
     if ego not in raw or bv not in raw:
         return math.inf
-    apart = math.hypot(raw[ego][0] - raw[bv][0], raw[ego][1] - raw[bv][1])
-    if apart > sum(math.hypot(*drive.simulation.fleet.sizes[name]) for name in (ego, bv)):
-        return apart  # no point of a box is further from its front bumper than its diagonal
     a, b = drive.state(ego), drive.state(bv)
-    if _surely_apart(a, b):
+    apart = math.hypot(a.x - b.x, a.y - b.y)
+    if apart > (math.hypot(a.length, a.width) + math.hypot(b.length, b.width)) / 2 or _surely_apart(a, b):
         return apart
     return 0.0 if bool(overlaps(_box(a), _box(b))) else max(apart, 1e-9)
 
@@ -241,7 +238,7 @@ def _box(v: VehicleState) -> Boxes:
 
 
 def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
-    """Whether one of a's own axes parts the boxes by ``CLEAR``; the exact test costs six times as much."""
+    """Whether an axis of ``a`` separates the boxes by ``CLEAR``. The exact test costs six times as much."""
     dx, dy, c, s = b.x - a.x, b.y - a.y, math.cos(a.heading), math.sin(a.heading)
     turn = b.heading - a.heading
     along, across = abs(math.cos(turn)), abs(math.sin(turn))
@@ -252,7 +249,7 @@ def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
 
 
 def _beyond(drive: Drive, adversary: AdversaryController) -> Track:
-    """The plan followed on for ``CONTINUED`` seconds, without the simulation."""
+    """The adversary's plan for the next ``CONTINUED`` seconds, outside the simulation."""
     bv, dt, now = adversary.name, adversary.situation.dt, drive.now
     rows: list[tuple[float, ...]] = []
     for k in range(round(CONTINUED / dt)):

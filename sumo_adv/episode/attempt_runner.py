@@ -1,4 +1,4 @@
-"""The front's side of attempts: planners in the sandbox, asked by the engine's forks."""
+"""The front's side of attempts: planners run in the sandbox and answer the engine's forks."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from sumo_adv.simulation.engine import Engine
 
 
 class AttemptRunner:
-    """Runs attempts on the engine, each with a fresh sandbox session of its planner where that is not our own."""
+    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt."""
 
     def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
 
     def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
-        """The results of the proposals, in order; they run at the same time where the engine can fork."""
+        """The results of the proposals, in order. They run at the same time if the engine can fork."""
         opened: dict[int, Sessions] = {}
         roads = Roads(self._found.situations)
 
         def answer(question: tuple[int, Any]) -> Answer | str:
             k, observation = question
             if k not in opened:
-                mine = Sessions(self._sandbox, roads, [proposals[k]], self._seed, drivable=self._found.drivable)
-                opened[k] = mine.__enter__()
+                session = Sessions(self._sandbox, roads, [proposals[k]], self._seed, drivable=self._found.drivable)
+                opened[k] = session.__enter__()
             return answer_of(proposals[k], opened[k], observation)
 
         try:
@@ -41,29 +41,31 @@ class AttemptRunner:
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """Which reference drivers avoid an attempt's collision in the simulation."""
-        found: dict[str, bool] = self._engine.request("references", proposal, result)
-        return found
+        answers: dict[str, bool] = self._engine.request("references", proposal, result)
+        return answers
 
 
 class SequentialRunner:
-    """Runs attempts one at a time, each only once it is asked for: for many episodes side by side, where what runs at
-    once but is dropped (behind a success) is time lost to others. The results are the same."""
+    """Runs attempts one at a time, each when its result is requested. The results are the same.
 
-    def __init__(self, brain: AttemptRunner) -> None:
-        self._brain = brain
+    For many episodes side by side: an attempt that runs early and is dropped after a success costs others time.
+    """
+
+    def __init__(self, runner: AttemptRunner) -> None:
+        self._runner = runner
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         """The results of the proposals, in order."""
         for proposal in proposals:
-            yield from self._brain.attempt([proposal])
+            yield from self._runner.attempt([proposal])
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """Which reference drivers avoid an attempt's collision in the simulation."""
-        return self._brain.references(proposal, result)
+        return self._runner.references(proposal, result)
 
 
 def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:
-    """What the proposal's planner answers, or a sentence why it does not."""
+    """The answer of the proposal's planner, or a sentence why there is none."""
     try:
         return sessions.answer(proposal, observation)
     except SandboxError as error:

@@ -1,4 +1,4 @@
-"""What an attempt showed: where both were at the nearest, who was early, what the ego did, which limits bound."""
+"""The diagnosis of an attempt: closest approach, which vehicle was early, the ego's reaction, limits reached."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from sumo_adv.episode.task import AttemptResult
 from sumo_adv.geometry import Frame, Path, wrap_all
 from sumo_adv.simulation.recording import tracks_of
 
-TOGETHER = 2.0  # m: centres of two paths that close are the same place
-BRAKES = 1.5  # m/s2: a driver who brakes so has reacted
+TOGETHER = 2.0  # m: centres of two tracks at a smaller distance are at the same place
+BRAKES = 1.5  # m/s2: stronger braking is a reaction
 REACHED = 0.97  # share of a limit that counts as reached
-REACH = 25.0  # m along the ego's path within which its next place is looked for
+REACH = 25.0  # m along the ego's path within which its next position is searched
 
 
 def diagnose(
     result: AttemptResult, ego: str, bv: str, ego_path: Path, limits: Limits, step_length: float
 ) -> Diagnosis | None:
-    """The diagnosis of an attempt; None where one of the two was gone at once."""
+    """The diagnosis of an attempt; None if one of the two left at once."""
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, step_length, (ego, bv))}
     if ego not in tracks or bv not in tracks:
         return None
@@ -47,8 +47,10 @@ def _seen(one: Track, other: Track, i: int) -> tuple[float, float]:
 
 
 def _early(ego: Track, bv: Track) -> float | None:
-    """Seconds by which the BV was before the ego at a place where both have been, the pair of times nearest one
-    another; None if they never were at one place."""
+    """Seconds by which the BV was before the ego at a place where both have been; None without such a place.
+
+    With several such pairs of states, the pair with the smallest difference in time counts.
+    """
     apart = np.hypot(ego.x[:, None] - bv.x[None, :], ego.y[:, None] - bv.y[None, :])
     i, j = np.nonzero(apart < TOGETHER)
     if not len(i):
@@ -58,7 +60,7 @@ def _early(ego: Track, bv: Track) -> float | None:
 
 
 def _shift(ego: Track, path: Path) -> float:
-    """The most that the ego moved sideways from where it was on its path [m]."""
+    """The largest change of the ego's offset from its path [m]."""
     station, offsets = 0.0, []
     for x, y in zip(ego.x.tolist(), ego.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=station, reach=REACH)
@@ -67,7 +69,7 @@ def _shift(ego: Track, path: Path) -> float:
 
 
 def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
-    """Limits that the BV's motion reached; the first step, which is still SUMO's, left out."""
+    """Limits that the BV's motion reached. The first step is left out, because SUMO drove it."""
     if len(bv.time) < 4:
         return ()
     a = bv.acceleration[1:]

@@ -12,7 +12,7 @@ from sumo_adv.drivers import Pose as EgoPose
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot, pose_of
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
@@ -31,7 +31,7 @@ def ego_type_file(controller: EgoController, folder: Path) -> Path:
 
 
 class Drive:
-    """Steps SUMO, lets the ego's driver act, puts adversaries where they belong, and records everything."""
+    """Steps SUMO, lets the ego's driver act, moves the adversary, and records all states."""
 
     def __init__(
         self,
@@ -50,8 +50,8 @@ class Drive:
         self._playing = False
         self.line_ahead: LineAhead | None = None
         self.road_here: RoadHere | None = None
-        self._heeding: str | None = None  # the ego, if it moved itself in the last step and needs to know the road
-        self.on_load: Callable[[], None] | None = None  # what is done to a simulation that was just loaded
+        self._heeding: str | None = None  # the ego, if its driver steered in the last step and needs to know the road
+        self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.playback = playback
         if playback is not None:
             playback.start(self.simulation)
@@ -67,22 +67,22 @@ class Drive:
         return self.recording.snapshots[-1]
 
     def left(self) -> int | None:
-        """Steps until what is played back means nothing any more; None = never."""
+        """Steps until the log that is played back ends; None without a log."""
         last = math.inf if self.playback is None else self.playback.last(self.ego)
         return None if math.isinf(last) else max(0, round((last - self.now) / self.recording.step_length))
 
     def within(self, steps: int) -> int:
-        """``steps``, or as many as are left."""
+        """``steps``, or fewer if the log ends before."""
         left = self.left()
         return steps if left is None else min(steps, left)
 
     def to_come(self) -> bool:
-        """Whether anybody is on the road or still to come."""
+        """Whether a vehicle is on the road or still to be inserted."""
         more = self.playback is not None and self.recorded() and self.now < self.playback.spec.end
         return more or self.simulation.expected() > 0
 
     def may_take_over(self, vehicle: str) -> bool:
-        """Whether the driver under test can have a vehicle that is there now."""
+        """Whether the driver under test can take over a vehicle that is on the road now."""
         log, replayed = self.playback, isinstance(self.controller, ReplayEgo)
         return log is None or log.may_take(vehicle, self.snapshot.raw, self.now, replayed=replayed)
 
@@ -99,12 +99,12 @@ class Drive:
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
     def release(self) -> None:
-        """The vehicle is no longer the ego; it keeps its driver's model, but nobody acts for it."""
+        """Make the ego a background vehicle again. It keeps the ego's vType; SUMO drives it."""
         self.ego = self._heeding = None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
-        """One step: the ego acts, ``poses`` are injected, SUMO steps, the states are kept."""
+        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded."""
         driven = dict(poses or {})
         if self.playback is not None:
             raw = self.snapshot.raw if self.recording.snapshots else {}
@@ -144,6 +144,15 @@ class Drive:
         """A vehicle's newest state."""
         return self.simulation.state(self.snapshot, vehicle, self.recording.acceleration(vehicle))
 
+    def pose(self, vehicle: str) -> tuple[float, float, float]:
+        """x, y [m] of the centre of a vehicle's box and its heading [rad], now."""
+        return pose_of(self.snapshot.raw[vehicle], self.simulation.fleet.sizes[vehicle][0])
+
+    def near(self, vehicle: VehicleState, radius: float) -> list[str]:
+        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre."""
+        poses = ((n, self.pose(n)) for n in self.snapshot.raw if n != vehicle.id)
+        return [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+
     def tracks(self, adversary: str | None = None, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""
         part = Recording(self.recording.step_length)
@@ -151,7 +160,7 @@ class Drive:
         return part.tracks(self.simulation.fleet.sizes, self.roles(adversary))
 
     def roles(self, adversary: str | None = None) -> dict[str, Role]:
-        """What everybody is who is not a background vehicle."""
+        """The roles of all vehicles but background vehicles."""
         roles = dict.fromkeys(self.obstacles, Role.OBSTACLE)
         if adversary:
             roles[adversary] = Role.ADVERSARY
@@ -161,7 +170,7 @@ class Drive:
 
     @property
     def obstacles(self) -> frozenset[str]:
-        """Ids of what is played back and is no vehicle."""
+        """Ids of the objects of a log that are no vehicles."""
         return frozenset() if self.playback is None else self.playback.obstacles
 
     def route(self) -> tuple[str, ...]:
@@ -175,7 +184,7 @@ class Drive:
         return self.playback is not None and self.playback.log is not None
 
     def reacting(self) -> bool:
-        """Whether the others have drivers; not where a log moves them."""
+        """Whether background vehicles react to the adversary. Those that a log moves do not."""
         return self.playback is None or self.playback.spec.background != "log"
 
     def replayed(self) -> bool:
@@ -204,17 +213,15 @@ class Drive:
 
     def _observe(self, ego: str) -> Observation:
         me = self.state(ego)
-        raw = self.snapshot.raw
-        near = [n for n, r in raw.items() if n != ego and math.hypot(r[0] - me.x, r[1] - me.y) < OBSERVED]
-        others = tuple(self.state(n) for n in near)
+        others = tuple(self.state(n) for n in self.near(me, OBSERVED))
         road = None
         if self.road_here is not None and getattr(self.controller, "needs_road", False):
-            road = self.road_here(me, self._heeding == ego)  # before the line: it may give the ego its route back
+            road = self.road_here(me, self._heeding == ego)  # before the line: it may restore the ego's route
         line = self.line_ahead(me) if self.line_ahead is not None else None
         return Observation(self.now, self.recording.step_length, me, others, path=line, road=road)
 
     def replay(self, track: Track) -> None:
-        """From now on the ego plays a recorded motion back, if it is one that does; others go on as they are."""
+        """Have a ``ReplayEgo`` repeat a recorded motion from now on. Other drivers ignore this."""
         if isinstance(self.controller, ReplayEgo) and not self.replayed():
             self.controller.load(track)
             self._playing = True

@@ -1,4 +1,4 @@
-"""Whether an encounter is dangerous by itself: then nothing that an adversary does to it means anything."""
+"""Whether an encounter is dangerous without an attack. Then an attack on it would show nothing."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
 
-LEAST = 2.0  # s the ego must stay
+LEAST = 2.0  # s from the trigger until which the ego must stay in the network
 REACH = 30.0  # m between centres
-AS_LOGGED = 0.1  # m: both together are at most so far from where the log has them
+AS_LOGGED = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
 
 
 def danger(
     tracks: Mapping[str, Track], drive: Drive, time: float, limit: float, candidates: Collection[str]
 ) -> tuple[str, frozenset[str]]:
-    """Why an encounter at ``time`` [s] is passed over, else empty; and who is critical by itself (min TTC at most
-    ``limit`` [s] unattacked).
+    """Why the encounter at ``time`` [s] is passed over, or empty; and the vehicles that are critical without an attack.
 
-    It is passed over where the ego leaves, collides, or anybody is critical.  A recording has no other encounter to
-    offer: there those who are critical are only no candidates, and it is passed over where nobody else is left.
-    Boxes that overlap where the log has them are its errors: no collision, but no candidate either.  Of what is no
-    vehicle only a contact counts.
+    tracks: the baseline; limit: the min TTC [s] from which a vehicle is critical; candidates: the ranked vehicles.
+
+    An encounter is passed over if the ego leaves, collides, or a vehicle is critical.  A recording has few encounters:
+    there a critical vehicle is only no candidate, and the encounter is passed over if no candidate is left.  Boxes that
+    overlap at their logged positions are an error of the log: no collision, and the vehicle is no candidate.  For
+    objects that are no vehicles only a contact counts.
     """
     ego = tracks[str(drive.ego)]
     if ego.time[-1] < time + LEAST:
@@ -47,22 +48,23 @@ def danger(
     if not vehicles:
         return "", overlapping
     least = np.nanmin(ttc(me, on_grid(vehicles, grid)), axis=-1, initial=math.inf)
-    critical = overlapping | frozenset(t.id for t, one in zip(vehicles, least.tolist(), strict=True) if one <= limit)
+    critical = overlapping | frozenset(t.id for t, value in zip(vehicles, least, strict=True) if value <= limit)
     if critical and (not drive.recorded() or critical.issuperset(candidates)):
         return f"critical unattacked: min TTC {float(least.min()):.2f} s", critical
     return "", critical
 
 
 def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Floats) -> frozenset[str]:
-    """Who overlaps the ego at the first step, or later where both are as the log has them and it lets them overlap."""
+    """Vehicles that overlap the ego at the first step, or later while both are at their logged positions."""
     others = [t for t in tracks.values() if t.id != ego.id]
     logged = {} if drive.playback is None else {t.id: t for t in drive.playback.logged()}
     if not others or ego.id not in logged:
         return frozenset()
     me, them = on_grid([ego], grid), on_grid(others, grid)
-    true = on_grid([logged.get(t.id, t) for t in others], grid)
-    mine = on_grid([logged[ego.id]], grid)
-    as_logged = np.hypot(me.x - mine.x, me.y - mine.y) + np.hypot(them.x - true.x, them.y - true.y) < AS_LOGGED
+    their = on_grid([logged.get(t.id, t) for t in others], grid)
+    ego_logged = on_grid([logged[ego.id]], grid)
+    ego_off = np.hypot(me.x - ego_logged.x, me.y - ego_logged.y)
+    as_logged = ego_off + np.hypot(them.x - their.x, them.y - their.y) < AS_LOGGED
     touching = np.asarray(overlaps(me, them))
     fault = touching & as_logged
     fault[:, 0] = touching[:, 0]

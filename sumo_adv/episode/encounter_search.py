@@ -1,4 +1,4 @@
-"""Goes through the simulation until an encounter begins, with the ego that was asked for or one that it chooses."""
+"""Simulates until an encounter begins, with the ego of the task or with an ego that is chosen here."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ import numpy as np
 
 from sumo_adv.datatypes import Ending, VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter import LOOK_EVERY, ON, ON_RECORDED, Candidate, EncounterDetector, ego_path
+from sumo_adv.episode.encounter_detector import (
+    LOOK_EVERY,
+    ON,
+    ON_RECORDED,
+    EncounterDetector,
+    RankedVehicle,
+    ego_path,
+)
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.episode.task import NoEncounter, Task
 from sumo_adv.errors import UsageError
@@ -17,21 +24,21 @@ from sumo_adv.geometry import PATH_STEP
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import RoadMap
 
-PATIENCE = 15.0  # s one automatically chosen ego is watched without an encounter
+PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 INSERTED_EGO = "ego"
-LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: how far a driver is told its lane, and how long that serves
-MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # m/s, m, m: what makes a vehicle worth being the ego
+LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: length of the line that a driver gets, and after how far it is renewed
+MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
 
 
 class LaneLine:
-    """The centreline of the ego's lane and route ahead; the same object while it still reaches far enough."""
+    """The centreline of the ego's lane and route ahead. It is the same object until it is renewed."""
 
     def __init__(self, road: RoadMap, drive: Drive) -> None:
         self._road, self._drive = road, drive
         self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
 
     def __call__(self, ego: VehicleState) -> Sequence[tuple[float, float]] | None:
-        """(x, y) every metre from the ego on, None off the road."""
+        """(x, y) [m] every metre from the ego on; None off the road."""
         if ego.lane != self._lane or math.hypot(ego.x - self._from[0], ego.y - self._from[1]) > LINE_FRESH:
             path = ego_path(self._road, self._drive)
             if path is None:
@@ -51,7 +58,7 @@ class EncounterSearch:
         self.begin()
 
     def begin(self) -> None:
-        """Make a simulation that was just loaded ready: nothing is known of the lane ahead, the ego is inserted."""
+        """Prepare a simulation that was just loaded: forget the road ahead, and insert the ego if it has a route."""
         self.drive.line_ahead = LaneLine(self.road, self.drive)
         self.drive.road_here = RoadHere(self.road, self.drive.simulation)
         route = self.task.ego
@@ -62,10 +69,11 @@ class EncounterSearch:
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
 
-    def until_encounter(self) -> list[Candidate] | NoEncounter:
+    def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
+        """Step until an encounter begins. The ranking, highest risk first; at a given trigger it may be empty."""
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
         wanted = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
-        encounter = self._watch()
+        detector = self._watch()
         since, tried = -math.inf, set[str]()
         if drive.ego is not None:
             since = drive.now - task.warm_up
@@ -81,7 +89,7 @@ class EncounterSearch:
                 if name is not None:
                     drive.take_over(name)
                     since = drive.now if wanted is None else self._inserted(name)
-                    encounter = self._watch()
+                    detector = self._watch()
             elif drive.ego not in snapshot.raw:
                 if wanted is not None:
                     return NoEncounter(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
@@ -89,9 +97,9 @@ class EncounterSearch:
             elif task.trigger is not None:
                 if drive.now >= task.trigger - 1e-6:
                     self._refuse_unknown()
-                    return encounter.rank(drive)
+                    return detector.rank(drive)
             elif step % every == 0 and drive.now - since >= self._wait(wanted):
-                ranking = encounter.look(drive)
+                ranking = detector.look(drive)
                 if ranking:
                     return ranking
                 if wanted is None and drive.now - since > PATIENCE:
@@ -99,7 +107,7 @@ class EncounterSearch:
                     drive.release()
             if not drive.to_come():
                 break
-        return self._nothing(wanted, encounter.best)
+        return self._nothing(wanted, detector.best)
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(
@@ -107,11 +115,11 @@ class EncounterSearch:
         )
 
     def _inserted(self, name: str) -> float:
-        """When a vehicle was first seen [s]: a recorded one was there before its driver."""
+        """When a vehicle was first seen [s]. A recorded vehicle is there before its driver takes over."""
         return next(s.time for s in self.drive.recording.snapshots if name in s.raw)
 
     def _wait(self, wanted: str | None) -> float:
-        """Seconds an ego is driven before the first look: the history, and a scenario's warm-up."""
+        """Seconds for which an ego is driven before the first look: the history, and a scenario's warm-up."""
         return max(self.task.settings.history, self.task.warm_up if wanted is not None else 0.0)
 
     def _nothing(self, wanted: str | None, best: float) -> NoEncounter:
@@ -129,24 +137,22 @@ class EncounterSearch:
         )
 
     def _refuse_unknown(self) -> None:
-        """Raises UsageError for an adversary that was asked for and never came."""
+        """Raises UsageError for a requested adversary that is the ego or was never inserted."""
         if self.drive.ego in self.task.only:
             raise UsageError(f"Vehicle '{self.drive.ego}' is the ego, so it cannot be the adversary; name another.")
         unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
         if unknown:
-            asked = "check --adversary or the scenario's candidates"
-            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; {asked}.")
+            advice = "check --adversary or the scenario's candidates"
+            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; {advice}.")
 
     def _choose_ego(self, tried: set[str]) -> str | None:
-        """The moving car with most moving traffic within 60 m; a tie goes to the first id."""
-        raw = self.drive.snapshot.raw
-        simulation = self.drive.simulation
-        still = self.drive.obstacles
-        moving = [(n, r[0], r[1]) for n, r in raw.items() if r[3] > MOVING and n not in still]
+        """The moving car with the most moving traffic within ``CROWD``; the first of equal ones."""
+        drive, raw, simulation = self.drive, self.drive.snapshot.raw, self.drive.simulation
+        moving = [(n, *drive.pose(n)[:2]) for n, r in raw.items() if r[3] > MOVING and n not in drive.obstacles]
         best, best_count = None, 0
         points = np.array([(x, y) for _, x, y in moving]).reshape(-1, 2)
-        for k, (name, x, y) in enumerate(moving):
-            if name in tried or not self.drive.may_take_over(name):
+        for name, x, y in moving:
+            if name in tried or not drive.may_take_over(name):
                 continue
             if simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
                 continue
@@ -159,5 +165,5 @@ class EncounterSearch:
             near = np.hypot(points[:, 0] - x, points[:, 1] - y)
             count = int((near < CROWD).sum()) - 1
             if count > best_count:
-                best, best_count = moving[k][0], count
+                best, best_count = name, count
         return best

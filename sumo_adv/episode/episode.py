@@ -1,4 +1,4 @@
-"""Everything that came of one run, filled in as it goes on."""
+"""The record of one run, filled in while it goes on."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sumo_adv.simulation.inputs import RunInput
 
 @dataclass(slots=True)
 class Episode:
-    """Everything that came of one run."""
+    """The record of one run."""
 
     source: RunInput
     settings: Settings
@@ -33,10 +33,10 @@ class Episode:
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
     isolation: str = ""
     bank_hash: str = ""
-    agents: Agents | None = None  # None in a replay: nobody was asked
+    agents: Agents | None = None  # None in a replay
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
-    traceback: str = ""  # of a fault of ours
+    traceback: str = ""  # of a fault in sumo_adv
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
 

@@ -1,8 +1,8 @@
-"""Reference drivers in the simulation: the same encounter again, with another driver as the ego.
+"""Reference drivers in the simulation: the same encounter again, with another driver in the ego.
 
-From the trigger on the adversary is driven as it was recorded and planned, the ego by a reference driver on the path
-that it took, and other traffic reacts.  The drivers, their view and the rules of contact are those of the kinematic
-counterfactual (``metrics/reference``), so the two forms differ only in what other traffic does.
+From the trigger on the adversary repeats its recorded motion and then its plan.  A reference driver drives the ego on
+the path that it took in the attempt.  Other traffic reacts.  The drivers, their view and the rules of contact are those
+of the kinematic counterfactual (``metrics/reference``); the two forms differ only in the motion of other traffic.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ MEMORY = HISTORY + 0.1  # s of past states that a view needs
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What a reference driver is put into: the encounter of ``proposal``; its ``course`` is the recorded motion.
+    """The encounter that a reference driver drives. The ``course`` of ``proposal`` is the recorded motion.
 
-    ego: unchanged, from some steps before ``start`` [s] to the end of the check; roster: sizes (length, width) of
-    the vehicles that drivers may see. plan: poses of the ego by step after ``start``, for ``manoeuvre``.
+    ego: the ego of the attempt, from some steps before ``start`` [s] to the end of the check; roster: length and width
+    [m] of the vehicles that drivers may see; plan: poses of the ego by step after ``start``, for ``manoeuvre``.
     """
 
     proposal: Proposal
@@ -47,14 +47,14 @@ class Order:
 
 
 class ReferenceEgo:
-    """An ego controller: the recorded motion until the driver acts, then the driver, on the recorded path."""
+    """An ego controller: repeats the recorded motion until the reference driver brakes, then obeys it on that path."""
 
     needs_observation = True
     forkable = True
     sumo_type: Mapping[str, str] = {}
 
     def __init__(self, order: Order, driver: type[Braker] | None, history: Sequence[Track]) -> None:
-        """``driver`` None: the poses of ``order.plan``.  ``history``: tracks up to the start."""
+        """``driver`` None: drive the poses of ``order.plan``.  ``history``: tracks up to the start."""
         self.name = "reference" if driver is None else driver.name
         self._order, self._ego = order, order.ego
         self._names = [n for n in order.roster if n != order.ego.id]
@@ -67,10 +67,10 @@ class ReferenceEgo:
         self._warm_up(history)
 
     def reset(self, seed: int) -> None:
-        """Nothing: it is made for one attempt."""
+        """Does nothing: each attempt gets a new object."""
 
     def act(self, observation: Observation) -> Pose:
-        """Where the ego is after the step."""
+        """The ego's pose after the step."""
         k, self._step = self._step, self._step + 1
         now = observation.ego
         if self._driver is None:
@@ -80,14 +80,14 @@ class ReferenceEgo:
             return Pose(*(float(v[i]) for v in (plan.x, plan.y, plan.heading, plan.speed)))
         self._states.append({s.id: s for s in observation.others})
         station = float(self._paths.locate(np.array([[now.x]]), np.array([[now.y]]))[0][0, 0])
-        asked = float(self._driver.step(self._view(station, now.speed, self._acceleration))[0])
+        commanded = float(self._driver.step(self._view(station, now.speed, self._acceleration))[0])
         index = int(np.searchsorted(self._ego.time, observation.time - 1e-6))
         recorded = index + 1 < len(self._ego.time)
         change = (self._ego.speed[index + 1] - self._ego.speed[index]) / self._dt if recorded else 0.0
-        self._acting = self._acting or np.isfinite(asked)
+        self._acting = self._acting or np.isfinite(commanded)
         if not self._acting:
             return self._as_recorded(index, now)
-        braking = min(asked if np.isfinite(asked) else np.inf, change)
+        braking = min(commanded if np.isfinite(commanded) else np.inf, change)
         pace = self._ego.speed[index + 1] if recorded else now.speed
         after = min(max(now.speed + braking * self._dt, 0.0), max(float(pace), now.speed))
         moved = (now.speed + after) / 2 * self._dt
@@ -107,7 +107,7 @@ class ReferenceEgo:
         return Pose(float(x), float(y), now.heading, now.speed)
 
     def _warm_up(self, history: Sequence[Track]) -> None:
-        """Let the driver see what was before the start."""
+        """Show the driver the states before the start."""
         tracks = {t.id: t for t in history}
         if self._driver is None or self._ego.id not in tracks:
             return
@@ -149,7 +149,7 @@ def order_of(
     on_road: OnRoad | None,
     unattacked: Track | None,
 ) -> Order:  # fmt: skip
-    """The order for an attempt that collided; ``case``: what was judged of it."""
+    """The order for an attempt that collided; ``case``: the tracks that were judged."""
     foe = case.adversary.between(result.start + 1e-3, np.inf)
     course = PrescribedMotion(foe.x, foe.y, foe.heading, foe.speed)
     given = encounter_of(
@@ -173,7 +173,7 @@ def order_of(
 
 
 def _manoeuvre_plan(check: Counterfactual, on_road: OnRoad | None) -> Boxes | None:
-    """The poses of the best manoeuvre from the start on; None if none avoids it kinematically."""
+    """The poses of the best manoeuvre from the start on; None if no manoeuvre avoids the collision kinematically."""
     alarm = check.roll_out(BRAKERS["cc_human"])[2]
     _, best = check.manoeuvring(alarm, on_road)
     if best[0] < 0:
@@ -190,28 +190,28 @@ def _manoeuvre_plan(check: Counterfactual, on_road: OnRoad | None) -> Boxes | No
 
 
 def avoids(order: Order, tracks: Sequence[Track]) -> bool:
-    """Whether an ego with a reference driver touched no vehicle but those that ran into it from behind."""
+    """Whether an ego with a reference driver touched no vehicle, rear-ends by others not counted."""
     named = {t.id: t for t in tracks}
     if order.ego.id not in named or order.proposal.bv not in named:
         return True  # one of the two left the network before they met
     ego, foe = named[order.ego.id], named[order.proposal.bv]
     others = [t for n, t in named.items() if n in order.roster and n not in (ego.id, foe.id)]
     begin = max(float(ego.time[0]), float(foe.time[0]))
-    mine = ego.between(begin, np.inf)
-    dt = float(np.diff(mine.time).min())
-    start = int(np.searchsorted(mine.time, order.start - 5e-4))
-    grid = on_grid(others, np.round(begin + np.arange(len(mine.time)) * dt, 6)) if others else None
+    checked = ego.between(begin, np.inf)
+    dt = float(np.diff(checked.time).min())
+    start = int(np.searchsorted(checked.time, order.start - 5e-4))
+    grid = on_grid(others, np.round(begin + np.arange(len(checked.time)) * dt, 6)) if others else None
     given = Encounters(
-        row_of(mine), row_of(foe.between(begin, np.inf)), np.array([start]), np.array([len(mine.time) - 1]), dt, grid,
-        order.lane_half_width,
+        row_of(checked), row_of(foe.between(begin, np.inf)), np.array([start]), np.array([len(checked.time) - 1]), dt,
+        grid, order.lane_half_width,
     )  # fmt: skip
     return bool(Counterfactual(given, beyond=0.0).unchanged().avoids[0])
 
 
-def simulated(kinematic: Preventability, found: Mapping[str, bool]) -> Preventability:
-    """The kinematic answers, replaced by those of the simulation where there are any."""
+def simulated(kinematic: Preventability, avoided: Mapping[str, bool]) -> Preventability:
+    """The kinematic answers, replaced by those of the simulation if it has any."""
     answers = {
-        name: answer if name not in found or answer == NOT_APPLICABLE else (AVOIDS if found[name] else COLLIDES)
+        name: answer if name not in avoided or answer == NOT_APPLICABLE else (AVOIDS if avoided[name] else COLLIDES)
         for name, answer in kinematic.answers.items()
     }
     return replace(kinematic, answers=answers, simulated=True)

@@ -1,4 +1,4 @@
-"""What an ego's driver that plans for itself is told of the road at the ego."""
+"""The road at the ego, for drivers that plan for themselves."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from sumo_adv.drivers import Road
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import Simulation
 
-SLOW, AT_LINE = 1.0, 10.0  # m/s, m: slower and nearer to its lane's end, the ego is told whether it may go:
-# SUMO's advice is given to one who creeps as it was asked to, and so would have it creep on
-LEAVING = 0.3  # s before its front is at its route's end, the ego is told that it leaves
+SLOW, AT_LINE = 1.0, 10.0  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed, but whether it
+# is held. SUMO's advice is at most the speed that the ego was given, so a creeping ego would creep on.
+LEAVING = 0.3  # s before its front bumper reaches the end of its route the ego leaves
 
 
 class RoadHere:
-    """Makes ``Road`` for one simulation; the last one serves while the ego is off all lanes."""
+    """Makes ``Road`` for one simulation. While the ego is off all lanes the last one is returned."""
 
     def __init__(self, road: RoadMap, simulation: Simulation) -> None:
         self._map, self._simulation = road, simulation
@@ -22,7 +22,7 @@ class RoadHere:
         self._routes: dict[str, tuple[str, ...]] = {}
 
     def __call__(self, ego: VehicleState, drove: bool) -> Road | None:
-        """``drove``: the ego moved itself in the last step, so that SUMO's advice means something."""
+        """``drove``: the ego's driver steered in the last step; only then does SUMO's advice apply."""
         lane = self._map.lanes.get(ego.lane)
         if lane is None:
             return self._last
@@ -46,10 +46,12 @@ class RoadHere:
         return self._last
 
     def _kept_route(self, ego: str, edge: str) -> tuple[str, ...]:
-        """The edges that the ego had when it was first asked about: moveToXY gives it others where lanes overlap in a
-        junction; on ``edge`` it gets its own back."""
-        now = self._simulation.route(ego)[0]
-        kept = self._routes.setdefault(ego, now)
-        if now[-1:] != kept[-1:] and edge in kept:
+        """The ego's first route. On ``edge`` the ego gets it back if SUMO has replaced it.
+
+        SUMO's moveToXY replaces a route where lanes overlap on a junction.
+        """
+        present = self._simulation.route(ego)[0]
+        kept = self._routes.setdefault(ego, present)
+        if present[-1:] != kept[-1:] and edge in kept:
             self._simulation.set_route(ego, kept[kept.index(edge) :])
         return kept

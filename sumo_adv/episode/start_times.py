@@ -1,4 +1,4 @@
-"""When attacks may begin: some seconds after the trigger, later where the ways meet only far ahead."""
+"""When attacks may begin: some seconds after the trigger, and later if the paths meet only far ahead."""
 
 from __future__ import annotations
 
@@ -9,36 +9,39 @@ import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Track
-from sumo_adv.episode.encounter import Candidate
+from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.geometry import PATH_STEP
 from sumo_adv.situation import MEET_AHEAD, Target
 
-FORESEEN = 7.0  # s: an attack begins at most so long before the ego, or the first of both, is at the conflict
+FORESEEN = 7.0  # s: longest time from the start of an attack until the ego, or the first of both, is at the conflict
 MOST_SHIFT = 8.0  # s
-AT_ONCE = 3.0  # m ahead within which no vehicle becomes much slower
+AT_ONCE = 3.0  # m ahead within which no vehicle can slow down much
 
 
 def delays(
-    candidates: Sequence[Candidate], tracks: Mapping[str, Track], ego_id: str, settings: Settings, *, both: bool = False
-) -> list[float]:
-    """Seconds after the trigger, where the unattacked ``tracks`` begin; ``both``: before the others are at the conflict
-    as well."""
-    soonest = min((_meeting_time(c, tracks, ego_id, both) for c in candidates), default=0.0)
+    ranking: Sequence[RankedVehicle], tracks: Mapping[str, Track], ego_id: str, settings: Settings,
+    *, both: bool = False,
+) -> list[float]:  # fmt: skip
+    """Seconds after the trigger at which attacks may begin.
+
+    tracks: the unattacked motion from the trigger on; both: attacks begin before the adversary is at the conflict too.
+    """
+    soonest = min((_steps_to_conflict(c, tracks, ego_id, both) for c in ranking), default=0.0)
     shift = min(max(0.0, math.floor(soonest * settings.step_length - FORESEEN)), MOST_SHIFT)
     return [shift + d for d in settings.delays]
 
 
-def _meeting_time(candidate: Candidate, tracks: Mapping[str, Track], ego_id: str, both: bool) -> float:
-    """Steps until the unattacked ego can meet a candidate: none in its own lanes, else until it is at the conflict."""
-    meets = [w.conflict for w in candidate.ways if w.conflict is not None]
-    if not candidate.meets_ahead or not meets:
+def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_id: str, both: bool) -> float:
+    """Steps until the unattacked ego can meet a ranked vehicle; 0 if it can at once."""
+    conflicts = [w.conflict for w in ranked.ways if w.conflict is not None]
+    if not ranked.meets_ahead or not conflicts:
         return 0.0
     ego = _travelled(tracks[ego_id])
-    found = [np.searchsorted(ego, c.ego_s) for c in meets]
-    if both and candidate.id in tracks:
-        other = _travelled(tracks[candidate.id])
-        found += [np.searchsorted(other, c.bv_s) for c in meets]
-    return float(min(found))
+    steps = [np.searchsorted(ego, c.ego_s) for c in conflicts]
+    if both and ranked.id in tracks:
+        other = _travelled(tracks[ranked.id])
+        steps += [np.searchsorted(other, c.bv_s) for c in conflicts]
+    return float(min(steps))
 
 
 def _travelled(track: Track) -> Floats:
@@ -47,8 +50,11 @@ def _travelled(track: Track) -> Floats:
 
 
 def spent(target: Target, lateral: float) -> bool:
-    """Whether one that can meet the ego only where their ways do is past that place, or turns harder than ``lateral``
-    [m/s2] as it comes, so that no attack is feasible that begins there."""
+    """Whether no attack by a crossing or merging vehicle is feasible any more.
+
+    It is past the conflict, or it turns there with more than ``lateral`` [m/s2] at its speed. False for any other
+    relation.
+    """
     if target.relation not in MEET_AHEAD:
         return False
     k, square = max(int(target.station / PATH_STEP), 0), target.state.speed**2

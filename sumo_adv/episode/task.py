@@ -1,4 +1,4 @@
-"""What goes between the front and the engine: the task, what was found, what an attempt came to."""
+"""What the front and the engine exchange: the task, the encounter, the results of attempts."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sumo_adv.situation import Situation
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the worker is opened with. ``ego``: an id, a route to insert it on, or None = choose. Times in s."""
+    """What the engine is opened with. ``ego``: an id, a route to insert it on, or None to choose one. Times in s."""
 
     spec: SimulationSpec
     settings: Settings
@@ -33,7 +33,7 @@ class Task:
     playback: PlaybackSpec | None = None
 
     def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
-        """What everybody is who is not a background vehicle."""
+        """The roles of all vehicles but background vehicles."""
         obstacles = frozenset[str]() if self.playback is None else self.playback.obstacles
         others = {} if adversary is None else {adversary: Role.ADVERSARY}
         return {**dict.fromkeys(obstacles, Role.OBSTACLE), **others, ego: Role.EGO}
@@ -41,18 +41,18 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class FoundEncounter:
-    """An encounter: who, when, the ranking, a situation for each delay, and the unattacked run."""
+    """An encounter: its ego and time [s], the ranking, a situation for each delay [s], and the baseline."""
 
     ego: str
     time: float
     ranking: tuple[tuple[str, str, float], ...]  # id, relation, risk
     situations: Mapping[float, Situation]
-    raw: Sequence[Snapshot]  # from the trigger on
+    baseline: Sequence[Snapshot]  # the states without an attack, from the trigger on; empty if only foreseen
     passed_over: tuple[str, ...]
     drivable: Drivable
     sizes: Mapping[str, tuple[float, float]]
-    area: tuple[float, float, float]  # x, y, radius [m] of what is known of the road
-    last: bool = False  # no other one comes
+    area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
+    last: bool = False  # no other encounter comes
 
     @property
     def first(self) -> Situation:
@@ -70,7 +70,7 @@ class NoEncounter:
 
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
-    """What one attempt came to; ``start`` [s]: when the adversary was taken over, ``snapshots`` from the trigger on."""
+    """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on."""
 
     driven: Driven
     verdict: Verdict | None

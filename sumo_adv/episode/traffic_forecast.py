@@ -1,8 +1,8 @@
-"""What will happen if nobody attacks, from the states up to now alone: for simulations that cannot be forked.
+"""Foresees traffic without an attack from the states up to now, for simulations that cannot be forked.
 
-Everybody goes on along the way of his route (straight on where it is not known). The acceleration of the last second
-dies away within about a second (that of somebody who gains speed within five); then the speed holds, but for leaders
-(Krauss's safe speed), the speed limits of the lanes ahead and red lights.
+Each vehicle follows its route, or goes straight on if its route is unknown. Its acceleration over the last second fades
+within about a second (within five if it gains speed). Then it keeps its speed, limited by its leader (Krauss's safe
+speed), by the speed limits of the lanes ahead and by red lights.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter import REACH
+from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
 from sumo_adv.simulation.network import RoadMap
 
-SEEN = 250.0  # m around the ego: who is foreseen
+SEEN = 250.0  # m around the ego within which vehicles are foreseen
 FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
 GAINS = 1.0  # m/s2
-CENTRING = 1.5  # s, time constant of the way back to the lane's centre
+CENTRING = 1.5  # s, time constant of the return to the lane's centre
 COMFORT = 3.0  # m/s2, braking for what is ahead
 TAU, BRAKING, MIN_GAP = 1.0, 4.5, 2.0  # s, m/s2, m: of the safe speed behind a leader
-IN_LINE, SAME_WAY = 1.5, 0.6  # m, rad: who is a leader
-AHEAD, TURNED = 150.0, 2.2  # m, rad: who is looked at for that
+IN_LINE, SAME_WAY = 1.5, 0.6  # m, rad: largest offset and turn of a leader from the follower's path
+AHEAD, TURNED = 150.0, 2.2  # m, rad: largest distance and relative heading of a possible leader
 
 
 @dataclass(frozen=True, slots=True)
 class ForecastPath:
-    """The way on of one vehicle: path, its place on it, the speed it may have at each sample, its lanes by station."""
+    """The way on of one vehicle: path, station and offset [m] on it, highest speed [m/s] at each sample, its lanes."""
 
     state: VehicleState
     path: Path
@@ -44,14 +44,11 @@ class ForecastPath:
 
 
 def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, Track]:
-    """Tracks of the ego and all within ``SEEN`` of it: the last second and ``duration`` s foreseen; the ego first."""
+    """Tracks of the ego and of the vehicles within ``SEEN`` of it: the last second and the next ``duration`` s."""
     assert drive.ego is not None
     ego, dt = drive.state(drive.ego), drive.recording.step_length
-    near = [
-        name for name, raw in drive.snapshot.raw.items()
-        if name != ego.id and math.hypot(raw[0] - ego.x, raw[1] - ego.y) < SEEN
-    ]  # fmt: skip
-    courses = [course(road, drive, ego, duration)] + [course(road, drive, drive.state(n), duration) for n in near]
+    seen = [ego, *(drive.state(name) for name in drive.near(ego, SEEN))]
+    courses = [course(road, drive, state, duration) for state in seen]
     steps = round(HISTORY / dt) + 1
     recorded = {t.id: t for t in drive.tracks(start=max(0, len(drive.recording.snapshots) - steps))}
     gains = np.array([_acceleration(recorded[c.state.id]) for c in courses])
@@ -60,7 +57,7 @@ def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, 
 
 
 def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) -> ForecastPath:
-    """The way on of a vehicle, straight on where it is off the road."""
+    """The way on of a vehicle; straight on if it is off the road."""
     reach = min(REACH, max(60.0, (state.speed + 2.0) * duration))
     if state.lane not in road.lanes:
         c, s = math.cos(state.heading), math.sin(state.heading)
@@ -84,7 +81,7 @@ def _stations(path: Path) -> Floats:
 
 
 def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
-    """The speed [m/s] at each sample, for the limits ahead (those of junctions too); as much over them as now."""
+    """Highest speed [m/s] at each sample. A vehicle over the limit now exceeds later limits by the same factor."""
     here = road.lanes[lanes[0]].speed
     over = max(1.0, state.speed / max(here, 0.1))
     place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
@@ -100,13 +97,13 @@ def _towards(path: Path, square: Floats) -> Floats:
 
 
 def _acceleration(recorded: Track) -> float:
-    """The mean of the last second [m/s2]: a single step's is mostly a driver's noise (sigma)."""
+    """The mean over the last second [m/s2]: that of a single step is mostly a driver's noise (sigma)."""
     since = recorded.time[-1] - recorded.time[0]
     return 0.0 if since <= 0 else float(recorded.speed[-1] - recorded.speed[0]) / float(since)
 
 
 def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) -> tuple[Floats, Floats]:
-    """Metres travelled and speeds, ``(n, steps + 1)``, all at once with their leaders; ``a``: present accelerations."""
+    """Metres travelled and speeds, ``(n, steps + 1)``; ``a``: present accelerations [m/s2], ``(n,)``."""
     n = len(courses)
     leader, gap = _leaders(courses)
     follows = leader >= 0
@@ -131,7 +128,7 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
 
 
 def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
-    """For each vehicle who is next ahead of it on its way (-1: nobody), and the room to it [m]."""
+    """For each vehicle the index of the next vehicle ahead on its path (-1: none), and the gap to it [m]."""
     x, y, h = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading"))
     half = np.array([c.state.length / 2 for c in courses])
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
@@ -148,7 +145,7 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
 
 
 def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, dt: float) -> Track:
-    """What was recorded up to now and what is foreseen, on one grid."""
+    """The recorded track, continued by the foreseen motion."""
     after = dt * np.arange(1, len(travelled))
     s = c.station + travelled[1:]
     x, y, heading = c.path.at(s, c.offset * np.exp(-after / CENTRING))
@@ -165,7 +162,7 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
 
 
 def apart(tracks: Mapping[str, Track], state: VehicleState, time: float) -> tuple[float, float]:
-    """How far [m] and by how much speed [m/s] a vehicle is from where it was foreseen to be; inf where it was not."""
+    """Difference in position [m] and speed [m/s] between a vehicle and its forecast; inf without a forecast."""
     track = tracks.get(state.id)
     if track is None or time > track.time[-1] + 1e-3:
         return math.inf, math.inf

@@ -1,4 +1,4 @@
-"""The gate verdict on an attempt that was just driven: what the search goes by."""
+"""The gate verdict on an attempt that was just driven, which guides the search."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sumo_adv.simulation.recording import tracks_of
 def gate_verdict(
     drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bv: str, start: float, driven: Driven
 ) -> Verdict | None:
-    """The verdict on the attempt that began at ``start`` [s]; None where one of the two was gone before it moved.
+    """The verdict on the attempt that began at ``start`` [s]; None if ego or adversary left before it moved.
 
     ``trigger_step``: how many snapshots the recording had at the trigger.
     """
     assert drive.ego is not None
-    first = trigger_step + settings.steps(start - found.time) - settings.steps(settings.history)
-    case = make_case(drive.tracks(bv, max(0, first)), drive.ego, bv, start, driven.beyond)
+    first = first_judged(found, settings, trigger_step, start)
+    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond)
     if case is None:
         return None
     half = found.first.lane_width / 2
@@ -36,7 +36,12 @@ def gate_verdict(
     )  # fmt: skip
 
 
+def first_judged(found: FoundEncounter, settings: Settings, trigger_step: int, start: float) -> int:
+    """The recorded step from which an attempt that began at ``start`` [s] is judged: the history before it counts."""
+    return max(0, trigger_step + settings.steps(start - found.time) - settings.steps(settings.history))
+
+
 def unattacked(found: FoundEncounter, settings: Settings) -> Track | None:
-    """The ego's motion without the attack, from the trigger on; None where that is not known."""
-    tracks = tracks_of(found.raw, found.sizes, {}, settings.step_length, (found.ego,)) if found.raw else []
+    """The ego's motion without the attack, from the trigger on; None if it was only foreseen."""
+    tracks = tracks_of(found.baseline, found.sizes, {}, settings.step_length, (found.ego,))
     return tracks[0] if tracks and len(tracks[0].time) > 1 else None

@@ -1,7 +1,7 @@
-"""An engine that serves many episodes: each in a fork of a process that has imported everything and run nothing.
+"""An engine for many episodes. Each runs in a fork of a process that has imported all modules and run nothing.
 
-So an episode finds what it finds in a new process, and starts in milliseconds. The fork answers the front itself; its
-parent waits, and answers in its place if it dies. Where there is no fork there is one episode a process.
+An episode has the same surroundings as in a new process, and starts in milliseconds. The fork answers the front itself.
+Its parent waits, and answers instead if the fork dies. Without forks each episode gets a new process.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
 class WarmEngine:
-    """One engine process for many episodes, made again where it must be."""
+    """One engine process for many episodes, started again after a failure."""
 
     def __init__(self) -> None:
         self._engine: Engine | None = None
 
     @contextmanager
     def episode(self) -> Iterator[Engine]:
-        """The engine for one episode. Raises SimulationError if it cannot be had."""
+        """The engine for one episode. Raises SimulationError if it does not start."""
         if self._engine is None:
             self._engine = Engine(body, slots=1)
         try:
@@ -71,8 +71,8 @@ class _Nursery:
         self._in_fork = False
 
     def begin(self) -> None:
-        """Returns in a fork that serves one episode; and in its parent once that is over, in answer to the last
-        command. Raises SimulationError there if the fork did not end by itself."""
+        """Begin an episode. Returns in the fork that serves it; and in the parent when the fork has ended, in answer to
+        the last command. Raises SimulationError in the parent if the fork did not end by itself."""
         from sumo_adv.episode.worker import body as episode_body
 
         if not can_fork():
@@ -94,13 +94,13 @@ class _Nursery:
             )
 
     def end(self) -> None:
-        """The fork is over; its parent answers."""
+        """End the fork. Its parent answers."""
         if self._in_fork:
             sys.stdout.flush()
             os._exit(0)
 
     def command(self, name: str) -> Callable[..., Any]:
-        """The command of that name of the episode begun."""
+        """The command of that name in the present episode."""
         return lambda *arguments: self._handlers[name](*arguments)
 
 
@@ -109,7 +109,7 @@ COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references"
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The commands of the engine process."""
-    import shapely.geometry  # noqa: F401 - what every episode needs is there before the first fork
+    import shapely.geometry  # noqa: F401 - imported before the first fork, because every episode needs it
 
     import sumo_adv.episode.worker  # noqa: F401
 
@@ -120,13 +120,13 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
 
 
 def die_with_parent() -> None:
-    """On Linux: this process is killed as soon as its parent is gone."""
+    """On Linux: have this process killed when its parent ends."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def how(exitcode: int | None) -> str:
-    """An exit code for people."""
+    """An exit code in words."""
     if exitcode is None or exitcode >= 0:
         return f"exit status {exitcode}"
     try:

@@ -1,12 +1,11 @@
-"""What the engine process does: find an encounter, run it unattacked, run attempts. No model, no sandbox, no bank.
+"""The commands of the engine process: find an encounter, run attempts on it. It has no model, no sandbox and no bank.
 
-Attempts branch off at the trigger: by fork where that is possible (bit-identical, milliseconds), else in place with the
-simulation loaded again and the same commands repeated.
+The baseline and all attempts branch off at the trigger. A branch is a fork where that is possible (bit-identical, takes
+milliseconds). Elsewhere it runs in place, and then the simulation is loaded again and the same commands are repeated.
 """
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -17,17 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.drivers import make_ego, model_of
+from sumo_adv.drivers import make_ego
 from sumo_adv.episode.attempt import attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter import Candidate
-from sumo_adv.episode.encounter_filter import danger
+from sumo_adv.episode.encounter_builder import Baseline, build_encounter
+from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
-from sumo_adv.episode.situation_builder import area_of, build_situations
-from sumo_adv.episode.start_times import MOST_SHIFT
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import gate_verdict, unattacked
+from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
 from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
@@ -41,7 +38,7 @@ from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.situation import Situation
 
-COOL_DOWN = 2.0  # s after an encounter that was passed over
+COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
 
 class Worker:
@@ -52,9 +49,10 @@ class Worker:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
         self._road: RoadMap | None = None
         self._passed: list[str] = []
-        self._found: FoundEncounter
+        self._encounter: FoundEncounter
+        self._baseline_ego: Track  # of the encounter
         self._unreached: tuple[FoundEncounter, int, Track] | None = None
-        self._moved = False  # an attempt ran in place: load and repeat before anything else
+        self._moved = False  # a branch ran in place: load the simulation again before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
 
@@ -69,7 +67,7 @@ class Worker:
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
         self._forks = task.settings.fork and can_fork() and controller.forkable
-        self._scout = EncounterSearch(self._drive, self._road, task)
+        self._search = EncounterSearch(self._drive, self._road, task)
 
     def _playback(self, task: Task) -> Playback | None:
         if task.playback is None:
@@ -84,39 +82,38 @@ class Worker:
         return self._forks
 
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
-        """Go on until an encounter begins that is harmless unattacked, or until none can come.
+        """Simulate until an encounter with a harmless baseline begins, or until no encounter can come.
 
-        ``passed_over``: why the encounter found before is left alone.
+        ``passed_over``: why the last encounter is not attacked; empty at first.
         """
         passed = self._passed
         if passed_over:
-            passed.append(f"{self._found.time:.1f} s ({passed_over})")
-            self._unreached = self._unreached or (self._found, self._trigger_step, self._raw_ego)
+            passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
+            self._unreached = self._unreached or (self._encounter, self._trigger_step, self._baseline_ego)
             self._at_trigger()
             self._cool_down()
         while True:
-            ranking = self._scout.until_encounter()
+            ranking = self._search.until_encounter()
             if isinstance(ranking, NoEncounter):
                 if self._unreached is not None and self._drive.recorded():
                     return self._back(*self._unreached)
                 if passed:
                     return NoEncounter(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
                 return ranking
-            found, why = self._survey(ranking, tuple(passed))
-            if found is not None:
-                self._found = found
-                return found
+            why = self._survey(ranking)
+            if not why:
+                return self._encounter
             passed.append(f"{self._drive.now:.1f} s ({why})")
             if self._task.trigger is not None:
                 return NoEncounter(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
             self._cool_down()
 
-    def _back(self, found: FoundEncounter, step: int, raw_ego: Track) -> FoundEncounter:
-        """At an encounter that was passed over for being out of reach: the recording has no better one."""
-        self._found = replace(found, passed_over=tuple(self._passed), last=True)
-        self._trigger_step, self._raw_ego, self._moved = step, raw_ego, False
+    def _back(self, encounter: FoundEncounter, step: int, baseline_ego: Track) -> FoundEncounter:
+        """Return to an encounter that was passed over because no intent reaches the ego: the recording has no other."""
+        self._encounter = replace(encounter, passed_over=tuple(self._passed), last=True)
+        self._trigger_step, self._baseline_ego, self._moved = step, baseline_ego, False
         self._drive.rewind(step)
-        return self._found
+        return self._encounter
 
     def _cool_down(self) -> None:
         for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
@@ -128,22 +125,22 @@ class Worker:
         return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
 
     def lanes_near(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
-        """Shape, width, internal? of all lanes near a place, for pictures."""
+        """Shape, width [m] and whether internal, of all lanes within ``radius`` [m] of a place. For pictures."""
         return self._map.strips(x, y, radius)
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
-        """Run attempts from the trigger, as many at once as there are slots."""
+        """The results of attempts from the trigger. As many run at the same time as there are slots."""
         results: list[AttemptResult] = []
         for first in range(0, len(plans), len(self._slots)):
-            some = list(enumerate(plans))[first : first + len(self._slots)]
-            works = [self._work(k, p, slot) for (k, p), slot in zip(some, self._slots, strict=False)]
+            batch = list(enumerate(plans))[first : first + len(self._slots)]
+            works = [self._work(k, p, slot) for (k, p), slot in zip(batch, self._slots, strict=False)]
             results += self._branch(works)
         return results
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid the collision of an attempt: each drives the ego in the same encounter.
+        """By reference driver, whether it avoids the collision of an attempt when it drives the ego.
 
-        Empty where one of the two vehicles was gone, or where there is nothing to repeat (``references.py``).
+        Empty if the attempt had no collision, or if one of the two vehicles left before the attack.
         """
         self._at_trigger()
         case, verdict = self._case(proposal, result), result.verdict
@@ -151,9 +148,9 @@ class Worker:
         kinematic = None if verdict is None else verdict.preventability
         if case is None or contact is None or kinematic is None:
             return {}
-        half = self._found.first.lane_width / 2
+        half = self._encounter.first.lane_width / 2
         order = order_of(
-            proposal, result, case, contact, half, self._found.drivable, unattacked(self._found, self._settings)
+            proposal, result, case, contact, half, self._encounter.drivable, unattacked(self._encounter, self._settings)
         )  # fmt: skip
         works: dict[str, Callable[[], bool]] = {
             name: partial(self._refer, order, driver)
@@ -168,16 +165,16 @@ class Worker:
     def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
         drive, settings = self._drive, self._settings
         assert drive.ego is not None
-        first = self._trigger_step + settings.steps(result.start - self._found.time) - settings.steps(settings.history)
-        snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][max(0, first) :]
+        first = first_judged(self._encounter, settings, self._trigger_step, result.start)
+        snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
         return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
         """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
-        drive, settings, mine = self._drive, self._settings, self._drive.controller
-        drive.replay(self._raw_ego)
+        drive, settings, tested = self._drive, self._settings, self._drive.controller
+        drive.replay(self._baseline_ego)
         for _ in range(settings.steps(order.proposal.delay)):
             drive.tick()
         first = max(0, len(drive.recording.snapshots) - settings.steps(settings.history))
@@ -188,7 +185,7 @@ class Worker:
                 lambda _: "a recorded motion has no planner", steps=drive.within(order.steps), replan=order.steps + 1,
             )  # fmt: skip
         finally:
-            drive.controller = mine
+            drive.controller = tested
         return avoids(order, drive.tracks(order.proposal.bv, first))
 
     @property
@@ -214,44 +211,30 @@ class Worker:
             self._moved = False
             self._drive.rewind(self._trigger_step)
 
-    # -- the unattacked run -------------------------------------------------------------------------------------
+    # -- the baseline -------------------------------------------------------------------------------------------
 
-    def _survey(self, ranking: Sequence[Candidate], passed: tuple[str, ...]) -> tuple[FoundEncounter | None, str]:
-        """Run on unattacked, and describe the encounter unless it is critical by itself."""
-        if not ranking:
-            return None, "no vehicle near could endanger the ego"
+    def _survey(self, ranking: Sequence[RankedVehicle]) -> str:
+        """Run on unattacked and describe the encounter. Why it is passed over, or empty."""
+        self._trigger_step = len(self._drive.recording.snapshots)
+        built = build_encounter(
+            self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed
+        )
+        if isinstance(built, str):
+            return built
+        self._encounter, baseline = built
+        self._baseline_ego = baseline.tracks[self._encounter.ego]
+        return ""
+
+    def _baseline(self, seconds: float) -> Baseline:
         drive, settings = self._drive, self._settings
-        assert drive.ego is not None
-        self._trigger_step = len(drive.recording.snapshots)
-        time, left = drive.now, drive.left()
-        model, route = model_of(drive.controller, drive.simulation.model(drive.ego)), drive.route()
-        signals = {n: tuple(drive.simulation.signals(n)) for n in (drive.ego, *(c.id for c in ranking))}
-        routes = {c.id: drive.simulation.route(c.id)[0] for c in ranking}
-        raw = self._branch([partial(self._unattacked, all(c.meets_ahead for c in ranking))])[0]
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
-        sizes, roles = raw[1], drive.roles()
-        tracks = {t.id: t for t in tracks_of([*before, *raw[0]], sizes, roles, settings.step_length)}
-        why, critical = danger(tracks, drive, time, settings.ttc, [c.id for c in ranking])
-        if why:
-            return None, why
-        ranking = [c for c in ranking if c.id not in critical]
-        self._raw_ego = tracks[drive.ego]
-        situations = build_situations(
-            self._map, tracks, drive.ego, ranking, time, settings=settings, ego_model=model, route=route,
-            routes=routes, signals=signals, left=math.inf if left is None else left, reacting=drive.reacting(),
-        )  # fmt: skip
-        if not situations:
-            return None, "the vehicles near it leave at once"
-        order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
-        area = area_of(self._raw_ego.between(time, math.inf))
-        drivable = self._map.drivable(*area)
-        return FoundEncounter(drive.ego, time, order, situations, raw[0], passed, drivable, sizes, area), ""
+        snapshots, sizes = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
+        tracks = tracks_of([*before, *snapshots], sizes, drive.roles(), settings.step_length)
+        return Baseline({t.id: t for t in tracks}, snapshots, sizes)
 
-    def _unattacked(self, late: bool) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
-        """To the end of the last attempt; ``late``: also of those that begin only near where the ways meet."""
-        drive, settings = self._drive, self._settings
-        seconds = settings.duration + max(settings.delays) + (MOST_SHIFT if late else 0.0)
-        for _ in range(drive.within(settings.steps(seconds))):
+    def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
+        drive = self._drive
+        for _ in range(drive.within(steps)):
             drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
 
@@ -262,15 +245,14 @@ class Worker:
             slot.send((index, observation))
             return slot.recv()
 
-        ask = ask_trusted(
-            proposal, self._situation_for(proposal), ask_front
-        )  # here, not in the fork: its text is read once
+        situation = self._situation_for(proposal)
+        ask = ask_trusted(proposal, situation, ask_front)  # before the fork: the planner's text is read once
         return partial(self._attempt, proposal, ask)
 
     def _attempt(self, proposal: Proposal, ask: Callable[[PlannerObservation], Any]) -> AttemptResult:
         drive, settings = self._drive, self._settings
         situation = self._situation_for(proposal)
-        drive.replay(self._raw_ego)
+        drive.replay(self._baseline_ego)
         for _ in range(settings.steps(proposal.delay)):
             drive.tick()
         start = drive.now
@@ -279,20 +261,19 @@ class Worker:
             drive, leader(situation, proposal, limits), ask, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),
         )  # fmt: skip
-        return AttemptResult(
-            driven, gate_verdict(drive, self._found, settings, self._trigger_step, proposal.bv, start, driven), start,
-            drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes),
-        )  # fmt: skip
+        verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bv, start, driven)
+        snapshots = drive.recording.snapshots[self._trigger_step :]
+        return AttemptResult(driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes))
 
     def _situation_for(self, proposal: Proposal) -> Situation:
-        situation = self._found.situations.get(proposal.delay)
+        situation = self._encounter.situations.get(proposal.delay)
         if situation is None or proposal.bv not in situation.targets:
             raise SimulationError(f"Vehicle '{proposal.bv}' cannot attack {proposal.delay:g} s after the trigger.")
         return situation
 
 
 def _copied(files: Sequence[Path], folder: Path) -> list[Path]:
-    """Copies of additional files: what SUMO's detectors write beside their file then lands in our own folder."""
+    """Copies of additional files. SUMO's detectors write beside their file, so they then write into ``folder``."""
     copies = []
     for k, file in enumerate(files):
         copies.append(folder / f"{k}-{file.name}")

@@ -120,8 +120,8 @@ def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
 
 def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
     assert episode.prefix is not None
-    best = episode.refinement.best
-    after = episode.found.raw if best is None and episode.found else episode.refinement.results[best or 0].snapshots
+    best, found = episode.refinement.best, episode.found
+    after = found.baseline if best is None and found else episode.refinement.results[best or 0].snapshots
     return [*episode.prefix.snapshots, *after]
 
 
@@ -130,8 +130,8 @@ def _tables(stage: Path, episode: Episode) -> None:
     best = episode.best
     roles = episode.task.roles(episode.found.ego)
     sizes, step = all_sizes(episode), episode.settings.step_length
-    if episode.found.raw:
-        write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.raw], sizes, roles, step)
+    if episode.found.baseline:
+        write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.baseline], sizes, roles, step)
     if best is not None:
         roles = episode.task.roles(episode.found.ego, best.proposal.bv)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
@@ -170,13 +170,13 @@ def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
 def raw_figures(episode: Episode) -> dict[str, Any] | None:
     """The unattacked run over the same pair and window as the attempt that counts; None if there was none."""
     best, found = episode.best, episode.found
-    if best is None or found is None or episode.prefix is None or not found.raw:
+    if best is None or found is None or episode.prefix is None or not found.baseline:
         return None
     after = episode.refinement.results[episode.refinement.best or 0].snapshots
     if not after:  # its planner failed before the first step
         return {"min_ttc": None, "collided": False}
     end = after[-1].time
-    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *found.raw], best.trigger_time, end)
+    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *found.baseline], best.trigger_time, end)
     if pair is None:
         return {"min_ttc": None, "collided": False}
     time = pair[0].time
@@ -223,7 +223,7 @@ def _figure(target: Path, episode: Episode) -> None:
     attacked = {
         t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, roles, step)
     }
-    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.raw], sizes, roles, step, names)}
+    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.baseline], sizes, roles, step, names)}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal
     draw_encounter(

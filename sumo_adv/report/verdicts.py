@@ -19,6 +19,7 @@ import numpy as np
 from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
+from sumo_adv.episode.verdict import first_judged
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.contact import Impact
 from sumo_adv.metrics.fault import SecondOpinion
@@ -95,8 +96,8 @@ def _tracks(
 ) -> list[Track]:
     """The recording that the engine judged: from a little before the attempt's start on."""
     settings = episode.settings
-    first = len(prefix.snapshots) + settings.steps(result.start - found.time) - settings.steps(settings.history)
-    snapshots = [*prefix.snapshots, *result.snapshots][max(0, first) :]
+    first = first_judged(found, settings, len(prefix.snapshots), result.start)
+    snapshots = [*prefix.snapshots, *result.snapshots][first:]
     roles = episode.task.roles(found.ego, best.proposal.bv)
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
@@ -165,7 +166,7 @@ def _realism(episode: Episode, moved: Track, found: FoundEncounter, prefix: Pref
     step = episode.settings.step_length
     start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (found.time, found.time)
     sizes = {**prefix.sizes, **found.sizes}
-    raw = tracks_of([*prefix.snapshots[-2:], *found.raw], sizes, episode.task.roles(found.ego), step)
+    raw = tracks_of([*prefix.snapshots[-2:], *found.baseline], sizes, episode.task.roles(found.ego), step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
     played = episode.task.playback

@@ -13,10 +13,9 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
 from sumo_adv.episode.attempt import Driven, attack, leader
 from sumo_adv.episode.attempt_runner import answer_of
-from sumo_adv.episode.encounter import Candidate
-from sumo_adv.episode.encounter_filter import danger
-from sumo_adv.episode.situation_builder import area_of, build_situation, build_situations
-from sumo_adv.episode.start_times import MOST_SHIFT
+from sumo_adv.episode.encounter_builder import Baseline, build_encounter
+from sumo_adv.episode.encounter_detector import RankedVehicle
+from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.episode.verdict import gate_verdict
@@ -38,7 +37,7 @@ class Scene:
     """An encounter as it was foreseen at its trigger. ``tracks``: everybody near, the last second and what follows."""
 
     found: FoundEncounter
-    ranking: Sequence[Candidate]
+    ranking: Sequence[RankedVehicle]
     tracks: Mapping[str, Track]
 
     def relation(self, vehicle: str) -> str:
@@ -47,32 +46,15 @@ class Scene:
 
 
 def describe(
-    session: Session, road: RoadMap, settings: Settings, ranking: Sequence[Candidate], passed: Sequence[str]
+    session: Session, road: RoadMap, settings: Settings, ranking: Sequence[RankedVehicle], passed: Sequence[str]
 ) -> Scene | str:
     """The encounter that begins now, or why it is passed over."""
-    ego, time = session.ego, session.now
-    if not ranking or ego is None:
-        return "no vehicle near could endanger the ego"
-    tracks = traffic_forecast(road, session, settings.duration + max(settings.delays) + MOST_SHIFT)
-    soon = {name: track.between(track.time[0], time + FORESEEN) for name, track in tracks.items()}
-    why, _ = danger(soon, session, time, settings.ttc, [c.id for c in ranking])
-    if why:
-        return why
-    simulation = session.simulation
-    route = simulation.route(ego)[0]
-    signals = {name: tuple(simulation.signals(name)) for name in (ego, *(c.id for c in ranking))}
-    routes = {c.id: simulation.route(c.id)[0] for c in ranking}
-    situations = build_situations(
-        road, tracks, ego, ranking, time, settings=settings, ego_model=simulation.model(ego), route=route,
-        routes=routes, signals=signals,
-    )  # fmt: skip
-    if not situations:
-        return "the vehicles near it leave at once"
-    order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)
-    area = area_of(tracks[ego].between(time, time + settings.duration))
-    sizes, drivable = dict(simulation.fleet.sizes), road.drivable(*area)
-    found = FoundEncounter(ego, time, order, situations, (), tuple(passed), drivable, sizes, area)
-    return Scene(found, tuple(ranking), tracks)
+
+    def foresee(seconds: float) -> Baseline:
+        return Baseline(traffic_forecast(road, session, seconds), (), dict(session.simulation.fleet.sizes))
+
+    built = build_encounter(session, road, settings, ranking, foresee, checked=FORESEEN, passed_over=passed)
+    return built if isinstance(built, str) else Scene(built[0], tuple(ranking), built[1].tracks)
 
 
 class LiveAttempts:
@@ -146,18 +128,13 @@ class LiveAttempts:
 
     def _situation(self, session: Session, bv: str) -> Situation | None:
         """The situation as it is now."""
-        ego, settings = session.ego, self._settings
         raw = session.snapshot.raw
-        if ego is None or ego not in raw or bv not in raw:
+        if session.ego is None or session.ego not in raw or bv not in raw:
             return None
-        simulation = session.simulation
-        tracks = traffic_forecast(self._road, session, settings.duration)
-        candidate = next(c for c in self._scene.ranking if c.id == bv)
-        return build_situation(
-            self._road, tracks, ego, [candidate], session.now, dt=settings.step_length, horizon=settings.horizon,
-            ego_model=self._scene.found.first.ego_model, route=simulation.route(ego)[0],
-            routes={bv: simulation.route(bv)[0]}, signals={name: tuple(simulation.signals(name)) for name in (ego, bv)},
-        )  # fmt: skip
+        tracks = traffic_forecast(self._road, session, self._settings.duration)
+        ranking = [c for c in self._scene.ranking if c.id == bv]
+        trigger = trigger_state(session, ranking)
+        return build_situation(self._road, tracks, trigger, ranking, self._settings)
 
 
 def release(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: bool) -> None:

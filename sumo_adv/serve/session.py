@@ -23,7 +23,7 @@ from sumo_adv.serve.options import OnLoss, Options
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot, pose_of
 
 if TYPE_CHECKING:
     from traci.connection import Connection
@@ -208,12 +208,12 @@ class Session(Drive):
         snapshots, name = self.recording.snapshots, self._plan.id
         if len(snapshots) < 2 or name not in snapshot.raw or name not in snapshots[-2].raw:
             return snapshot
-        x, y, angle, speed, lane = snapshot.raw[name]
-        before = snapshots[-2].raw[name]
-        went = math.hypot(x - before[0], y - before[1]) / self.spec.step_length
-        if abs(went - speed) < DOUBTED or went > FASTEST:
+        raw, length = snapshot.raw[name], self.simulation.fleet.sizes[name][0]
+        (x, y, _), (x_before, y_before, _) = pose_of(raw, length), pose_of(snapshots[-2].raw[name], length)
+        went = math.hypot(x - x_before, y - y_before) / self.spec.step_length
+        if abs(went - raw[3]) < DOUBTED or went > FASTEST:
             return snapshot
-        snapshots[-1] = Snapshot(snapshot.time, {**snapshot.raw, name: (x, y, angle, went, lane)})
+        snapshots[-1] = Snapshot(snapshot.time, {**snapshot.raw, name: (*raw[:3], went, raw[4])})
         return snapshots[-1]
 
     def _look_for_ego(self, snapshot: Snapshot) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track
-from sumo_adv.episode.encounter import LOOK_EVERY, Candidate, EncounterDetector
+from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle
 from sumo_adv.episode.traffic_forecast import apart
 from sumo_adv.serve.session import EgoLost, Session
 from sumo_adv.simulation.network import RoadMap
@@ -23,7 +23,7 @@ class EncounterMonitor:
         self._since = max(settings.history, EGO_PAUSE, warm_up)
         self._encounter = self._fresh()
 
-    def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[Candidate]:
+    def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
         """Step until one begins: who could attack, most dangerous first; empty at ``end`` [s] or without traffic.
 
         ``trigger``: attack from this time on whatever the risk; ``quiet``: s from now on in which none may begin.

@@ -43,6 +43,12 @@ def angle_deg_of(heading: float) -> float:
     return (90.0 - math.degrees(heading)) % 360.0
 
 
+def pose_of(raw: RawState, length: float) -> tuple[float, float, float]:
+    """x, y [m] of the centre of a vehicle's box and its heading [rad]; SUMO's position is the front bumper's."""
+    heading, back = heading_of(raw[2]), length / 2
+    return raw[0] - back * math.cos(heading), raw[1] - back * math.sin(heading), heading
+
+
 def raw_of(x: float, y: float, heading: float, speed: float, length: float) -> RawState:
     """A box that SUMO does not know, as SUMO would say it: off every lane."""
     front = length / 2
@@ -229,13 +235,8 @@ class Simulation:
 
     def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
         """One vehicle of a snapshot as a box (KeyError if it is not there)."""
-        x, y, angle_deg, speed, lane = snapshot.raw[vehicle]
-        length, width = self.fleet.sizes[vehicle]
-        h = heading_of(angle_deg)
-        back = length / 2
-        return VehicleState(
-            vehicle, x - back * math.cos(h), y - back * math.sin(h), h, speed, acceleration, length, width, lane
-        )
+        raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
+        return VehicleState(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""

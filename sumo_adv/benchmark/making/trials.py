@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import load_settings
-from sumo_adv.episode.encounter import FASTEST_START, LATEST
+from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
 from sumo_adv.episode.loop import make_task
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.episode.worker import Worker
@@ -76,7 +76,7 @@ def _not_found(found: NoEncounter) -> str:
 
 
 def _fault(one: Trial, found: FoundEncounter) -> str:
-    present = {name: sum(name in snapshot.raw for snapshot in found.raw) for name in (found.ego, one.bv)}
+    present = {name: sum(name in snapshot.raw for snapshot in found.baseline) for name in (found.ego, one.bv)}
     dt = one.task.settings.step_length
     if present[found.ego] * dt < STAYS:
         return "the ego stays too short"

@@ -1,8 +1,8 @@
-"""Is it time to attack, and which few background vehicles could do it: from the states up to now alone.
+"""Says when an attack may begin, and which few background vehicles could carry it out, from the states up to now.
 
-Every half second the vehicles near the ego are placed relative to its path (ahead, behind, beside, oncoming, on a way
-that crosses or merges), those that cannot meet it in time fall away (arrival windows), and the rest get a risk in
-[0, 1].  An encounter begins when the same scene stays above ``ON`` for two looks; below ``OFF`` it is forgotten.
+Every half second the vehicles near the ego are placed relative to its path: ahead, behind, beside, oncoming, crossing
+or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
+begins when the highest risk is at least ``ON`` and the next look finds at least ``OFF``.
 """
 
 from __future__ import annotations
@@ -17,31 +17,30 @@ from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.simulation import heading_of
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 ON, OFF, LOOKS = 0.40, 0.30, 2
 LOOK_EVERY = 0.5  # s
 NEAR, ONCOMING_NEAR = 70.0, 320.0  # m
-REACH = 330.0  # m of ways ahead
-SLOWEST_EGO = 4.0  # m/s: a standing ego is no encounter
-ON_RECORDED, SLOWEST_RECORDED = 0.20, 1.0  # the few seconds of a recording are all there is: one look, less to see
-FASTEST_START = 3.0  # m/s2: what a BV may accelerate by to be at a conflict in time
-LATEST = 0.2  # s: how much later than the ego it may be there (ALGORITHM, lever 1)
-CONFLICT_TIMES = (1.5, 12.0)  # s to the conflict
+REACH = 330.0  # m of the ways ahead
+SLOWEST_EGO = 4.0  # m/s: an ego that stands has no encounter
+ON_RECORDED, SLOWEST_RECORDED = 0.20, 1.0  # a recording lasts a few seconds: one look at a lower risk is enough
+FASTEST_START = 3.0  # m/s2: acceleration of a BV that hurries to a conflict
+LATEST = 0.2  # s: how much later than the ego a BV may arrive at a conflict
+CONFLICT_TIMES = (1.5, 12.0)  # s from now until the ego is at the conflict
 SAME_LANE = 1.2  # m
-LEAST_WAY = 1.0  # m: a log that goes less far shows no way
+LEAST_WAY = 1.0  # m: a shorter log shows no path
 BESIDE = 8.5  # m
-BEHIND = 45.0  # m: how far behind who drives the ego's way may be,
-AHEAD, FAR_AHEAD = 60.0, 100.0  # m: and how far ahead; the second where nobody else is found
+BEHIND = 45.0  # m behind the ego, for vehicles on the ego's path
+AHEAD, FAR_AHEAD = 60.0, 100.0  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
 CLASSES = frozenset(
     {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
-    """A BV that could be the adversary: how it stands to the ego, its ways, how dangerous it could be in [0, 1]."""
+class RankedVehicle:
+    """A BV that could be the adversary: its relation to the ego, its risk in [0, 1], its ways on, its lane."""
 
     id: str
     relation: str
@@ -51,14 +50,15 @@ class Candidate:
 
     @property
     def meets_ahead(self) -> bool:
-        """Whether the ego can meet it only where their ways do."""
+        """Whether it can meet the ego only where their paths cross or merge."""
         return self.relation in MEET_AHEAD
 
 
 class EncounterDetector:
-    """Watches one ego. ``look`` is called every half second and answers with the shortlist once it is time."""
+    """Watches one ego. Call ``look`` every half second."""
 
     def __init__(self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False) -> None:
+        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack, empty for all."""
         self.road = road
         self.shortlist = shortlist
         self.only = only
@@ -67,50 +67,51 @@ class EncounterDetector:
         self._on, self._needed = (ON_RECORDED, 1) if recorded else (ON, LOOKS)
         self._slowest = SLOWEST_RECORDED if recorded else SLOWEST_EGO
 
-    def look(self, drive: Drive) -> list[Candidate] | None:
-        """The shortlist, most dangerous first, if an encounter begins now; else None."""
-        found = self.rank(drive)
-        top = found[0].risk if found else 0.0
+    def look(self, drive: Drive) -> list[RankedVehicle] | None:
+        """The ranking, highest risk first, if an encounter begins now; else None."""
+        ranking = self.rank(drive)
+        top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
         if top >= self._on or (self._looks and top >= OFF):
             self._looks += 1
         else:
             self._looks = 0
-        return found if self._looks >= self._needed else None
+        return ranking if self._looks >= self._needed else None
 
-    def rank(self, drive: Drive) -> list[Candidate]:
-        """Everybody who could, at most ``shortlist``; empty where the ego is off the road or stands."""
+    def rank(self, drive: Drive) -> list[RankedVehicle]:
+        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow."""
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
         if path is None or ego.speed < self._slowest:
             return []
         names = self._near(drive, ego)
-        found = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
-        return sorted(found, key=lambda c: (-c.risk, c.id))[: self.shortlist]
+        placed = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
+        return sorted(placed, key=lambda c: (-c.risk, c.id))[: self.shortlist]
 
     def _placed(
         self, drive: Drive, names: Sequence[str], ego: VehicleState, path: Path, ahead: float
-    ) -> list[Candidate]:
-        """Those who could, of the same direction at most so far ahead [m]."""
+    ) -> list[RankedVehicle]:
+        """The vehicles with a risk. ``ahead``: how far ahead of the ego a vehicle on its path may be [m]."""
         placed = [self._place(drive, name, ego, path, ahead) for name in names]
         return [c for c in placed if c is not None and c.risk > 0]
 
     def _near(self, drive: Drive, ego: VehicleState) -> list[str]:
         names, obstacles = [], drive.obstacles
         c, s = math.cos(ego.heading), math.sin(ego.heading)
-        for name, raw in drive.snapshot.raw.items():
+        for name in drive.snapshot.raw:
             if name == ego.id or name in obstacles or (self.only and name not in self.only):
                 continue
-            dx, dy = raw[0] - ego.x, raw[1] - ego.y
+            x, y, heading = drive.pose(name)
+            dx, dy = x - ego.x, y - ego.y
             distance = math.hypot(dx, dy)
             ahead = c * dx + s * dy > 0
-            far = ahead or abs(wrap(heading_of(raw[2]) - ego.heading)) > 0.5
+            far = ahead or abs(wrap(heading - ego.heading)) > 0.5
             if distance < (ONCOMING_NEAR if far else NEAR) and drive.simulation.vehicle_class(name) in CLASSES:
                 names.append(name)
         return names
 
-    def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> Candidate | None:
+    def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> RankedVehicle | None:
         bv = drive.state(name)
         if bv.lane not in self.road.lanes:
             return None
@@ -122,23 +123,23 @@ class EncounterDetector:
         relation, risk = "", 0.0
         if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
-            risk = self._beside(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
+            risk = self._same_way_risk(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
         elif turned > 2.64 and 1.2 < d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
-            if any(kind == "opposite" for _, kind in sides):  # nothing but a line between the two
-                relation, risk = "oncoming", _oncoming(s, bv.speed + ego.speed)
+            if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
+                relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
         if relation in ("leader", "follower", "neighbour") and risk == 0.0:
             return None
         ways = bv_ways(self.road, drive, bv, path)
         if relation in ("", "oncoming"):
-            meeting = [(w.conflict.kind, _meeting(w, bv, ego)) for w in ways if w.conflict is not None]
+            meeting = [(w.conflict.kind, _conflict_risk(w, bv, ego)) for w in ways if w.conflict is not None]
             kind, best = max(meeting, key=lambda m: m[1], default=("", 0.0))
             if best > risk:
                 relation, risk = (relation or kind), best
-        return Candidate(name, relation, risk, ways, bv.lane) if relation and ways else None
+        return RankedVehicle(name, relation, risk, ways, bv.lane) if relation and ways else None
 
-    def _beside(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
-        """Risk of a vehicle that drives our way; less where no lane is free to come from."""
+    def _same_way_risk(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
+        """Risk of a vehicle that drives the ego's way. It is lower if the vehicle has no lane beside its own."""
         if bv.speed < 2.0:
             return 0.0
         wanted = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
@@ -150,14 +151,14 @@ class EncounterDetector:
         return (0.8 if same else 0.42) * risk
 
 
-def _oncoming(s: float, closing: float) -> float:
-    """Risk of oncoming traffic: best 3 to 5 s before the two meet."""
+def _oncoming_risk(s: float, closing: float) -> float:
+    """Risk of oncoming traffic: highest 3 to 5 s before the two meet."""
     time = s / max(closing, 0.1)
     return 0.9 * math.exp(-max(0.0, abs(time - 4.0) - 1.0) / 1.5) if 1.8 < time < 10.0 else 0.0
 
 
-def _meeting(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> float:
-    """Risk at a conflict point: both can be there at about the same time, the BV at the latest 0.2 s after the ego."""
+def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> float:
+    """Risk at a conflict point: high if both arrive at about the same time, 0 if the BV cannot arrive in time."""
     conflict = way.conflict
     assert conflict is not None
     if conflict.bv_s < 1.0 or conflict.ego_s < 1.0:
@@ -172,7 +173,7 @@ def _meeting(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> float:
 
 
 def ego_path(road: RoadMap, drive: Drive) -> Path | None:
-    """The path of the ego's lanes ahead along its route, or the one that a log moves it along; None off the road."""
+    """The path of the ego's lanes along its route, or the path of its log; None off the road."""
     assert drive.ego is not None
     ego = drive.state(drive.ego)
     if drive.replayed():
@@ -186,14 +187,14 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
-    """Where a log takes the ego, and on along its route; None where that is no way at all."""
+    """The rest of the ego's log, continued along its route; None if the log is too short."""
     assert drive.ego is not None and drive.playback is not None
     points = drive.playback.ahead(drive.ego, drive.now)
     if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
-    found = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
-    ways = road.ways(*found, REACH, drive.route()) if found is not None else []
+    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
+    ways = road.ways(*last, REACH, drive.route()) if last is not None else []
     if ways:
         onward = np.column_stack([ways[0].path.x, ways[0].path.y])
         path = make_path(np.vstack([points, onward[4:]]))  # 2 m on: no fold where the log is off the centre
