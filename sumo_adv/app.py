@@ -137,8 +137,7 @@ def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None
     by_name: dict[str, ChatModel] = {name: connect(name, settings, ledger) for name in sorted(set(names.values()))}
     with ExitStack() as stack:
         if record is not None:
-            said = ", ".join(model.name for model in by_name.values())
-            recorder = stack.enter_context(Recorder(record, said))
+            recorder = stack.enter_context(Recorder(record, ", ".join(model.name for model in by_name.values())))
             by_name = {name: recorder.wrap(model) for name, model in by_name.items()}
         models = {role: by_name[name] for role, name in names.items()}
         yield Agents(settings, sandbox, models, ledger, shipped_prompts())

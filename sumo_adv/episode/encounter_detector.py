@@ -142,9 +142,9 @@ class EncounterDetector:
         """Risk of a vehicle that drives the ego's way. It is lower if the vehicle has no lane beside its own."""
         if bv.speed < 2.0:
             return 0.0
-        wanted = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
+        best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)
-        risk = math.exp(-abs(s + closing * 2.0 - wanted) / 35.0)
+        risk = math.exp(-abs(s + closing * 2.0 - best_gap) / 35.0)
         if relation == "neighbour":
             return risk if abs(d) < 5.0 else 0.7 * risk
         same = [o for o, kind in self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading) if kind == "same"]
@@ -166,10 +166,10 @@ def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> f
     ego_time = conflict.ego_s / max(ego.speed, 1.0)
     v, a = max(bv.speed, 0.1), FASTEST_START
     earliest = (-v + math.sqrt(v * v + 2 * a * conflict.bv_s)) / a
-    now = conflict.bv_s / max(bv.speed, 1.5)
+    arrival = conflict.bv_s / max(bv.speed, 1.5)
     if not CONFLICT_TIMES[0] < ego_time < CONFLICT_TIMES[1] or earliest > ego_time + LATEST:
         return 0.0
-    return 0.95 * math.exp(-max(0.0, abs(now - ego_time) - 0.5) / 4.0) * math.exp(-max(0.0, ego_time - 5.0) / 4.0)
+    return 0.95 * math.exp(-max(0.0, abs(arrival - ego_time) - 0.5) / 4.0) * math.exp(-max(0.0, ego_time - 5.0) / 4.0)
 
 
 def ego_path(road: RoadMap, drive: Drive) -> Path | None:

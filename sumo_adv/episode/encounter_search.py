@@ -72,7 +72,7 @@ class EncounterSearch:
     def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
         """Step until an encounter begins. The ranking, highest risk first; at a given trigger it may be empty."""
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
-        wanted = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
+        requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         detector = self._watch()
         since, tried = -math.inf, set[str]()
         if drive.ego is not None:
@@ -81,33 +81,33 @@ class EncounterSearch:
             snapshot = drive.tick()
             step = len(drive.recording.snapshots)
             if drive.ego is None:
-                name = wanted
-                if wanted is not None and not (wanted in snapshot.raw and drive.may_take_over(wanted)):
+                name = requested
+                if requested is not None and not (requested in snapshot.raw and drive.may_take_over(requested)):
                     name = None
-                if wanted is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
+                if requested is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
                     name = self._choose_ego(tried)
                 if name is not None:
                     drive.take_over(name)
-                    since = drive.now if wanted is None else self._inserted(name)
+                    since = drive.now if requested is None else self._inserted(name)
                     detector = self._watch()
             elif drive.ego not in snapshot.raw:
-                if wanted is not None:
-                    return NoEncounter(Ending.EGO_LEFT, f"The ego '{wanted}' left the network before an encounter.")
+                if requested is not None:
+                    return NoEncounter(Ending.EGO_LEFT, f"The ego '{requested}' left the network before an encounter.")
                 drive.release()
             elif task.trigger is not None:
                 if drive.now >= task.trigger - 1e-6:
                     self._refuse_unknown()
                     return detector.rank(drive)
-            elif step % every == 0 and drive.now - since >= self._wait(wanted):
+            elif step % every == 0 and drive.now - since >= self._wait(requested):
                 ranking = detector.look(drive)
                 if ranking:
                     return ranking
-                if wanted is None and drive.now - since > PATIENCE:
+                if requested is None and drive.now - since > PATIENCE:
                     tried.add(drive.ego)
                     drive.release()
             if not drive.to_come():
                 break
-        return self._nothing(wanted, detector.best)
+        return self._nothing(requested, detector.best)
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(
@@ -118,16 +118,16 @@ class EncounterSearch:
         """When a vehicle was first seen [s]. A recorded vehicle is there before its driver takes over."""
         return next(s.time for s in self.drive.recording.snapshots if name in s.raw)
 
-    def _wait(self, wanted: str | None) -> float:
+    def _wait(self, requested: str | None) -> float:
         """Seconds for which an ego is driven before the first look: the history, and a scenario's warm-up."""
-        return max(self.task.settings.history, self.task.warm_up if wanted is not None else 0.0)
+        return max(self.task.settings.history, self.task.warm_up if requested is not None else 0.0)
 
-    def _nothing(self, wanted: str | None, best: float) -> NoEncounter:
-        if wanted is not None and self.drive.ego is None and wanted not in self.drive.simulation.fleet.sizes:
-            raise UsageError(f"No vehicle '{wanted}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
+    def _nothing(self, requested: str | None, best: float) -> NoEncounter:
+        if requested is not None and self.drive.ego is None and requested not in self.drive.simulation.fleet.sizes:
+            raise UsageError(f"No vehicle '{requested}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
         self._refuse_unknown()
-        if wanted is not None and self.drive.ego is None:
-            why = f"The recorded vehicle '{wanted}' was on no lane where a driver could have taken it over."
+        if requested is not None and self.drive.ego is None:
+            why = f"The recorded vehicle '{requested}' was on no lane where a driver could have taken it over."
             return NoEncounter(Ending.NO_ENCOUNTER, why)
         return NoEncounter(
             Ending.NO_ENCOUNTER,

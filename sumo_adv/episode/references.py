@@ -72,39 +72,42 @@ class ReferenceEgo:
     def act(self, observation: Observation) -> Pose:
         """The ego's pose after the step."""
         k, self._step = self._step, self._step + 1
-        now = observation.ego
+        state = observation.ego
         if self._driver is None:
             plan = self._order.plan
             assert plan is not None
             i = min(k + 1, plan.x.shape[-1] - 1)
             return Pose(*(float(v[i]) for v in (plan.x, plan.y, plan.heading, plan.speed)))
         self._states.append({s.id: s for s in observation.others})
-        station = float(self._paths.locate(np.array([[now.x]]), np.array([[now.y]]))[0][0, 0])
-        commanded = float(self._driver.step(self._view(station, now.speed, self._acceleration))[0])
+        station = float(self._paths.locate(np.array([[state.x]]), np.array([[state.y]]))[0][0, 0])
+        commanded = float(self._driver.step(self._view(station, state.speed, self._acceleration))[0])
         index = int(np.searchsorted(self._ego.time, observation.time - 1e-6))
         recorded = index + 1 < len(self._ego.time)
         change = (self._ego.speed[index + 1] - self._ego.speed[index]) / self._dt if recorded else 0.0
         self._acting = self._acting or np.isfinite(commanded)
         if not self._acting:
-            return self._as_recorded(index, now)
+            return self._as_recorded(index, state)
         braking = min(commanded if np.isfinite(commanded) else np.inf, change)
-        pace = self._ego.speed[index + 1] if recorded else now.speed
-        after = min(max(now.speed + braking * self._dt, 0.0), max(float(pace), now.speed))
-        moved = (now.speed + after) / 2 * self._dt
+        pace = self._ego.speed[index + 1] if recorded else state.speed
+        after = min(max(state.speed + braking * self._dt, 0.0), max(float(pace), state.speed))
+        moved = (state.speed + after) / 2 * self._dt
         if after == 0.0 and braking < 0.0:
-            moved = min(moved, now.speed**2 / (-2 * braking))
-        self._acceleration = (after - now.speed) / self._dt
+            moved = min(moved, state.speed**2 / (-2 * braking))
+        self._acceleration = (after - state.speed) / self._dt
         x, y, heading = self._paths.poses(np.array([[station + moved]]))
         return Pose(float(x[0, 0]), float(y[0, 0]), float(heading[0, 0]), after)
 
-    def _as_recorded(self, index: int, now: VehicleState) -> Pose:
+    def _as_recorded(self, index: int, state: VehicleState) -> Pose:
         e, i = self._ego, index + 1
         if i < len(e.time):
             self._acceleration = float(e.speed[i] - e.speed[i - 1]) / self._dt
             return Pose(float(e.x[i]), float(e.y[i]), float(e.heading[i]), float(e.speed[i]))
         self._acceleration = 0.0
-        x, y = now.x + now.speed * self._dt * np.cos(now.heading), now.y + now.speed * self._dt * np.sin(now.heading)
-        return Pose(float(x), float(y), now.heading, now.speed)
+        x, y = (
+            state.x + state.speed * self._dt * np.cos(state.heading),
+            state.y + state.speed * self._dt * np.sin(state.heading),
+        )
+        return Pose(float(x), float(y), state.heading, state.speed)
 
     def _warm_up(self, history: Sequence[Track]) -> None:
         """Show the driver the states before the start."""
@@ -140,8 +143,8 @@ class ReferenceEgo:
         boxes = Boxes(x, y, heading, pace, size[None, :, :1], size[None, :, 1:])
         ego = (self._ego.length, self._ego.width)
         views = Views(self._paths, boxes, ego, self._dt, self._order.lane_half_width)
-        now = (np.array([v]) for v in (station, speed, acceleration))
-        return views.at(len(self._states) - 1, *now)
+        motion = (np.array([v]) for v in (station, speed, acceleration))
+        return views.at(len(self._states) - 1, *motion)
 
 
 def order_of(

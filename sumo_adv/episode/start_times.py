@@ -39,8 +39,8 @@ def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_i
     ego = _travelled(tracks[ego_id])
     steps = [np.searchsorted(ego, c.ego_s) for c in conflicts]
     if both and ranked.id in tracks:
-        other = _travelled(tracks[ranked.id])
-        steps += [np.searchsorted(other, c.bv_s) for c in conflicts]
+        bv = _travelled(tracks[ranked.id])
+        steps += [np.searchsorted(bv, c.bv_s) for c in conflicts]
     return float(min(steps))
 
 
