@@ -92,7 +92,7 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         course = observed_motion(result, found, proposal.delay, settings)
         if course is None or result.verdict is None:
             continue
-        path = found.situations[proposal.delay].ego_path
+        path = found.situations[proposal.delay].baseline.path
         near = seconds_near(rollouts, k, course, path, settings.step_length)
         collides = proposal.prediction is not None and proposal.prediction.hit
         counts = proposal.score < SearchSettings().avoidable

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,21 +113,60 @@ class OnPath:
 
 
 @dataclass(frozen=True, slots=True)
-class Situation:
-    """Everything at one trigger. ``profile_*``: the unattacked ego by step of ``dt`` from the trigger on, ``(n,)``.
+class Baseline:
+    """The ego without an attack: its path, its driver's model, and by step of ``dt`` from the trigger on its station
+    ``s`` [m], speed ``v`` [m/s] and acceleration ``a`` [m/s2], each ``(n,)``."""
 
-    ``signals``: by vehicle (ego and targets) the lights ahead as the encounter began, nearest first; with a delay the
-    situation is that much later than they.  ``history``: everybody near over the last second or so, the ego first.
-    ``junction``: station of the ego's path [m] at which the junction ahead begins, inf where there is none;
-    ``bay``: and at which it waits on it for others where it gives way (SUMO's internal junction), inf where nowhere;
-    ``later``: and at which those behind it begin, as far as it came unattacked;
-    ``rule``: SUMO's right of way letter of the ego at the first (``Connection.state``), empty where there is none.
-    ``ego_sides``: lanes beside the ego's: offset [m, left positive], "same" | "opposite".
-    ``left``: steps until the log that is played back is over and attempts with it; inf where none is.
-    ``reacting``: whether the others have drivers, who brake for an adversary; not where a log moves them.
-    ``shifts``: by how much SUMO takes whoever is on a lane beside the ego's to be further ahead than he is: offset of
-    the lane [m, left positive], metres by ``SHIFT_STEP`` of the ego's path; none where that is nothing.
-    ``ahead``: who is ahead of the unattacked ego, in its lane or beside, at some time.
+    path: Path
+    s: Floats
+    v: Floats
+    a: Floats
+    model: DriverModel
+
+
+@dataclass(frozen=True, slots=True)
+class RoadAhead:
+    """The road along the ego's path. Stations are those of the path [m], inf where there is none.
+
+    sides: lanes beside the ego's lane: offset [m, left positive], "same" | "opposite". junction: station at which the
+    next junction begins; later: stations of the junctions behind it. bay: station at which the ego waits on the next
+    junction where it gives way (SUMO's internal junction). rule: SUMO's letter for the ego's right of way there
+    (``Connection.state``), empty if there is no junction. shifts: for each lane beside the ego's, its offset [m, left
+    positive] and by how much SUMO takes a vehicle on it to be further ahead [m], every ``SHIFT_STEP`` of the path.
+    """
+
+    lane_width: float
+    sides: tuple[tuple[float, str], ...] = ()
+    junction: float = math.inf
+    later: tuple[float, ...] = ()
+    bay: float = math.inf
+    rule: str = ""
+    shifts: tuple[tuple[float, Floats], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """The vehicles near the ego.
+
+    others: their motions without an attack from the trigger on. ahead: those that are ahead of the ego at some time, in
+    its lane or beside it. history: all motions over the last second or so, the ego's first. signals: by vehicle (the
+    ego and targets) the traffic lights ahead at the start of the encounter, nearest first. reacting: whether drivers
+    move the others and brake for an adversary; False where a log moves them.
+    """
+
+    others: tuple[Track, ...] = ()
+    ahead: tuple[OnPath, ...] = ()
+    history: tuple[Track, ...] = ()
+    signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
+    reacting: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """The scene at one start time: the ego, the road ahead of it, the traffic near, and the possible adversaries.
+
+    time: simulated time [s]; dt: step [s]; horizon: how far planners look ahead [s]. frame: the ego's pose, in which
+    planners get positions. left: steps until a log that is played back is over, inf without one.
     """
 
     time: float
@@ -135,25 +174,15 @@ class Situation:
     horizon: float
     frame: Frame
     ego: VehicleState
-    ego_path: Path
-    profile_s: Floats
-    profile_v: Floats
-    profile_a: Floats
-    ego_model: DriverModel
+    baseline: Baseline
+    road: RoadAhead
+    traffic: Traffic
     targets: Mapping[str, Target]
-    others: tuple[Track, ...]  # unattacked motion of all near, from the trigger on
-    lane_width: float
-    signals: Mapping[str, tuple[Signal, ...]] = field(default_factory=dict)
-    history: tuple[Track, ...] = ()
-    ego_sides: tuple[tuple[float, str], ...] = ()
-    junction: float = math.inf
-    rule: str = ""
     left: float = math.inf
-    reacting: bool = True
-    ahead: tuple[OnPath, ...] = ()
-    bay: float = math.inf
-    shifts: tuple[tuple[float, Floats], ...] = ()
-    later: tuple[float, ...] = ()
+
+    def driven_by(self, model: DriverModel) -> Situation:
+        """The same situation with another model of the ego's driver."""
+        return replace(self, baseline=replace(self.baseline, model=model))
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.geometry import Frame, Path, make_path
-from sumo_adv.situation import Situation, Target, relate
+from sumo_adv.situation import Baseline, RoadAhead, Situation, Target, Traffic, relate
 
 KRAUSS = DriverModel("krauss", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=15.0)
 
@@ -38,10 +40,21 @@ def situation(targets: Sequence[Target], *, model: DriverModel = KRAUSS, speed: 
     """The ego at the origin with an unattacked profile of 5 s at constant ``speed`` in steps of 0.1 s."""
     k = np.arange(51.0)
     ego_path = line((0.0, 0.0), (400.0, 0.0))
-    return Situation(
-        100.0, 0.1, 3.0, Frame(0.0, 0.0, 0.0), car("ego", 0.0, 0.0, speed=speed), ego_path, 0.1 * speed * k,
-        0.0 * k + speed, 0.0 * k, model, {t.state.id: t for t in targets}, (), 3.2,
-    )  # fmt: skip
+    baseline = Baseline(ego_path, 0.1 * speed * k, 0.0 * k + speed, 0.0 * k, model)
+    ego = car("ego", 0.0, 0.0, speed=speed)
+    by_id = {t.state.id: t for t in targets}
+    return Situation(100.0, 0.1, 3.0, Frame(0.0, 0.0, 0.0), ego, baseline, RoadAhead(3.2), Traffic(), by_id)
+
+
+def changed(given: Situation, **values: Any) -> Situation:
+    """A situation with other values of its own fields or of those of its baseline, road and traffic."""
+    for name, value in values.items():
+        groups = [g for g in ("baseline", "road", "traffic") if hasattr(getattr(given, g), name)]
+        if groups:
+            given = replace(given, **{groups[0]: replace(getattr(given, groups[0]), **{name: value})})
+        else:
+            given = replace(given, **{name: value})
+    return given
 
 
 EGO_PATH = line((0.0, 0.0), (400.0, 0.0))

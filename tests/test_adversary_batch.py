@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, situation, target
+from situation_samples import EGO_PATH, car, changed, crossing, leader, line, neighbour, situation, target
 
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import Frame, Path
@@ -263,7 +263,7 @@ def test_each_is_in_the_way_by_the_way_it_is_on() -> None:
 )
 def test_an_adversary_that_runs_red_yields_where_the_ego_has_green(ego: str | None, bv: str, yields: bool) -> None:
     lights = {"bv": (("tl", 20.0, bv),), "ego": () if ego is None else (("tl", 30.0, ego),)}
-    batch = AdversaryBatch([replace(situation([crossing()]), signals=lights)], ["bv"])
+    batch = AdversaryBatch([changed(situation([crossing()]), signals=lights)], ["bv"])
     assert bool(batch.at_junction(at_station(batch, 0.0)).ran_red[0]) is yields
 
 
@@ -323,7 +323,7 @@ def test_the_road_has_ways_conflict_and_lanes_beside() -> None:
 
 
 def test_the_road_has_the_lights_ahead_of_both() -> None:
-    sit = replace(
+    sit = changed(
         situation([crossing()]), signals={"ego": (("J", 20.5, "G"),), "bv": (("J", 12.0, "r"), ("K", 90.0, "g"))}
     )
     assert road_of(sit, "bv")["signals"] == {
@@ -342,14 +342,14 @@ def moved(path: Path, frame: Frame) -> Path:
 
 def elsewhere(sit: Situation, frame: Frame) -> Situation:
     """The same situation at another place of the world, turned."""
-    ego_path = moved(sit.ego_path, frame)
+    ego_path = moved(sit.baseline.path, frame)
 
     def turned(t: Target) -> Target:
         x, y, h = frame.to_world(t.state.x, t.state.y, t.state.heading)
         ways = tuple(relate(moved(w.path, frame), w.movement, w.junction, w.gives_way, ego_path) for w in t.ways)
         return replace(t, state=replace(t.state, x=x, y=y, heading=h), ways=ways)
 
-    return replace(sit, frame=frame, ego_path=ego_path, targets={n: turned(t) for n, t in sit.targets.items()})
+    return changed(sit, frame=frame, path=ego_path, targets={n: turned(t) for n, t in sit.targets.items()})
 
 
 @EXAMPLES

@@ -11,7 +11,7 @@ import pytest
 from bench_rows_samples import asked, attempt, encounter
 from hypothesis import given
 from hypothesis import strategies as st
-from situation_samples import KRAUSS, crossing, leader, neighbour
+from situation_samples import KRAUSS, changed, crossing, leader, neighbour
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.benchmark.rows.bezier import ARRIVALS, Bezier
@@ -86,11 +86,11 @@ def test_a_curve_keeps_no_limits() -> None:
 
 def test_an_ego_that_is_no_replay_is_taken_to_keep_its_speed() -> None:
     one = encounter([neighbour()])
-    slows = replace(one.situations[0.0], profile_s=0.2 * one.situations[0.0].profile_s)
+    slows = changed(one.situations[0.0], s=0.2 * one.situations[0.0].baseline.s)
     ends = []
     for model in (KRAUSS, REPLAY):
         row = Bezier()
-        row.begin(replace(one, situations={0.0: replace(slows, ego_model=model)}))
+        row.begin(replace(one, situations={0.0: changed(slows, model=model)}))
         ends.append(course_of(row.propose([])).x[-1])
     # At its speed 60 m; along the profile 0.2 x 50 m in 5 s and then 1 s at the profile's last speed, 10 m/s.
     assert ends == pytest.approx([60.0, 20.0])
@@ -246,5 +246,5 @@ def test_a_motion_into_a_third_vehicle_is_unlikely() -> None:
         np.zeros(n), 60.0, 0.2,
     )  # fmt: skip
     free = _begun(Resampling(), one)._drawn[0].prior.sum()
-    walled = replace(one, situations={0.0: replace(one.situations[0.0], others=(wall,))})
+    walled = replace(one, situations={0.0: changed(one.situations[0.0], others=(wall,))})
     assert _begun(Resampling(), walled)._drawn[0].prior.sum() < 0.8 * free

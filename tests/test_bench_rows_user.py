@@ -55,7 +55,7 @@ class Stumbles(Says):
 class Scribbles(Says):
     def begin(self, encounter: Any) -> None:
         first = min(encounter.situations)
-        encounter.situations[first].profile_v[:] = 0.0
+        encounter.situations[first].baseline.v[:] = 0.0
         encounter.situations.clear()
 
 
@@ -75,7 +75,7 @@ HERE = __name__
 def test_what_a_generator_writes_into_its_encounter_is_not_seen_by_other_rows() -> None:
     met = encounter([neighbour()])
     make_row(f"{HERE}:Scribbles").begin(met)
-    assert len(met.situations) >= 1 and all((s.profile_v > 0.0).all() for s in met.situations.values())
+    assert len(met.situations) >= 1 and all((s.baseline.v > 0.0).all() for s in met.situations.values())
 
 
 def answered(answer: Callable[[], Any]) -> Proposal | None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from situation_samples import KRAUSS, leader, situation
+from situation_samples import KRAUSS, changed, leader, situation
 
 from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import CarFollowing
@@ -26,7 +26,7 @@ KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
 def crossroads(line: float = math.inf, model: DriverModel = KRAUSS, rule: str = "m", speed: float = 10.0) -> Situation:
     """The ego on a road with a junction that begins at a station [m], inf: no junction is known."""
     found = situation([leader()], model=model, speed=speed)
-    return replace(found, junction=line, rule=rule if math.isfinite(line) else "")
+    return changed(found, junction=line, rule=rule if math.isfinite(line) else "")
 
 
 def at_junction(
@@ -182,7 +182,7 @@ def test_the_first_vehicle_on_the_junction_goes_first(
 def test_where_it_waits_on_the_junction_for_others_it_is_not_there_first(bay: float, first: bool, held: bool) -> None:
     """The ego's front is at 2.5 m, over the line of its junction at 2 m. Then another one comes, and stands; where the
     ego waits on the junction, at 6 m, and that one goes first, it is in its way as before the junction."""
-    egos = egos_of(replace(crossroads(2.0), bay=bay))
+    egos = egos_of(changed(crossroads(2.0), bay=bay))
     drive(egos, 0.1, lambda _: at_junction(meets_at=13.6, goes_first=first), 0.0)
     drive(egos, 0.2, lambda _: at_junction(True, front_to_zone=6.0, meets_at=13.6, goes_first=first), 0.0, begin=0.1)
     assert bool(egos.disturbed[0]) is held
@@ -250,11 +250,11 @@ def test_if_two_enter_a_junction_in_one_step_the_slower_one_yields(theirs: float
 def test_being_first_on_one_junction_says_nothing_about_the_next() -> None:
     """Its way leads over a junction at 1 m and another one at 20 m; ways that merge at 30 m do so on that. A vehicle
     on that junction keeps the ego from driving onto it."""
-    sit = replace(crossroads(1.0, rule="M"), later=(20.0,))
+    sit = changed(crossroads(1.0, rule="M"), later=(20.0,))
     egos = egos_of(sit)
     drive(egos, 4.0, lambda _: at_junction(True, merging=True, rear_station=5.0, meets_at=30.0), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(19.9, abs=0.05)  # 0.1 m before it
-    alone = egos_of(replace(sit, later=()))
+    alone = egos_of(changed(sit, later=()))
     drive(alone, 4.0, lambda _: at_junction(True, merging=True, rear_station=5.0, meets_at=30.0), 0.0)
     assert alone.s[0] > 30.0
 
@@ -262,7 +262,7 @@ def test_being_first_on_one_junction_says_nothing_about_the_next() -> None:
 def test_an_ego_that_turns_left_waits_in_its_bay_for_a_vehicle_on_the_junction() -> None:
     """Its line is at 3 m, its bay at 12 m, the ways cross at 25 m: it stops 0.1 m before the end of the bay, although
     there is room up to the other vehicle, which stands."""
-    egos = egos_of(replace(crossroads(3.0, rule="m"), bay=12.0))
+    egos = egos_of(changed(crossroads(3.0, rule="m"), bay=12.0))
     drive(egos, 8.0, lambda _: at_junction(True, meets_at=25.0, front_to_zone=3.0, goes_first=False), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(11.9, abs=0.05)
 
@@ -283,7 +283,7 @@ def test_beside_a_lane_of_the_other_direction_others_count_as_in_the_lane_for_lo
     sides: tuple[tuple[float, str], ...], offset: float, heading: float, follows: bool
 ) -> None:
     """A car that stands 12 m ahead with the middle of its front ``offset`` to the left of the ego's path."""
-    egos = egos_of(replace(situation([leader()], model=KRAUSS, speed=10.0), ego_sides=sides))
+    egos = egos_of(changed(situation([leader()], model=KRAUSS, speed=10.0), sides=sides))
     there = (np.array([12.0]), np.array([offset - 2.5 * math.sin(heading)]), np.array([heading]))
     egos.step(0.0, there, np.array([0.0]))
     assert bool(egos.disturbed[0]) == follows
@@ -410,7 +410,7 @@ def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
 ) -> None:
     """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
     sit = situation([leader()], model=KRAUSS)
-    sit = replace(sit, ego=replace(sit.ego, speed=ego), profile_s=np.arange(51) * 0.1 * ego, profile_v=np.full(51, ego))
+    sit = changed(sit, ego=replace(sit.ego, speed=ego), s=np.arange(51) * 0.1 * ego, v=np.full(51, ego))
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), at_junction())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
@@ -420,7 +420,7 @@ def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_part
     """A car 2 m wide goes on to the next lane but one: at 5.7 m to the left its right side is 0.1 m over the line at
     4.8 m, at 5.9 m no more. Coming from there, it is not followed until its middle is over the line."""
     sit = situation([leader()], model=KRAUSS)
-    sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
+    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0))
     for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
         egos = egos_of(sit)
         egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), at_junction())
@@ -432,7 +432,7 @@ def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_part
 
 def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
     sit = situation([leader()], model=replace(KRAUSS, ignores_sumo_lane_rules=True))
-    sit = replace(sit, ego=replace(sit.ego, speed=20.0), profile_s=np.arange(51) * 2.0, profile_v=np.full(51, 20.0))
+    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0))
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), at_junction())
     assert egos.v[0] == pytest.approx(20.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from situation_samples import KRAUSS, crossing, leader, neighbour, situation
+from situation_samples import KRAUSS, changed, crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos, seen_edges
@@ -37,7 +37,7 @@ def test_the_profile_is_read_between_its_samples_and_goes_on_beyond_them() -> No
 
 
 def test_an_ego_on_its_profile_is_forecast_by_it_shifted_to_where_it_is() -> None:
-    braking = replace(SIT, profile_s=SIT.profile_s, profile_v=np.linspace(10.0, 5.0, 51))
+    braking = changed(SIT, s=SIT.baseline.s, v=np.linspace(10.0, 5.0, 51))
     s, v = stations(Scenes([braking]), 2.0, one(20.4), one(8.3), one(0.0), one(0.0, 1.0))
     assert s[0] == pytest.approx([20.4, 30.4])  # 0.4 m ahead of its profile, and so it stays
     assert v[0] == pytest.approx([8.0, 7.0])
@@ -168,7 +168,7 @@ def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_fro
     """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
     lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
     sit = situation([leader(gap=15.0)], model=replace(KRAUSS, ignores_sumo_lane_rules=ignores_sumo_lane_rules))
-    sit = replace(sit, ego_sides=((3.2, kind),))
+    sit = changed(sit, sides=((3.2, kind),))
     one = np.ones(2)
     egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)
     before = np.array([0.0, 2.3])

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from situation_samples import leader, situation
+from situation_samples import changed, leader, situation
 
 from sumo_adv.drivers.lateral_gap import LateralGap
 from sumo_adv.drivers.prediction import seen_edges
@@ -19,7 +19,7 @@ from sumo_adv.drivers.scenes import Scenes
 def lateral_gap(lane: float = 3.2, sides: tuple[tuple[float, str], ...] = ((3.2, "same"),)) -> LateralGap:
     """Against a car of 5 x 1.8 m; the ego's is the rightmost of two lanes."""
     sit = situation([leader()])
-    sit = replace(sit, ego=replace(sit.ego, width=1.8), lane_width=lane, ego_sides=sides)
+    sit = changed(sit, ego=replace(sit.ego, width=1.8), lane_width=lane, sides=sides)
     return LateralGap(Scenes([sit]), np.array([5.0]), np.array([1.8]))
 
 

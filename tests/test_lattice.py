@@ -32,6 +32,7 @@ from sumo_adv.simulation.engine import in_forks
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.situation import RoadAhead
 
 ROOT = Path(__file__).resolve().parent.parent
 STRAIGHT = [(float(x), 0.0) for x in range(400)]
@@ -240,7 +241,7 @@ class StraightScenes:
     def __init__(self, speed: float, sides: tuple[float, ...]) -> None:
         self.dt, self.speed, self.ego = 0.1, speed, SimpleNamespace(length=5.0, width=2.0)
         beside = tuple((offset, "same") for offset in sides)
-        self.of = [SimpleNamespace(ego_sides=beside, lane_width=3.2, junction=math.inf, profile_a=[0.0])]
+        self.of = [SimpleNamespace(road=RoadAhead(3.2, beside), baseline=SimpleNamespace(a=[0.0]))]
 
     def each(self, value: Any) -> Floats:
         return np.array([value(s) for s in self.of], float)

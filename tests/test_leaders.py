@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from situation_samples import KRAUSS, leader, line, situation
+from situation_samples import KRAUSS, changed, leader, line, situation
 
 from sumo_adv.datatypes import DriverModel, Role, Track
 from sumo_adv.drivers.car_following import CarFollowing
@@ -30,11 +30,11 @@ def other(name: str, s: float, d: float = 0.0, speed: float = 10.0) -> OnPath:
 
 
 def behind(*others: OnPath, model: DriverModel = KRAUSS) -> Situation:
-    return replace(situation([leader(12.5)], model=model), ahead=others)
+    return changed(situation([leader(12.5)], model=model), ahead=others)
 
 
 def leaders(sit: Situation) -> Leaders:
-    return Leaders(Scenes([sit]), ["bv"], np.array([5.0]), CarFollowing(sit.ego_model, 0.1))
+    return Leaders(Scenes([sit]), ["bv"], np.array([5.0]), CarFollowing(sit.baseline.model, 0.1))
 
 
 def gone(sit: Situation, seconds: float) -> PredictedEgos:
@@ -72,9 +72,9 @@ def test_faster_than_60_km_h_one_in_the_lane_to_the_left_holds_it_up_as_well() -
     """At 20 m/s the gap is 22.5 m."""
     fast = replace(KRAUSS, speed=30.0)
     beside = other("bv", 27.5, d=3.2, speed=20.0)
-    sit = replace(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
+    sit = changed(situation([leader()], model=fast, speed=20.0), ahead=(beside,))
     assert leaders(sit).held_up(np.array([0.0]))[0]
-    passes = replace(sit, ego_model=replace(fast, ignores_sumo_lane_rules=True))
+    passes = changed(sit, model=replace(fast, ignores_sumo_lane_rules=True))
     assert not leaders(passes).held_up(np.array([0.0]))[0]
 
 
@@ -90,8 +90,8 @@ def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
     sit = behind(one)
     a = np.where(np.arange(51) < 20, 0.0, np.where(np.arange(51) < 40, 1.0, -2.0))
     v = 10.0 + np.concatenate([[0.0], np.cumsum(a[:-1]) * 0.1])
-    sit = replace(sit, profile_a=a, profile_v=v, profile_s=np.concatenate([[0.0], np.cumsum(v[:-1]) * 0.1]))
-    at = sit.profile_s[[5, 25, 39, 45]]
+    sit = changed(sit, a=a, v=v, s=np.concatenate([[0.0], np.cumsum(v[:-1]) * 0.1]))
+    at = sit.baseline.s[[5, 25, 39, 45]]
     held = [bool(leaders(sit).held_up(np.array([s]))[0]) for s in at]
     assert held == [True, True, True, False]
 
@@ -140,7 +140,7 @@ def test_who_comes_behind_one_that_brakes_does_so_too() -> None:
 
 
 def test_others_that_a_log_moves_do_not_brake() -> None:
-    sit = replace(behind(other("bv", 80.0), other("between", 27.5)), reacting=False)
+    sit = changed(behind(other("bv", 80.0), other("between", 27.5)), reacting=False)
     found = leaders(sit)
     beyond(found, 57.5, 0.0, 0.0, 2.0)
     assert found.bound(2.0, np.array([19.0]), np.array([10.0]), np.array([False]))[0] == math.inf

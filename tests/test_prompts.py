@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from situation_samples import crossing, leader, neighbour, situation
+from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
 from sumo_adv.agents.evidence import evidence_words, opening_comment
@@ -106,7 +106,7 @@ def test_a_crossing_in_words_has_ways_times_and_right_of_way() -> None:
 
 
 def test_a_signal_replaces_the_right_of_way() -> None:
-    scene = replace(situation([crossing()]), signals={"ego": (("t", 22.0, "G"),), "bv": (("t", 15.0, "r"),)})
+    scene = changed(situation([crossing()]), signals={"ego": (("t", 22.0, "G"),), "bv": (("t", 15.0, "r"),)})
     words = road_words(scene, Aliases.of(scene))
     assert "EGO has a signal 22 m ahead, now green." in words
     assert "its signal is red." in words
@@ -119,7 +119,7 @@ def test_states_are_ego_centred_and_rounded() -> None:
         "bv", Role.BACKGROUND, time, 30.04 + 8.0 * (time - 100.0), 0.0 * time + 3.21, 0.0 * time, 0.0 * time + 8.0,
         0.0 * time - 1.26, 5.0, 2.0, ("",) * 12,
     )  # fmt: skip
-    scene = replace(situation([leader()]), history=(ahead,))
+    scene = changed(situation([leader()]), history=(ahead,))
     line = state_words(scene, Aliases.of(scene))
     assert line.startswith("BV1: t=-1.1: x=21.2 y=3.2 hdg=0 v=8.0; ")
     assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; acceleration now -1.3; 5.0 x 2.0 m")
@@ -128,7 +128,7 @@ def test_states_are_ego_centred_and_rounded() -> None:
 def test_the_egos_driver_model_is_described_if_it_is_known() -> None:
     scene = situation([leader()])
     assert driver_words(scene).startswith("SUMO's Krauss car-following driver; keeps its lane")
-    unknown = replace(scene, ego_model=replace(scene.ego_model, kind="my:Driver"))
+    unknown = changed(scene, model=replace(scene.baseline.model, kind="my:Driver"))
     assert "unknown driver" in driver_words(unknown)
 
 

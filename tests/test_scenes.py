@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from situation_samples import KRAUSS, crossing, neighbour, situation
+from situation_samples import KRAUSS, changed, crossing, neighbour, situation
 
 from sumo_adv.datatypes import Limits, Planner, Proposal
 from sumo_adv.drivers.scenes import Scenes, profile_at
@@ -22,9 +22,9 @@ from sumo_adv.situation import Situation
 IDM = replace(KRAUSS, kind="idm")
 ACROSS = replace(crossing(), state=replace(crossing().state, id="across"))
 EARLY = situation([neighbour(), ACROSS], model=IDM)
-LATE = replace(  # the ego is 7 m further on and turned, and will brake
+LATE = changed(  # the ego is 7 m further on and turned, and will brake
     situation([neighbour(x=14.0, speed=9.0), ACROSS], model=IDM), frame=Frame(7.0, -3.0, 0.4),
-    profile_v=np.linspace(10.0, 6.0, 51), profile_s=np.linspace(0.0, 40.0, 51), lane_width=3.0,
+    v=np.linspace(10.0, 6.0, 51), s=np.linspace(0.0, 40.0, 51), lane_width=3.0,
     junction=30.0, rule="m",
 )  # fmt: skip
 BOTH: Mapping[float, Situation] = {0.0: EARLY, 1.5: LATE}
@@ -49,7 +49,7 @@ def test_places_on_the_egos_paths_and_in_their_frames_are_those_of_each(stations
     world = scenes.ego_at(s, d)
     local = scenes.to_local(*world)
     for k, one in enumerate(rows):
-        x, y, h = one.ego_path.at(s[k : k + 1], d[k : k + 1])
+        x, y, h = one.baseline.path.at(s[k : k + 1], d[k : k + 1])
         assert [q[k] for q in world] == [x[0], y[0], h[0]]
         assert [q[k] for q in local] == [q[0] for q in one.frame.points_to_local(x, y, h)]
 
@@ -71,6 +71,6 @@ def test_attacks_at_different_moments_go_together_as_each_goes_alone() -> None:
         alone, mine = roll([proposal]), part(together, [k])
         for a, b in zip((*mine.ego, *mine.adversary), (*alone.ego, *alone.adversary), strict=True):
             assert a.tolist() == b.tolist()
-    assert together.ego[0][1, 0] == pytest.approx(EARLY.ego_path.at(np.array([0.0]))[0][0])
+    assert together.ego[0][1, 0] == pytest.approx(EARLY.baseline.path.at(np.array([0.0]))[0][0])
     assert together.ego[3][:, 1] == pytest.approx([10.0, 9.92, 10.0, 9.92])  # the late ego slows down by itself
     assert math.isclose(together.adversary[3][0, 0], 12.0) and math.isclose(together.adversary[3][1, 0], 9.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from shapely import box
-from situation_samples import car, situation, target
+from situation_samples import car, changed, situation, target
 
 from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, Track
 from sumo_adv.geometry import make_path
@@ -52,7 +52,7 @@ def scene(bv: State, others: Sequence[Track] = ()) -> Situation:
     path = make_path([(0.0, 0.0), (400.0, 0.0)])
     way = make_path([(x, y), (x + 300.0, y)])
     base = situation([target(car("bv", x, y, speed=v), "neighbour", [(way, "none", np.inf)], path)], speed=30.0)
-    return replace(base, others=tuple(others))
+    return changed(base, others=tuple(others))
 
 
 def judged(
@@ -305,7 +305,7 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     """The adversary comes to the ego's lane 100 m away, at once half as fast as the one behind it at 20 m/s."""
     ego, bv = motion(0.0, 0.0, 20.0), motion(60.0, 0.0, 10.0)
     follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
-    now = replace(scene(bv, [follower]), reacting=reacting)
+    now = changed(scene(bv, [follower]), reacting=reacting)
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
     road = Drivable(box(-100.0, -4.8, 500.0, 2.3))
     ((score, found),) = judge_all(now, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)

@@ -13,7 +13,7 @@ class StraightAtIt:
     def propose(self, tried):
         if len(tried) == 6:
             return None
-        ego, path, bv = self.situation.ego, self.situation.ego_path, self.situation.target_list()[0].state
+        ego, path, bv = self.situation.ego, self.situation.baseline.path, self.situation.target_list()[0].state
         s, d = path.project(bv.x, bv.y)
         time = self.situation.dt * np.arange(1, 101)
         u = np.minimum(time / (5.0 + len(tried)), 1.0)  # slower with every attempt

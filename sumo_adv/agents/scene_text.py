@@ -46,7 +46,7 @@ class Aliases:
         """BV1.. for the possible adversaries, V1.. for the nearest others."""
         bvs = {f"BV{k + 1}": t.state.id for k, t in enumerate(situation.target_list())}
         by_id = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
-        rest = [t for t in situation.history if t.id not in by_id]
+        rest = [t for t in situation.traffic.history if t.id not in by_id]
         rest.sort(key=lambda t: math.hypot(t.x[-1] - situation.ego.x, t.y[-1] - situation.ego.y))
         by_id |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MAX_OTHERS])}
         return Aliases(bvs, by_id)
@@ -54,24 +54,24 @@ class Aliases:
 
 def road_words(situation: Situation, aliases: Aliases) -> str:
     """Lanes beside the ego, the ego's path, and the paths and conflict points of each BV."""
-    lines = [f"EGO's lane is {situation.lane_width:.1f} m wide; its centre is at about y = 0 where EGO is."]
-    for offset, kind in sorted(situation.ego_sides, key=lambda side: abs(side[0])):
+    lines = [f"EGO's lane is {situation.road.lane_width:.1f} m wide; its centre is at about y = 0 where EGO is."]
+    for offset, kind in sorted(situation.road.sides, key=lambda side: abs(side[0])):
         side = "left" if offset > 0 else "right"
         direction = "same direction" if kind == "same" else "OPPOSITE direction"
         lines.append(f"To its {side} there is a lane, {direction}, centre {abs(offset):.1f} m to the {side}.")
-    if not situation.ego_sides:
+    if not situation.road.sides:
         lines.append("There is no other lane beside it (or EGO is inside a junction).")
-    lines += _signal_lines("EGO", situation.signals.get(situation.ego.id, ()))
+    lines += _signal_lines("EGO", situation.traffic.signals.get(situation.ego.id, ()))
     lines.append(f"EGO's path: {_bends(situation)}.")
     for alias, name in aliases.bvs.items():
         lines += _paths(alias, situation.targets[name], situation)
-        lines += _signal_lines(alias, situation.signals.get(name, ()))
+        lines += _signal_lines(alias, situation.traffic.signals.get(name, ()))
     return "\n".join(lines)
 
 
 def state_words(situation: Situation, aliases: Aliases) -> str:
     """Rounded history of every vehicle that has an alias."""
-    tracks = {t.id: t for t in situation.history}
+    tracks = {t.id: t for t in situation.traffic.history}
     lines = []
     for name, alias in aliases.by_id.items():
         if name not in tracks:
@@ -94,7 +94,7 @@ def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str,
 
 def driver_words(situation: Situation) -> str:
     """The driver model of the ego."""
-    model = situation.ego_model
+    model = situation.baseline.model
     kind = DRIVERS.get(model.kind, "an unknown driver, thought of as an IDM car-following driver")
     tendency = (
         "braking" if situation.ego.acceleration < -0.3 else ("speeding up" if situation.ego.acceleration > 0.3 else "")
@@ -115,7 +115,7 @@ def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
 
 
 def _bends(situation: Situation) -> str:
-    path = situation.ego_path
+    path = situation.baseline.path
     start = path.project(situation.ego.x, situation.ego.y, near=0.0, reach=25.0)[0]
     turned = [math.degrees(_turn(situation, start, start + ahead)) for ahead in (30.0, 60.0, 100.0)]
     if max(map(abs, turned)) < 8:
@@ -124,7 +124,7 @@ def _bends(situation: Situation) -> str:
 
 
 def _turn(situation: Situation, a: float, b: float) -> float:
-    heading = situation.ego_path.at(np.array([a, b]))[2]
+    heading = situation.baseline.path.at(np.array([a, b]))[2]
     return math.remainder(float(heading[1] - heading[0]), math.tau)
 
 
@@ -149,10 +149,10 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
     distance, speed = max(c.bv_s - target.station, 0.0), target.state.speed
     soonest = (math.sqrt(speed**2 + 2 * EARLIEST_ACCELERATION * distance) - speed) / EARLIEST_ACCELERATION
     present = f"{distance / speed:.1f} s at its present speed, " if speed > 0.5 else "it stands, "
-    arrival = np.flatnonzero(situation.profile_s >= c.ego_s)
+    arrival = np.flatnonzero(situation.baseline.s >= c.ego_s)
     ego = f"{arrival[0] * situation.dt:.1f} s" if len(arrival) else "not within the time looked at"
     meets = "crosses" if c.kind == "crossing" else "merges into"
-    signals = situation.signals.get(target.state.id, ())
+    signals = situation.traffic.signals.get(target.state.id, ())
     rule = "it must give way there" if path.gives_way else "it has priority there"
     if signals:
         rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"

@@ -61,15 +61,16 @@ class Junctions:
 
     def __init__(self, scenes: Scenes, driver: CarFollowing) -> None:
         self._driver, self._half, self._dt = driver, scenes.ego.length / 2, scenes.dt
-        self._enters, self._bay = scenes.each(lambda s: s.junction), scenes.each(lambda s: s.bay)
+        self._enters, self._bay = scenes.each(lambda s: s.road.junction), scenes.each(lambda s: s.road.bay)
         has_bay = np.isfinite(self._bay)
         self._begins = np.where(has_bay, self._bay, self._enters)
-        self._line = np.where(has_bay, self._bay, scenes.each(lambda s: math.inf if s.rule in GOES else s.junction))
+        must_stop = scenes.each(lambda s: float(s.road.rule not in GOES)) > 0.0
+        self._line = np.where(has_bay, self._bay, np.where(must_stop, self._enters, math.inf))
         self._gives_way = bool(np.isfinite(self._line).any())
         self._sees = np.where(has_bay & (scenes.each(_has_priority) > 0.0), FAR, SEES)
-        most = max(len(s.later) for s in scenes.of)
-        n = len(self._begins)
-        self._later = np.array([(*s.later, *[math.inf] * (most - len(s.later))) for s in scenes.of]).reshape(n, most)
+        later = [situation.road.later for situation in scenes.of]
+        n, most = len(later), max(map(len, later))
+        self._later = np.array([(*rest, *[math.inf] * (most - len(rest))) for rest in later]).reshape(n, most)
         self._ego_first_at = np.full(n, np.nan)  # where the junction begins on which the ego was first
         self._adversary_entered = np.zeros(n, bool)
 
@@ -158,8 +159,8 @@ class Junctions:
 
 def _has_priority(situation: Situation) -> float:
     """1 if the ego's light is green with priority, or without a light its road has the right of way; else 0."""
-    lights = situation.signals.get(situation.ego.id, ())
-    return float(lights[0][2] == "G" if lights else situation.rule == "M")
+    lights = situation.traffic.signals.get(situation.ego.id, ())
+    return float(lights[0][2] == "G" if lights else situation.road.rule == "M")
 
 
 def seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:

@@ -28,7 +28,7 @@ class LateralGap:
 
     def __init__(self, scenes: Scenes, length: Floats, width: Floats) -> None:
         self._dt, self._length, self._width, self._ego = scenes.dt, length, width, scenes.ego
-        self._lane = scenes.each(lambda s: s.lane_width)
+        self._lane = scenes.each(lambda s: s.road.lane_width)
         self._room = np.maximum(self._lane - scenes.ego.width, 0.0) / 2
         left, right = scenes.has_lane(1), scenes.has_lane(-1)
         self._makes_room_left, self._makes_room_right = left & ~right, right

@@ -45,11 +45,11 @@ class LatticeDrivers:
         idm = Idm(tau=model.tau, accel=model.acceleration, decel=model.deceleration, minGap=model.min_gap)
         self._settings, self._fastest = LatticeSettings(idm=idm), np.full(n, max(model.speed, 1.0))
         self._size = Size(scenes.ego.length, scenes.ego.width)
-        sides = [[offset for offset, kind in s.ego_sides if kind == "same"] for s in scenes.of]
-        half, self._until = scenes.each(lambda s: s.lane_width) / 2, scenes.each(lambda s: s.junction)
+        sides = [[offset for offset, kind in s.road.sides if kind == "same"] for s in scenes.of]
+        half, self._until = scenes.each(lambda s: s.road.lane_width) / 2, scenes.each(lambda s: s.road.junction)
         self._space = Space.between(half, sides, self._until, self._size.width)
         self._before: Others | None = None
-        self._memory = Memory.first(scenes.each(lambda s: s.profile_a[0]), np.zeros(n))
+        self._memory = Memory.first(scenes.each(lambda s: s.baseline.a[0]), np.zeros(n))
         self.d, self.turn, self.disturbed = np.zeros(n), np.zeros(n), np.zeros(n, bool)
 
     def step(

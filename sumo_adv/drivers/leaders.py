@@ -42,12 +42,12 @@ class Leaders:
         cases = [(scenes.of[k], names[k]) for k in first.values()]
         held_up = [_held_up_by(s, name, driver) for s, name in cases]
         self._held_up = [
-            (np.flatnonzero(self._group == g), s.profile_s, held)
+            (np.flatnonzero(self._group == g), s.baseline.s, held)
             for g, ((s, _), held) in enumerate(zip(cases, held_up, strict=True))
             if held.any()
         ]
-        others = [[o for o in s.ahead if o.id != name] for s, name in cases]
-        steps, count = max(len(s.profile_s) for s, _ in cases), max(map(len, others))
+        others = [[o for o in s.traffic.ahead if o.id != name] for s, name in cases]
+        steps, count = max(len(s.baseline.s) for s, _ in cases), max(map(len, others))
         self._unattacked = np.full((3, len(cases), count, steps), FAR)  # station, offset, speed
         lengths = np.zeros((len(cases), count))
         for g in range(len(cases)):
@@ -57,8 +57,8 @@ class Leaders:
                 self._unattacked[:, g, m, : len(other.s)] = np.where(present, values, FAR)
                 lengths[g, m] = other.length
         self._adversary_half, self._half = length / 2, lengths[self._group] / 2
-        self._lane = scenes.each(lambda s: s.lane_width)[:, None]
-        self._react = scenes.each(lambda s: float(s.reacting))[:, None] > 0.0
+        self._lane = scenes.each(lambda s: s.road.lane_width)[:, None]
+        self._react = scenes.each(lambda s: float(s.traffic.reacting))[:, None] > 0.0
         self._lag, self._v = np.zeros((2, len(keys), count))  # m behind the unattacked motion, and speeds with a lag
         known = np.where(self._unattacked[2] < FAR, self._unattacked[2], 0.0)
         self._top_speed = known.max(axis=2, initial=0.0)[self._group]
@@ -154,13 +154,13 @@ def _held_up_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
 
     Always False if the driver's car following is not known exactly.
     """
-    s, v = situation.profile_s, situation.profile_v
+    s, v = situation.baseline.s, situation.baseline.v
     held = np.zeros(len(s), bool)
-    leader = next((o for o in situation.ahead if o.id == name), None)
-    model = situation.ego_model
+    leader = next((o for o in situation.traffic.ahead if o.id == name), None)
+    model = situation.baseline.model
     if leader is None or len(s) < 2 or not exact(model):
         return held
-    d, half_lane = leader.d[:-1], situation.lane_width / 2
+    d, half_lane = leader.d[:-1], situation.road.lane_width / 2
     along = (leader.s[:-1] > s[:-1]) & (np.abs(leader.heading[:-1]) < ALONG)
     left = along & (d >= half_lane) & (d < 3 * half_lane) & (not model.ignores_sumo_lane_rules)
     follows = along & ((np.abs(d) < half_lane) | (left & (v[:-1] > JAM)))
@@ -169,7 +169,7 @@ def _held_up_by(situation: Situation, name: str, driver: CarFollowing) -> Bools:
     gap = np.where(follows, leader.s[:-1] - s[:-1] - (leader.length + situation.ego.length) / 2, 1e3)
     behind = driver.behind(v[:-1], gap, np.where(follows, leader.speed[:-1], 0.0))
     held[:-1] = follows & (behind <= v[1:] + HELD_UP)
-    easy = situation.profile_a > BRAKES
+    easy = situation.baseline.a > BRAKES
     easy[:-1] |= left  # around ``JAM`` the ego brakes and accelerates in turns
     for k in np.flatnonzero(held[:-1]).tolist():
         while k + 1 < len(held) and not held[k + 1] and easy[k + 1]:

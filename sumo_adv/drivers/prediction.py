@@ -46,15 +46,15 @@ class PredictedEgos:
         self.scenes, self._length, self._width = scenes, length, width
         n = len(length)
         self.model = scenes.driver
-        self.s, self.v, self.a = (
-            scenes.each(lambda s, name=name: getattr(s, name)[0]) for name in ("profile_s", "profile_v", "profile_a")
-        )  # fmt: skip
+        self.s = scenes.each(lambda s: float(s.baseline.s[0]))
+        self.v = scenes.each(lambda s: float(s.baseline.v[0]))
+        self.a = scenes.each(lambda s: float(s.baseline.a[0]))
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
         self._front_before: Floats | None = None
         self._was_inside, self._was_beside, self._gone_over = (np.zeros(n, bool) for _ in range(3))
         size = (scenes.ego.length, scenes.ego.width)
-        self._lane = scenes.each(lambda s: s.lane_width)
+        self._lane = scenes.each(lambda s: s.road.lane_width)
         self._has_left, self._has_right = scenes.has_lane(1), scenes.has_lane(-1)
         self._opposed = scenes.opposed()
         if self.model.ignores_sumo_lane_rules:

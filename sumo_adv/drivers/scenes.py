@@ -7,7 +7,7 @@ lane and unattacked ego.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,28 +26,28 @@ class Scenes:
         place = {id(s): k for k, s in enumerate(distinct)}
         self._distinct, self._row = distinct, np.array([place[id(s)] for s in situations], np.intp)
         self._rows = [np.flatnonzero(self._row == k) for k in range(len(distinct))]
-        self._paths = Paths([s.ego_path for s in distinct])
+        self._paths = Paths([s.baseline.path for s in distinct])
         frames = [s.frame for s in distinct]
         self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
-        self._profiles = [(s.profile_s.tolist(), s.profile_v.tolist()) for s in distinct]
-        self._shifted = any(s.shifts for s in distinct)
-        self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].ego_model
+        self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
+        self._shifted = any(s.road.shifts for s in distinct)
+        self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model
 
-    def each(self, value: Any) -> Floats:
+    def each(self, value: Callable[[Situation], float]) -> Floats:
         """``value(situation)`` for each adversary, ``(n,)``."""
         return np.array([value(s) for s in self._distinct], float)[self._row]
 
     def has_lane(self, side: int) -> Bools:
         """Whether a lane of the same direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.ego_sides) for s in self._distinct]
+        has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.road.sides) for s in self._distinct]
         return np.array(has, bool)[self._row]
 
     def opposed(self) -> Bools:
         """Whether the lane to the left of the egos' has the opposite direction, ``(n,)``; False on roads of two lanes
         that lead to no junction."""
-        left = [min(((o, kind) for o, kind in s.ego_sides if o > 0.0), default=(0.0, "")) for s in self._distinct]
+        left = [min(((o, kind) for o, kind in s.road.sides if o > 0.0), default=(0.0, "")) for s in self._distinct]
         opposite = np.array([kind == "opposite" for _, kind in left], bool)[self._row]
-        return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.junction)))
+        return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.road.junction)))
 
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
@@ -63,7 +63,7 @@ class Scenes:
         """The unattacked egos' speeds [m/s] at stations (n,)."""
         speed = np.empty(len(station))
         for situation, rows in zip(self._distinct, self._rows, strict=True):
-            speed[rows] = np.interp(station[rows], situation.profile_s, situation.profile_v)
+            speed[rows] = np.interp(station[rows], situation.baseline.s, situation.baseline.v)
         return speed
 
     def sumo_station(self, s: Floats, front_d: Floats) -> Floats:
@@ -76,8 +76,8 @@ class Scenes:
         s = s.copy()
         for situation, rows in zip(self._distinct, self._rows, strict=True):
             at = s[rows]
-            for offset, metres in situation.shifts:
-                on = np.abs(front_d[rows] - offset) < situation.lane_width / 2
+            for offset, metres in situation.road.shifts:
+                on = np.abs(front_d[rows] - offset) < situation.road.lane_width / 2
                 at = at + np.where(on, np.interp(at, SHIFT_STEP * np.arange(len(metres)), metres), 0.0)
             s[rows] = at
         return s
@@ -100,7 +100,7 @@ def _fit(values: Any, like: Floats) -> Any:
 
 def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
     """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
-    s, v = situation.profile_s, situation.profile_v
+    s, v = situation.baseline.s, situation.baseline.v
     last = len(s) - 1
     u = np.minimum(np.maximum(time / situation.dt, 0.0), last)
     i = np.minimum(u.astype(np.intp), last - 1)

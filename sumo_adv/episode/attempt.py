@@ -125,7 +125,7 @@ class PlannedAdversary:
 
     def replan(self, now: float, ego: tuple[float, float, float, float], ask: AskOne) -> str | None:
         """Ask the planner. ``now``: s after the takeover; ``ego``: x, y, speed, acceleration. A sentence on failure."""
-        s, d = self.situation.ego_path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
+        s, d = self.situation.baseline.path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
         batch = _many(self.motion)

@@ -213,7 +213,7 @@ def searched(
 ) -> tuple[AttackSearch, Intent | None]:
     """The search with its predictions of an encounter; or, with ``recall = scene``, with what succeeded in a similar
     scene and its intent."""
-    settings, driver = episode.settings, found.first.ego_model
+    settings, driver = episode.settings, found.first.baseline.model
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
         predictor, found.situations, library,

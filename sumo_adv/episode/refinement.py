@@ -70,7 +70,7 @@ def attempt_of(
     verdict = result.verdict or NOTHING
     if result.driven.ending == "planner_failed":
         verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
-    path = found.situations[proposal.delay].ego_path
+    path = found.situations[proposal.delay].baseline.path
     diagnosis = diagnose(result, found.ego, proposal.bv, path, settings.limits.limits(), settings.step_length)
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis
@@ -87,9 +87,9 @@ def observed_motion(
         return None
     now, dt = found.situations[delay], settings.step_length
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
-    path, station = now.ego_path, 0.0
-    places = [(float(now.profile_s[k]), 0.0) for k in missing]
-    speeds = np.concatenate([now.profile_v[: len(missing)], track.speed])
+    path, station = now.baseline.path, 0.0
+    places = [(float(now.baseline.s[k]), 0.0) for k in missing]
+    speeds = np.concatenate([now.baseline.v[: len(missing)], track.speed])
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=station, reach=REACH)
         places.append((station, offset))

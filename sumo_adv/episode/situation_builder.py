@@ -17,7 +17,19 @@ from sumo_adv.episode.start_times import delays, spent
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.simulation.network import Connection, RoadMap, Way
-from sumo_adv.situation import SHIFT_STEP, OnPath, Signal, Situation, Target, fastest_of, on_path, relate
+from sumo_adv.situation import (
+    SHIFT_STEP,
+    Baseline,
+    OnPath,
+    RoadAhead,
+    Signal,
+    Situation,
+    Target,
+    Traffic,
+    fastest_of,
+    on_path,
+    relate,
+)
 
 OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
 ANOTHER = 1.0  # m beyond the start of a junction: what begins there is another junction
@@ -115,27 +127,29 @@ def build_situation(
     sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading))
     near = {ego_id, *targets, *(t.id for t in others)}
     history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
+    later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER)
     situation = Situation(
-        time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading), ego, path, stations, ego_track.speed,
-        ego_track.acceleration, trigger.ego_model, targets, others, width,
-        {name: lights for name, lights in trigger.signals.items() if name == ego_id or name in targets},
-        tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)), sides,
-        float(junction), rule, bay=float(bay), shifts=_shifts(road, ego.lane, path),
-        ahead=_ahead(tracks, ego_track, path, stations, dt, width),
-        later=tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER),
-        left=trigger.left - settings.steps(delay), reacting=trigger.reacting,
+        time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading), ego,
+        Baseline(path, stations, ego_track.speed, ego_track.acceleration, trigger.ego_model),
+        RoadAhead(width, sides, float(junction), later, float(bay), rule, _shifts(road, ego.lane, path)),
+        Traffic(
+            others, _ahead(tracks, ego_track, path, stations, dt, width),
+            tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)),
+            {name: lights for name, lights in trigger.signals.items() if name == ego_id or name in targets},
+            trigger.reacting,
+        ),
+        targets, trigger.left - settings.steps(delay),
     )  # fmt: skip
     return _at_constant_velocity(situation) if settings.forecast == "constant" else situation
 
 
 def _at_constant_velocity(situation: Situation) -> Situation:
     """The situation with an ego that is predicted to keep its speed and not to react."""
-    speed = np.full_like(situation.profile_v, situation.ego.speed)
-    stations = situation.profile_s[0] + situation.ego.speed * situation.dt * np.arange(len(speed))
-    return replace(
-        situation, profile_s=stations, profile_v=speed, profile_a=np.zeros_like(speed),
-        ego_model=replace(situation.ego_model, kind="replay"),
-    )  # fmt: skip
+    speed = np.full_like(situation.baseline.v, situation.ego.speed)
+    stations = situation.baseline.s[0] + situation.ego.speed * situation.dt * np.arange(len(speed))
+    baseline = situation.baseline
+    model = replace(baseline.model, kind="replay")
+    return replace(situation, baseline=Baseline(baseline.path, stations, speed, np.zeros_like(speed), model))
 
 
 def state_at(track: Track, time: float) -> VehicleState | None:

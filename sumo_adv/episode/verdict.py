@@ -25,7 +25,7 @@ def gate_verdict(
     case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond)
     if case is None:
         return None
-    half = found.first.lane_width / 2
+    half = found.first.road.lane_width / 2
     verdict = judge(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc,
         limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=half,

@@ -60,7 +60,7 @@ class AdversaryBatch:
         most = int(self._count.max())
         self._conflicts = np.array([conflicts[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
         self._roads: dict[int, PathRow] = {}
-        self._junctions = np.array([_junction(w, situations[0].lane_width) for w in ways])
+        self._junctions = np.array([_junction(w, situations[0].road.lane_width) for w in ways])
         self._first = np.array([w.before_ego for w in ways])
         self._bays = np.array([w.bay for w in ways])
         route = np.array([-1 if t.unattacked is None else t.unattacked for t in self.targets])
@@ -68,7 +68,7 @@ class AdversaryBatch:
         self._sumo_way: Any = None  # the way that SUMO has each vehicle on
         self._enters, self._leaves = np.array([_inside(t) for t in self.targets]).T
         self._yields = np.array([_yields(s, t) for s, t in zip(situations, self.targets, strict=True)])
-        self._lane = self.scenes.each(lambda s: s.lane_width)
+        self._lane = self.scenes.each(lambda s: s.road.lane_width)
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
 
@@ -297,7 +297,7 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
 
 def _yields(situation: Situation, target: Target) -> bool:
     """Whether the BV has red and the ego green at the trigger."""
-    ego, bv = (situation.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
+    ego, bv = (situation.traffic.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
     return bool(ego) and ego[0][2] in "Gg" and bool(bv) and bv[0][2] not in "Gg"
 
 

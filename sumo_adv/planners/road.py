@@ -26,16 +26,16 @@ def road_of(situation: Situation, name: str) -> dict[str, Any]:
         ways.append(entry)
     return {
         "relation": target.relation, "left": float(target.ways[0].ego_d[0] + target.offset),
-        "lane_width": situation.lane_width, "ways": ways,
+        "lane_width": situation.road.lane_width, "ways": ways,
         "sides": [{"offset": o, "kind": k} for o, k in target.sides],
         "start": {"x": x, "y": y, "heading": h, "speed": target.state.speed},
-        "ego_centreline": _points(situation, situation.ego_path), "fastest": target.fastest,
+        "ego_centreline": _points(situation, situation.baseline.path), "fastest": target.fastest,
         "signals": {"bv": _signals(situation, name), "ego": _signals(situation, situation.ego.id)},
     }  # fmt: skip
 
 
 def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
-    return [{"id": i, "distance": d, "state": s} for i, d, s in situation.signals.get(vehicle, ())]
+    return [{"id": i, "distance": d, "state": s} for i, d, s in situation.traffic.signals.get(vehicle, ())]
 
 
 def _points(situation: Situation, path: Any) -> list[list[float]]:

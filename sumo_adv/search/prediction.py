@@ -31,7 +31,7 @@ class Predictor:
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
-        self._driver = DriverIdentification(next(iter(situations.values())).ego_model)
+        self._driver = DriverIdentification(next(iter(situations.values())).baseline.model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
 
@@ -54,15 +54,15 @@ class Predictor:
         if not self._driver.open or tried.course is not None:
             return False
         began, situation = time.perf_counter(), self._situations[tried.delay]
-        real = situation.ego_path.at(motion.s, motion.d)
+        real = situation.baseline.path.at(motion.s, motion.d)
         errors = []
         for model in self._driver.models:
-            ego = self.rolled({tried.delay: replace(situation, ego_model=model)}, [tried]).ego
+            ego = self.rolled({tried.delay: situation.driven_by(model)}, [tried]).ego
             errors.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion))
         changed = self._driver.observe(errors)
         if changed:
             model = self._driver.model
-            self._situations = {k: replace(s, ego_model=model) for k, s in self._situations.items()}
+            self._situations = {k: s.driven_by(model) for k, s in self._situations.items()}
         self.seconds += time.perf_counter() - began
         return changed
 

@@ -152,7 +152,7 @@ def _third_party(
     situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
     """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], even one that brakes for it."""
-    tracks = situation.others
+    tracks = situation.traffic.others
     touched = np.zeros(len(proposals), bool)
     if not tracks:
         return touched
@@ -163,13 +163,13 @@ def _third_party(
     rows, others = rows[is_other], others[is_other]
     meets = third_party(_rows(mine, rows), _rows(theirs, others), when, end[rows])
     rows, others = rows[meets], others[meets]
-    reacts = np.array([situation.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
+    reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
     touched[rows[~reacts]] = True
     rows, others = rows[reacts], others[reacts]
     if len(rows):
         steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
         mine = _steps(_rows(adversary, rows), steps)
-        braked = braking(_rows(around, others), mine, situation.lane_width, situation.dt)
+        braked = braking(_rows(around, others), mine, situation.road.lane_width, situation.dt)
         meets = third_party(_steps(mine, driven), _steps(braked, driven), time[steps][driven], end[rows])
         touched[rows[meets]] = True
     return touched
@@ -197,7 +197,7 @@ def _avoidable(
     manoeuvre does, by delay (evaluated only where the careful driver does not); the step of the hazard."""
     a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
     start, dt = np.zeros(len(good), np.intp), situation.dt
-    half = situation.lane_width / 2
+    half = situation.road.lane_width / 2
     path, until = _held(_rows(ego, good), last), slice(0, int(last.max()) + 1)
     hazard, _ = hazard_index(_steps(path, until), _steps(b, until), start, last, dt, lane_half_width=half)
     leads = (0.0, weights.slower, *(-t for t in weights.sooner))
@@ -211,7 +211,7 @@ def _avoidable(
     def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
         return _rows(a, rows), _rows(b, rows), hazard[rows], dt
 
-    others_of = {bv: [t for t in situation.others if t.id != bv] for bv in np.unique(names)}
+    others_of = {bv: [t for t in situation.traffic.others if t.id != bv] for bv in np.unique(names)}
     around = {bv: on_grid(tracks, time) for bv, tracks in others_of.items() if tracks}
     for bv, others in around.items():  # they may leave no room
         rows = np.flatnonzero((names == bv) & careful)

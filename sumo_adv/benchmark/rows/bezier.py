@@ -78,9 +78,9 @@ def _cubic(p0: float, p1: float, p2: float, p3: float, steps: int) -> Floats:
 
 def _ego_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
     """Where the ego is ``time`` s after the takeover: known of a replay, else along its path at its present speed."""
-    if situation.ego_model.kind == "replay":
+    if situation.baseline.model.kind == "replay":
         station, _ = profile_at(situation, time)
     else:
-        station = situation.profile_s[0] + situation.ego.speed * time
-    x, y, _ = situation.ego_path.at(station)
+        station = situation.baseline.s[0] + situation.ego.speed * time
+    x, y, _ = situation.baseline.path.at(station)
     return x, y

@@ -183,16 +183,16 @@ def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, now: float, li
 def _futures(situation: Situation, model: Floats) -> list[Floats]:
     """x, y, heading, speed of the ego, by future, ``(4, n, steps)`` or, alike for all, ``(4, 1, steps)``."""
     time = np.arange(model.shape[2]) * situation.dt
-    s0, v0 = float(situation.profile_s[0]), float(situation.ego.speed)
-    last = len(situation.profile_s) - 1
+    s0, v0 = float(situation.baseline.s[0]), float(situation.ego.speed)
+    last = len(situation.baseline.s) - 1
     k = np.minimum(np.arange(len(time)), last)
     over = np.maximum(np.arange(len(time)) - last, 0) * situation.dt
-    unattacked = situation.profile_s[k] + over * situation.profile_v[-1]
-    lines = [(unattacked, situation.profile_v[k]), (s0 + v0 * time, v0 + 0.0 * time)]
+    unattacked = situation.baseline.s[k] + over * situation.baseline.v[-1]
+    lines = [(unattacked, situation.baseline.v[k]), (s0 + v0 * time, v0 + 0.0 * time)]
     for brake in BRAKES.values():
         since = np.clip(time - BRAKES_AFTER, 0.0, v0 / brake)
         lines.append((s0 + v0 * np.minimum(time, BRAKES_AFTER + since) - brake * since**2 / 2, v0 - brake * since))
-    return [model, *(np.stack([*situation.ego_path.at(s), v])[:, None, :] for s, v in lines)]
+    return [model, *(np.stack([*situation.baseline.path.at(s), v])[:, None, :] for s, v in lines)]
 
 
 def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> tuple[Places, Floats]:
@@ -241,7 +241,7 @@ def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, l
     found, mine = np.zeros(n, bool), np.array(names)
     before = np.arange(steps)[None, :] <= last[:, None]
     time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
-    for track in situation.others:
+    for track in situation.traffic.others:
         one = on_grid([track], time)
         other = _spread((one.x, one.y, one.heading, one.speed), (n, steps), track.length, track.width)
         found |= (touching(other, adversary) & before).any(axis=1) & (mine != track.id)
