@@ -36,7 +36,8 @@ from sumo_adv.batch.nouns import Job, Learn, Row, Setup
 from sumo_adv.batch.plan import Plan, make_plan
 from sumo_adv.batch.worker import Runner
 from sumo_adv.config import load_settings
-from sumo_adv.episode.loop import make_task, run_episode
+from sumo_adv.episode.loop import run_episode
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox

@@ -24,10 +24,9 @@ from attempt_cost import library
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import LibraryEntry, ObservedMotion, Proposal
+from sumo_adv.episode.assessment import observed_motion
 from sumo_adv.episode.attempt_runner import AttemptRunner
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.refinement import observed_motion
-from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
 from sumo_adv.planners.sandbox import Sandbox

@@ -169,7 +169,8 @@ def play(
 
     Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
     """
-    from sumo_adv.episode.loop import make_task, run_episode
+    from sumo_adv.episode.loop import run_episode
+    from sumo_adv.episode.task import make_task
     from sumo_adv.report.outcome import MODEL_FILE
 
     task = make_task(given, settings, scratch)

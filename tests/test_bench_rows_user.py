@@ -19,7 +19,7 @@ from sumo_adv.benchmark.nouns import course_proposal
 from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Level, PrescribedMotion, Proposal
-from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank

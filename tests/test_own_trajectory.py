@@ -21,8 +21,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
 from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.episode.attempt_runner import AttemptRunner
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
 from sumo_adv.metrics.gates import motion

@@ -16,8 +16,7 @@ from sumo_adv.drivers import CarefulEgo, EgoController, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_detector import ego_path
 from sumo_adv.episode.encounter_filter import danger
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge

@@ -10,7 +10,7 @@ import pytest
 from situation_samples import leader, situation
 
 from sumo_adv.config import Settings
-from sumo_adv.episode.refinement import observed_motion
+from sumo_adv.episode.assessment import observed_motion
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.simulation.simulation import Snapshot
 

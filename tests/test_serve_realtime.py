@@ -17,7 +17,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.search import AttackSearch

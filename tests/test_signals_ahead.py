@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from sumo_adv.config import load_settings
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.planners.road import road_of
 from sumo_adv.simulation.engine import Engine

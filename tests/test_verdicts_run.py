@@ -19,7 +19,8 @@ from shapely import box
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Track
-from sumo_adv.episode.loop import Episode, make_task, replay_episode, run_episode
+from sumo_adv.episode.loop import Episode, replay_episode, run_episode
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox

@@ -13,7 +13,8 @@ from pathlib import Path
 from sumo_adv.agents.agents import ROLES, Agents
 from sumo_adv.app import shipped_prompts
 from sumo_adv.config import load_settings
-from sumo_adv.episode.loop import make_task, run_episode
+from sumo_adv.episode.loop import run_episode
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.ledger import BudgetedModel, Ledger

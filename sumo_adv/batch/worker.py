@@ -18,7 +18,8 @@ from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_fai
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import make_task, run_episode
+from sumo_adv.episode.loop import run_episode
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.files import FULL, StorageError, is_storage_error

@@ -13,12 +13,14 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Proposal
+from sumo_adv.episode.assessment import attempt_of, checked, succeeded
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import decide, meet, model_ending, predicted, pursue, seek
+from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
-from sumo_adv.episode.refinement import attempt_of, checked, settle_best, succeeded
+from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
+from sumo_adv.episode.refinement import settle_best
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
@@ -49,7 +51,7 @@ class Arena:
             if task.trigger is not None:
                 seek(self.episode, engine, _silent)
             else:
-                met = meet(self.episode, engine, sandbox, bank, _silent)
+                met = find_attackable(self.episode, engine, sandbox, bank, _silent)
                 self.episode.found = None if met is None else met.found
         except SumoAdvError as error:
             if error.exit_status == 2:
@@ -81,7 +83,7 @@ class Arena:
             return episode
         clock = _Clock(episode.settings)
         try:
-            met = predicted(episode, episode.found, self.sandbox, bank)
+            met = with_predictions(episode, episode.found, self.sandbox, bank)
             entries = decide(episode, met, agents, bank)
             if entries is not None:
                 brain = AttemptRunner(self.engine, self.sandbox, met.found, episode.settings.seed)

@@ -22,7 +22,7 @@ from sumo_adv.benchmark.rows.registry import make_row
 from sumo_adv.config import Settings, load_settings, reachable
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, die_with_parent
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.files import is_storage_error, json_text, write_text

@@ -41,7 +41,8 @@ def rerun(
     """
     from sumo_adv.agents.agents import Agents
     from sumo_adv.config import load_settings
-    from sumo_adv.episode.loop import make_task, run_episode
+    from sumo_adv.episode.loop import run_episode
+    from sumo_adv.episode.task import make_task
     from sumo_adv.episode.worker import body
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.simulation.engine import Engine

@@ -15,7 +15,7 @@ from sumo_adv.config import Settings
 
 if TYPE_CHECKING:
     from sumo_adv.agents.prompts import Prompt
-    from sumo_adv.episode.loop import PlannedEncounter
+    from sumo_adv.episode.planned_encounter import PlannedEncounter
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
 
@@ -36,7 +36,8 @@ def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
 def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.agents.agents import Agents
     from sumo_adv.episode.episode import Episode
-    from sumo_adv.episode.loop import make_task, meet
+    from sumo_adv.episode.planned_encounter import find_attackable
+    from sumo_adv.episode.task import make_task
     from sumo_adv.errors import UsageError
 
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
@@ -46,7 +47,7 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
             new_sandbox(settings) as sandbox,
             new_engine() as engine,
         ):
-            met = meet(episode, engine, sandbox, bank, lambda *_: None)
+            met = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
             if met is None or not met.search.pool:
                 raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
             return [_analyzer(episode, met, bank), *_writers(met, settings, Agents(settings, sandbox), engine)]

@@ -196,7 +196,7 @@ def _teller(events: Events) -> Callable[[GateEvent], None]:
 
 def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Task]:
     """The task of each simulation: the same input with the next seed."""
-    from sumo_adv.episode.loop import make_task
+    from sumo_adv.episode.task import make_task
 
     @cache
     def first() -> Task:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Protocol
 
 from sumo_adv.datatypes import Proposal
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
@@ -12,6 +12,16 @@ from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.simulation.engine import Engine
+
+
+class Attempts(Protocol):
+    """Runs attempts; a result is taken only if the ones before it did not succeed."""
+
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
+        """The results of the proposals, in order."""
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation; empty where that cannot be asked."""
 
 
 class AttemptRunner:

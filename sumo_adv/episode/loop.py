@@ -1,4 +1,4 @@
-"""One episode from its input to its outcome: what the paper calls the full online loop.
+"""One episode from its input to its outcome: the paper's full online loop.
 
 encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> outcome -> memory
 """
@@ -7,92 +7,35 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 from sumo_adv.agents.agents import Agents
-from sumo_adv.config import Settings, reachable
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.drivers.car_following import exact
-from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
+from sumo_adv.episode.assessment import NOTHING, succeeded
+from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
     learn,
-    read_library,
-    recall,
-    remembered,
-    retrieve,
-    signature,
 )
-from sumo_adv.episode.refinement import NOTHING, Attempts, Refiner, settle_best, succeeded
-from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
+from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
+from sumo_adv.episode.refinement import Refiner, settle_best
+from sumo_adv.episode.task import Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.composed_intents import composed
-from sumo_adv.search.prediction import Predictor
-from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.settings import SearchSettings
-from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.playback_spec import with_background
-from sumo_adv.simulation.scan import first_departure, scan_demand
-from sumo_adv.simulation.simulation import SimulationSpec
-
-MOST_SKIPS = 6  # encounters passed over for being out of reach
-Tell = Callable[[str, Any], None]
-"""Told what happens, for progress: ("encounter", FoundEncounter), ("attempt", Attempt), ..."""
-
-
-def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
-    """The engine's task; demand is generated into ``folder`` where the input has none."""
-    if not reachable(settings):
-        raise UsageError(
-            f"--until {settings.until} cannot be reached against the ego 'careful': strict means that this very driver "
-            "avoids the collision; use --until valid."
-        )
-    routes = source.routes
-    playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
-    begin = settings.begin if settings.begin is not None else source.begin
-    driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
-    if begin is None:
-        begin = first_departure((*routes, *source.additional)) if routes or driven else 0.0
-    end = settings.end if settings.end is not None else source.end
-    end = min(end, begin + settings.search) if end is not None and settings.end is None else end
-    end = begin + settings.search if end is None else end
-    if playback is not None and (playback.background == "log" or settings.ego == "replay"):
-        end = min(end, playback.end)  # what comes after is not in the log
-    if not routes and not driven and (playback is None or playback.tracks is None):
-        seed = settings.seed if source.demand_seed is None else source.demand_seed
-        density = settings.density if settings.density is not None else source.density
-        routes = (
-            generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
-        )
-    spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
-    trigger = settings.trigger if settings.trigger is not None else source.trigger
-    if end <= begin:
-        raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
-    if trigger != "auto" and not begin <= float(trigger) < end:
-        raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
-    return Task(
-        spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
-        {**dict(source.ego_parameters), **settings.ego_parameters},
-        (settings.adversary,) if settings.adversary else source.candidates,
-        None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
-    )  # fmt: skip
 
 
 def run_episode(
     source: RunInput, settings: Settings, task: Task, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell
 ) -> Episode:
-    """The whole loop. Only wrong use is raised; everything else is an ending.
+    """Find an encounter, attack it, and learn from it. Only wrong use is raised; everything else is an ending.
 
     Raises:
-        UsageError, BankError: found to be wrong use once the simulation ran (an unknown ego, a broken driver class).
+        UsageError, BankError: wrong use that shows only in the simulation (an unknown ego, a broken driver class).
     """
     episode = Episode(source, settings, task, bank_hash=bank.content_hash(), agents=agents)
     began = time.perf_counter()
@@ -106,7 +49,7 @@ def run_episode(
         if error.exit_status == 2:
             raise
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
-    except Exception as error:  # a fault of ours: what was found so far is kept, and the sentence names it
+    except Exception as error:  # a fault of ours: earlier results are kept
         what = f"{type(error).__name__}: {error}"
         episode.ending, episode.reason = (
             Ending.SIMULATION_FAILED,
@@ -118,152 +61,59 @@ def run_episode(
 
 
 def model_ending(error: ModelError) -> Ending:
+    """The ending of an episode that a language model ended."""
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
 def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
-    met = meet(episode, engine, agents.sandbox, bank, tell)
-    entries = None if met is None else decide(episode, met, agents, bank)
-    if met is None or entries is None:
+    planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
+    entries = None if planned is None else decide(episode, planned, agents, bank)
+    if planned is None or entries is None:
         return
     tell("intents", episode.intents)
-    brain = AttemptRunner(engine, agents.sandbox, met.found, episode.settings.seed)
-    pursue(episode, met, entries, brain if engine.at_once > 1 else SequentialRunner(brain), agents, bank, tell)
+    runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
+    side_by_side = engine.at_once > 1
+    pursue(episode, planned, entries, runner if side_by_side else SequentialRunner(runner), agents, bank, tell)
 
 
-def decide(episode: Episode, met: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry] | None:
-    """Fill in the intents of an encounter; the library for it, or None if nothing can be tried (the episode says so).
+def decide(
+    episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank
+) -> Sequence[LibraryEntry] | None:
+    """Fill in the intents of an encounter; the library for it, or None if there is no candidate (the episode says so).
 
     Raises:
-        ModelError: a model plays a part and failed.
+        ModelError: a language model plays a part and failed.
     """
-    entries = met.library
-    if met.known is not None:  # a like scene has evidence: nobody is asked
-        episode.intents = [met.known]
+    entries = planned.library
+    if planned.known is not None:  # recalled from a similar scene, so no agent is asked
+        episode.intents = [planned.known]
     else:
-        entries = analyze(episode, met, agents, bank)
-    if met.search.pool:
+        entries = analyze(episode, planned, agents, bank)
+    if planned.search.pool:
         return entries
     episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
     return None
 
 
 def pursue(
-    episode: Episode, met: PlannedEncounter, entries: Sequence[LibraryEntry], brain: Attempts, agents: Agents,
+    episode: Episode, planned: PlannedEncounter, entries: Sequence[LibraryEntry], runner: Attempts, agents: Agents,
     bank: MemoryBank, tell: Tell,
 ) -> None:  # fmt: skip
-    """Attempts until success or until all is used up, and what is learnt from them."""
+    """Run attempts until one succeeds or the budget is used up, and learn from them."""
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(brain, met.found, met.search, agents, entries, settings, lambda a: tell("attempt", a))
+    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, lambda a: tell("attempt", a))
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
-    except ModelError as error:  # what was tried until then counts
+    except ModelError as error:  # the attempts until then count
         episode.ending, episode.reason = model_ending(error), str(error)
-    finally:  # also of what was interrupted or failed
-        _keep_intent(episode, met.library)
+    finally:  # also after an interruption or a failure
+        _keep_intent(episode, planned.library)
         episode.isolation = agents.sandbox.isolation
-        timing["prediction"] = timing.get("prediction", 0.0) + met.predictor.seconds
+        timing["prediction"] = timing.get("prediction", 0.0) + planned.predictor.seconds
         timing["attempts"] = episode.refinement.seconds
-        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in met.predictor.failures.items())
+        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
     learn(episode, bank, entries)
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedEncounter:
-    """An encounter with its predictions. ``known``: the intent that worked in a like scene, where that is recalled."""
-
-    found: FoundEncounter
-    predictor: Predictor
-    library: Sequence[LibraryEntry]
-    scene: SceneSignature
-    search: AttackSearch
-    known: Intent | None
-
-    @property
-    def reaches(self) -> bool:
-        """Whether some intent reaches the ego, by prediction or by what worked before."""
-        return self.known is not None or self.search.reaches
-
-
-def meet(episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell) -> PlannedEncounter | None:
-    """The first encounter that an intent reaches, by prediction; None if there is none (the episode says why)."""
-    while True:
-        found = seek(episode, engine, tell)
-        if found is None:
-            return None
-        met = predicted(episode, found, sandbox, bank)
-        if met.reaches or met.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
-            return met
-        episode.skips += 1
-
-
-def predicted(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
-    """An encounter with the library as the bank has it and the predictions of what could be done."""
-    settings = episode.settings
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
-    now = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
-    library, episode.bandit = read_library(bank, now, settings.seed)
-    search, known = searched(episode, found, predictor, library, bank)
-    return PlannedEncounter(found, predictor, library, now, search, known)
-
-
-def searched(
-    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> tuple[AttackSearch, Intent | None]:
-    """The search with its predictions of an encounter; or, with ``recall = scene``, with what succeeded in a similar
-    scene and its intent."""
-    settings, driver = episode.settings, found.first.baseline.model
-    known = recall(episode, found, library, bank) if settings.recall == "scene" else None
-    search = AttackSearch(
-        predictor, found.situations, library,
-        SearchSettings(proposals=settings.proposals, share=settings.per_planner), seed=settings.seed,
-        allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
-        recalled=None if known is None else known[1],
-    )  # fmt: skip
-    return search, None if known is None else known[0]
-
-
-def analyze(episode: Episode, met: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
-    """Fill in the intents of an encounter; the library with what was retrieved or generated for new ones.
-
-    Raises:
-        ModelError: a model plays a part and failed.
-    """
-    began = time.perf_counter()
-    situations, library = met.found.situations, met.library
-    try:
-        episode.intents = agents.analyze(
-            met.search, situations, library, allowed=episode.source.intents,
-            remembered=remembered(bank, library, met.scene),
-        )  # fmt: skip
-        entries = retrieve(episode, agents, met.found.first, library, bank)
-    finally:
-        episode.timing["analyzer"] = time.perf_counter() - began
-    wanted = {i.label for i in episode.intents}
-    if entries != library or any(composed(e) and e.label in wanted for e in entries):
-        met.search.extend([e for e in entries if not composed(e) or e.label in wanted])
-    return entries
-
-
-def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
-    """Start the simulation and go on to an encounter; fills the episode in."""
-    began = time.perf_counter()
-    if episode.found is None:
-        engine.request("open", episode.task)
-        episode.forked = engine.request("forks")
-        episode.timing["start"] = time.perf_counter() - began
-        began = time.perf_counter()
-    found = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
-    episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
-    if isinstance(found, NoEncounter):
-        episode.ending, episode.reason, episode.found = found.ending, found.reason, None
-        episode.intents = ()  # those of an encounter that was passed over
-        return None
-    episode.found, episode.prefix = found, engine.request("prefix")
-    episode.lanes = engine.request("lanes", *found.area)
-    tell("encounter", found)
-    return found
 
 
 def replay_episode(
@@ -283,13 +133,13 @@ def replay_episode(
         )
     if proposal.bv not in found.situations[proposal.delay].targets:
         raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
-    brain = AttemptRunner(engine, sandbox, found, settings.seed)
-    result = brain.attempt([proposal])[0]
+    runner = AttemptRunner(engine, sandbox, found, settings.seed)
+    result = runner.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
-    settle_best(episode.refinement, brain)
+    settle_best(episode.refinement, runner)
     ok = succeeded(episode.refinement.attempts[0].verdict, settings.until)
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
     return episode

@@ -10,8 +10,8 @@ from dataclasses import replace
 from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.refinement import rank
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
-from sumo_adv.config import Settings
+from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, Role, Verdict
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
-from sumo_adv.simulation.playback_spec import PlaybackSpec
+from sumo_adv.simulation.playback_spec import PlaybackSpec, with_background
+from sumo_adv.simulation.scan import first_departure, scan_demand
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 from sumo_adv.situation import Situation
 
@@ -85,3 +89,44 @@ class Prefix:
 
     snapshots: Sequence[Snapshot]
     sizes: Mapping[str, tuple[float, float]]
+
+
+def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
+    """The engine's task for an input; demand is generated into ``folder`` if the input has none.
+
+    Raises UsageError: the level, the end or the trigger does not fit.
+    """
+    if not reachable(settings):
+        raise UsageError(
+            f"--until {settings.until} cannot be reached against the ego 'careful': strict means that this very driver "
+            "avoids the collision; use --until valid."
+        )
+    routes = source.routes
+    playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
+    begin = settings.begin if settings.begin is not None else source.begin
+    driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
+    if begin is None:
+        begin = first_departure((*routes, *source.additional)) if routes or driven else 0.0
+    end = settings.end if settings.end is not None else source.end
+    end = min(end, begin + settings.search) if end is not None and settings.end is None else end
+    end = begin + settings.search if end is None else end
+    if playback is not None and (playback.background == "log" or settings.ego == "replay"):
+        end = min(end, playback.end)  # what comes after is not in the log
+    if not routes and not driven and (playback is None or playback.tracks is None):
+        seed = settings.seed if source.demand_seed is None else source.demand_seed
+        density = settings.density if settings.density is not None else source.density
+        routes = (
+            generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
+        )
+    spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
+    trigger = settings.trigger if settings.trigger is not None else source.trigger
+    if end <= begin:
+        raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
+    if trigger != "auto" and not begin <= float(trigger) < end:
+        raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
+    return Task(
+        spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
+        {**dict(source.ego_parameters), **settings.ego_parameters},
+        (settings.adversary,) if settings.adversary else source.candidates,
+        None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
+    )  # fmt: skip

@@ -15,7 +15,8 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Attempt, Ending, LibraryEntry, Proposal
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import PlannedEncounter, decide, model_ending, predicted, pursue
+from sumo_adv.episode.loop import decide, model_ending, pursue
+from sumo_adv.episode.planned_encounter import PlannedEncounter, with_predictions
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
@@ -286,7 +287,7 @@ class Server:
         began = time.perf_counter()
 
         def work() -> Decision:
-            met = predicted(episode, scene.found, self._house.agents.sandbox, self._house.bank)
+            met = with_predictions(episode, scene.found, self._house.agents.sandbox, self._house.bank)
             entries = decide(episode, met, self._house.agents, self._house.bank) if met.reaches else None
             return Decision(met, entries)
 

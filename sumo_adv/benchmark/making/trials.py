@@ -18,8 +18,7 @@ from typing import Any
 
 from sumo_adv.config import load_settings
 from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
 from sumo_adv.episode.worker import Worker
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import in_forks

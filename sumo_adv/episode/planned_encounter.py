@@ -1,0 +1,129 @@
+"""An encounter that is worth attacking: found by the engine, with the predictions that say so and its intents."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sumo_adv.agents.agents import Agents
+from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.drivers.car_following import exact
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.memory_access import read_library, recall, remembered, retrieve, signature
+from sumo_adv.episode.task import FoundEncounter, NoEncounter
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import SceneSignature
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.composed_intents import composed
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
+from sumo_adv.simulation.engine import Engine
+
+MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
+Tell = Callable[[str, Any], None]
+"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedEncounter:
+    """An encounter with its predictions. ``known``: the intent recalled from a similar scene, if there is one."""
+
+    found: FoundEncounter
+    predictor: Predictor
+    library: Sequence[LibraryEntry]
+    scene: SceneSignature
+    search: AttackSearch
+    known: Intent | None
+
+    @property
+    def reaches(self) -> bool:
+        """Whether some candidate is predicted to collide, or an intent is recalled."""
+        return self.known is not None or self.search.reaches
+
+
+def find_attackable(
+    episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell
+) -> PlannedEncounter | None:
+    """The first encounter in which some candidate is predicted to collide; None if there is none.
+
+    The episode says why there is none.
+    """
+    while True:
+        found = seek(episode, engine, tell)
+        if found is None:
+            return None
+        planned = with_predictions(episode, found, sandbox, bank)
+        if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
+            return planned
+        episode.skips += 1
+
+
+def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
+    """An encounter with the bank's library and the predictions of the first candidates."""
+    settings = episode.settings
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+    scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
+    library, episode.bandit = read_library(bank, scene, settings.seed)
+    search, known = searched(episode, found, predictor, library, bank)
+    return PlannedEncounter(found, predictor, library, scene, search, known)
+
+
+def searched(
+    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank
+) -> tuple[AttackSearch, Intent | None]:
+    """The search with its predictions of an encounter. With ``recall = scene`` it starts with the candidate that
+    succeeded in a similar scene instead. The intent of that candidate, or None, comes second."""
+    settings, driver = episode.settings, found.first.baseline.model
+    known = recall(episode, found, library, bank) if settings.recall == "scene" else None
+    search = AttackSearch(
+        predictor, found.situations, library,
+        SearchSettings(proposals=settings.proposals, share=settings.per_planner), seed=settings.seed,
+        allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
+        recalled=None if known is None else known[1],
+    )  # fmt: skip
+    return search, None if known is None else known[0]
+
+
+def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
+    """Fill in the intents of an encounter; the library, with retrieved or generated planners for new intents.
+
+    Raises:
+        ModelError: a language model plays a part and failed.
+    """
+    began = time.perf_counter()
+    situations, library = planned.found.situations, planned.library
+    try:
+        episode.intents = agents.analyze(
+            planned.search, situations, library, allowed=episode.source.intents,
+            remembered=remembered(bank, library, planned.scene),
+        )  # fmt: skip
+        entries = retrieve(episode, agents, planned.found.first, library, bank)
+    finally:
+        episode.timing["analyzer"] = time.perf_counter() - began
+    labels = {i.label for i in episode.intents}
+    if entries != library or any(composed(e) and e.label in labels for e in entries):
+        planned.search.extend([e for e in entries if not composed(e) or e.label in labels])
+    return entries
+
+
+def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
+    """Start the simulation, if it has not started, and go on to the next encounter; None if there is none."""
+    began = time.perf_counter()
+    if episode.found is None:
+        engine.request("open", episode.task)
+        episode.forked = engine.request("forks")
+        episode.timing["start"] = time.perf_counter() - began
+        began = time.perf_counter()
+    found = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
+    episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
+    if isinstance(found, NoEncounter):
+        episode.ending, episode.reason, episode.found = found.ending, found.reason, None
+        episode.intents = ()  # they belong to an encounter that was passed over
+        return None
+    episode.found, episode.prefix = found, engine.request("prefix")
+    episode.lanes = engine.request("lanes", *found.area)
+    tell("encounter", found)
+    return found
