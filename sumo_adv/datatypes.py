@@ -66,7 +66,7 @@ ENDING_SENTENCES: Mapping[Ending, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a driven vehicle may do. Units beside each; source: DESIGN, Nouns and protocols."""
+    """Limits of an adversary's motion: those of a passenger car. Settings can change them."""
 
     braking: float = 8.0  # m/s2, positive
     acceleration: float = 4.0  # m/s2

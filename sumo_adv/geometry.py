@@ -12,7 +12,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 
 PATH_STEP = 0.5  # m between samples of a path
-SMOOTHING = 1.5  # m over which headings are averaged (ALGORITHM, Planning)
+SMOOTHING = 1.5  # m over which headings are averaged
 # passes of the average over a path with a bend that is too tight, each on top of the last
 ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
 
@@ -140,7 +140,7 @@ def make_path(
 ) -> Path:
     """A path through ``points`` (n, 2).
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking`` (ALGORITHM, Planning).  Bends with
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking``.  Bends with
     more than ``tightest`` [1/m] are rounded, as a driver does who cannot turn as sharply as a lane's centre line.
     """
     p = np.asarray(points, float)

@@ -39,12 +39,12 @@ class Conflict:
 
 @dataclass(frozen=True, slots=True)
 class ReferencePath:
-    """One way on for a BV, with its place relative to the ego's path at every sample of the way.
+    """One path that a BV may take, with its place relative to the ego's path at every sample.
 
     ego_s, ego_d, ego_h: station [m], offset [m] and relative heading [rad] in the ego path's frame, ``(n,)``.
-    ``before_ego``: whether SUMO's rules let whoever goes this way go before the ego, where that has to give way.
-    ``bay``: station [m] at which those who turn wait on the junction for others, who do not mind them there, inf where
-    nowhere.
+    ``before_ego``: whether a vehicle on this path goes before an ego that has to give way, by SUMO's rules.
+    ``bay``: station [m] at which a turning vehicle waits on the junction for others, which ignore it there; inf if
+    there is none.
     """
 
     path: Path
@@ -60,11 +60,11 @@ class ReferencePath:
 
 
 def fastest_of(speed: float) -> float:
-    """The speed [m/s] that a BV goes for at most that has ``speed`` at the trigger (ALGORITHM: max(1.4 v0, v0 + 5))."""
+    """The highest speed [m/s] of a BV that has ``speed`` at the trigger: 40 % or 5 m/s more, whichever is more."""
     return max(1.4 * speed, speed + 5.0)
 
 
-MEET_AHEAD = ("crossing", "merging")  # relations of those whom the ego can meet only where their ways do
+MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only where their paths meet
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class Target:
     turn: float  # rad, its heading against its way's
     sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
     risk: float = 0.0
-    unattacked: int | None = None  # which of its ways it would go unattacked, None where nobody knows
+    unattacked: int | None = None  # the index of its path without an attack, None if that is unknown
 
     @property
     def fastest(self) -> float:

@@ -113,7 +113,7 @@ def share(folder: Path, text: str, table: str) -> Path:
     """The sources with a shared text for the mode ``wait``, and this line in ``[shared]`` of their intent."""
     sources(folder)
     (folder / "planners").mkdir()
-    (folder / "planners" / "wait.py").write_text(text)
+    (folder / "planners" / "wait.template").write_text(text)
     (folder / "braking" / "intent.toml").write_text(f"{INTENT}[shared]\n{table}\n")
     return folder
 
@@ -140,7 +140,7 @@ def test_intents_share_a_text_and_give_it_their_own_words(tmp_path: Path) -> Non
         (SHARED, 'wait = "late"', "a table of words, not 'wait'"),
         (SHARED, '"../planners/wait" = { late = "1.0" }', "a table of words, not '../planners/wait'"),
         (SHARED, "plain = {}", "shares the modes ['plain'], which have files of their own"),
-        (SHARED, "hurry = {}", "hurry.py is not a plain file"),
+        (SHARED, "hurry = {}", "hurry.template is not a plain file"),
     ],
 )
 def test_wrong_words_for_a_shared_text_are_refused(tmp_path: Path, text: str, table: str, sentence: str) -> None:

@@ -1,7 +1,7 @@
 """The refinement loop: candidates are tried until an attempt reaches the level or the budget is used up.
 
 The search proposes candidates and observes how the ego drove. Once a planner's share of attempts is used up, the
-modifier writes a new version of it. Every attempt records who proposed it.
+modifier writes a new version of it. Every attempt records its proposer.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class Refiner:
         return attempt_of(index, phase, replace(proposal, by=by), result, self._found, self._settings)
 
     def _credit(self, index: int, proposal: Proposal) -> tuple[str, str]:
-        """The phase of an attempt and who proposed it; what the search drew is never credited to a model."""
+        """The phase of an attempt and its proposer; the search's own candidates are never credited to a model."""
         if proposal.by == "memory":
             return "memory", "memory"
         own = dict(proposal.parameters) == proposal.planner.defaults()
@@ -154,15 +154,14 @@ class Refiner:
     # -- the modifier -------------------------------------------------------------------------------------------
 
     def _modify(self, search: AttackSearch, found: Refinement) -> None:
-        """Have planners changed whose share of attempts is used up, at most ``modifications`` times in a row."""
+        """Have planners without attempts left changed, each at most ``modifications`` times in a row."""
         for name in search.exhausted():
             changed = self._changed(name, found)
             if changed is not None:
                 search.add_version(changed)
 
     def _rewritten(self, found: Refinement) -> list[Proposal]:
-        """Without a search: the vehicle and start of the best attempt whose planner can still be changed, with its new
-        version."""
+        """Without a search: the best attempt with a planner that can still be changed, repeated with the new version."""
         for attempt in sorted(found.attempts, key=lambda a: (rank(a.verdict), a.verdict.min_distance)):
             tried = attempt.proposal
             changed = self._changed(tried.planner.hash, found)

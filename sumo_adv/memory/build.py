@@ -1,7 +1,7 @@
 """Banks from text: ``<slug>/intent.toml``, ``<mode>.py`` beside it and, in an export, ``evidence.csv``.
 
 ``intent.toml`` holds label, description and applies. Its table ``[shared]`` names modes whose text several intents
-share: ``weave = { movement = "left" }`` takes ``planners/weave.py`` and writes ``left`` for ``$movement`` and the
+share: ``weave = { movement = "left" }`` takes ``planners/weave.template`` and writes ``left`` for ``$movement`` and the
 intent's label for ``$label``. An export has no shared texts. It may add ``status``, ``merged_into`` and a table
 ``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. Nothing here runs a planner.
 """
@@ -135,7 +135,7 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Sour
     planners: dict[str, Planner] = {}
     for name in names:
         try:
-            path = files.get(name, folder.parent / SHARED_FOLDER / f"{name}.py")
+            path = files.get(name, folder.parent / SHARED_FOLDER / f"{name}.template")
             text = _read_text(path, MAX_TEXT_BYTES)
             if name in shared:
                 text = _filled(path, text, intent.label, shared[name])

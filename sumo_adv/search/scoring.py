@@ -151,7 +151,7 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
 def _third_party(
     situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
-    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], even one that brakes for it."""
+    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it."""
     tracks = situation.traffic.others
     touched = np.zeros(len(proposals), bool)
     if not tracks:
