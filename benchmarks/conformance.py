@@ -19,7 +19,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -92,7 +92,7 @@ class Attacks:
         egos = PredictedEgos(ground.scenes, ground.names, ground.length, self._width)
         for k, motion in enumerate(self._motions):
             found.append((egos.s, egos.d, egos.v))
-            egos.step(k * ground.scenes.dt, ground.relative(motion), motion.v, ground.blocked(motion))
+            egos.step(k * ground.scenes.dt, ground.relative(motion), motion.v, ground.at_junction(motion))
         return np.array(found).transpose(1, 2, 0)
 
 
@@ -175,41 +175,66 @@ def broken(kind: str, of: Floats) -> list[str]:
 
 # -- constants that are wrong -------------------------------------------------------------------------------------
 
-COPIED = (
-    "EMERGENCY", "AMPLIFIED", "WITHIN", "ACROSS", "SAME_WAY", "OVER", "TURNED", "BACK", "SUBLANE", "GAP", "OVERLAP",
-    "RATE", "ACCELERATION", "SLOWING", "HELD", "ALONG", "BRAKES", "LATE", "NOTICED", "JAM", "FOE_ACCELERATION",
-    "FOE_SPEED", "AHEAD", "SEES", "CAN_STOP", "CLEARANCE", "LONGEST", "CRAWL", "ONE", "FLATTEST", "AFTER", "STAYS",
-)  # fmt: skip
-PARTS = ("sumo_adv.drivers.", "sumo_adv.planners.adversary_batch")
+COPIED = {
+    "drivers.car_following": ("EMERGENCY", "AMPLIFIED"),
+    "drivers.prediction": ("WITHIN", "ACROSS", "SAME_WAY", "OVER", "TURNED", "BACK"),
+    "drivers.lateral_gap": ("SUBLANE", "GAP", "OVERLAP", "RATE", "ACCELERATION", "DECELERATION"),
+    "drivers.leaders": ("HELD", "ALONG", "BRAKES", "LATE", "NOTICED", "JAM"),
+    "drivers.junctions": (
+        "FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "SEES", "CAN_STOP", "CLEARANCE", "LONGEST", "CRAWL",
+    ),
+    "planners.adversary_batch": ("SUMO_TURN_COST", "SUMO_LOYALTY", "AFTER", "JOINED", "FLATTEST"),
+}  # fmt: skip
+"""The copied constants by module."""
+MODEL = ("acceleration", "deceleration", "tau", "min_gap")
+"""Numbers of the driver model, which SUMO tells."""
 
 
 @contextmanager
-def changed(name: str, factor: float) -> Iterator[None]:
-    """A constant times a factor in every module that has it."""
-    modules = [m for n, m in sys.modules.items() if n.startswith(PARTS) and hasattr(m, name)]
-    before = [getattr(m, name) for m in modules]
-    for module, value in zip(modules, before, strict=True):
+def changed(home: str, name: str, factor: float) -> Iterator[None]:
+    """A constant times a factor, in the module that has it and in those that import it."""
+    value = getattr(sys.modules[f"sumo_adv.{home}"], name)
+    modules = [m for n, m in sys.modules.items() if n.startswith("sumo_adv.") and getattr(m, name, None) is value]
+    for module in modules:
         setattr(module, name, tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value)
     try:
         yield
     finally:
-        for module, value in zip(modules, before, strict=True):
+        for module in modules:
             setattr(module, name, value)
 
 
-def perturbed(driven: Mapping[str, Sequence[Driven]]) -> list[str]:
+def with_model(driven: Sequence[Driven], name: str, factor: float) -> list[Driven]:
+    """The same scenes, predicted with a number of the driver model times a factor."""
+    found = []
+    for one in driven:
+        model = one.situation.ego_model
+        wrong = replace(model, **{name: factor * getattr(model, name)})
+        found.append(replace(one, situation=replace(one.situation, ego_model=wrong)))
+    return found
+
+
+def perturbed(driven: Mapping[str, Sequence[Driven]]) -> Iterator[str]:
     """A line for each constant: the situations whose errors break a bound once it is wrong, and of the others those in
     which errors change by more than ``SEEN``, with the number of such scenes."""
-    right, lines = {kind: errors(some) for kind, some in driven.items()}, []
-    for name in COPIED:
-        for factor in (1.0 - SHARE, 1.0 + SHARE):
-            with changed(name, factor):
-                wrong = {kind: errors(some) for kind, some in driven.items()}
-            fails = [kind for kind in wrong if kind in KINDS and broken(kind, wrong[kind])]
-            moved = {kind: int((np.abs(wrong[kind] - right[kind]).max(axis=0) > SEEN).sum()) for kind in wrong}
-            others = ", ".join(f"{kind} {count}" for kind, count in moved.items() if count and kind not in fails)
-            lines.append(f"{name:18s} x {factor:.1f}  fails: {', '.join(fails) or '-'}; changes: {others or '-'}")
-    return lines
+    right = {kind: errors(some) for kind, some in driven.items()}
+    for factor in (1.0 - SHARE, 1.0 + SHARE):
+        for home, names in COPIED.items():
+            for name in names:
+                with changed(home, name, factor):
+                    wrong = {kind: errors(some) for kind, some in driven.items()}
+                yield f"{name:17s} x {factor:.1f}  {_seen(right, wrong)}"
+        for name in MODEL:
+            wrong = {kind: errors(with_model(some, name, factor)) for kind, some in driven.items()}
+            yield f"{name:17s} x {factor:.1f}  {_seen(right, wrong)}"
+
+
+def _seen(right: Mapping[str, Floats], wrong: Mapping[str, Floats]) -> str:
+    bounded = [kind for kind in wrong if kind in KINDS and not broken(kind, right[kind])]
+    fails = [kind for kind in bounded if broken(kind, wrong[kind])]
+    moved = {kind: int((np.abs(wrong[kind] - right[kind]).max(axis=0) > SEEN).sum()) for kind in wrong}
+    others = ", ".join(f"{kind} {count}" for kind, count in moved.items() if count and kind not in fails)
+    return f"fails: {', '.join(fails) or '-'}; changes: {others or '-'}"
 
 
 # -- the table ----------------------------------------------------------------------------------------------------
@@ -246,7 +271,8 @@ def main() -> int:
     if wrong:
         print("\n".join(wrong))
     if given.perturb:
-        print("\n".join(perturbed(found)))
+        for one in perturbed(found):
+            print(one, flush=True)
     return 1 if wrong else 0
 
 
