@@ -179,7 +179,7 @@ COPIED = {
     "drivers.car_following": ("EMERGENCY", "AMPLIFIED"),
     "drivers.prediction": ("WITHIN", "ACROSS", "SAME_WAY", "OVER", "TURNED", "BACK"),
     "drivers.lateral_gap": ("SUBLANE", "GAP", "OVERLAP", "RATE", "ACCELERATION", "DECELERATION"),
-    "drivers.leaders": ("HELD", "ALONG", "BRAKES", "LATE", "NOTICED", "JAM"),
+    "drivers.leaders": ("HELD_UP", "ALONG", "BRAKES", "LATE", "NOTICED", "JAM"),
     "drivers.junctions": (
         "FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "SEES", "CAN_STOP", "CLEARANCE", "LONGEST", "CRAWL",
     ),

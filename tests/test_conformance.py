@@ -6,6 +6,7 @@ scenes of each situation.
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Iterator, Mapping
 
@@ -42,6 +43,17 @@ def test_a_broken_bound_names_the_rules() -> None:
     (*_, last) = conformance.broken("following", np.array([[1.0] * 3, [0.0] * 3, [0.0] * 3]))
     assert last.startswith("following: the maximum of the error is 1.000 m along the path, more than")
     assert "car_following.py" in last
+
+
+@pytest.mark.parametrize(
+    ("home", "name"), [(home, name) for home, names in conformance.COPIED.items() for name in names]
+)
+def test_a_constant_that_is_made_wrong_exists_and_is_right_again_afterwards(home: str, name: str) -> None:
+    module = importlib.import_module(f"sumo_adv.{home}")
+    right = getattr(module, name)
+    with conformance.changed(home, name, 2.0):
+        assert np.asarray(getattr(module, name)) == pytest.approx(2.0 * np.asarray(right))
+    assert getattr(module, name) is right
 
 
 def test_a_plan_is_pulled_and_moved_as_it_says() -> None:
