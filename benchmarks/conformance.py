@@ -1,0 +1,280 @@
+"""Whether the drivers that the program predicts with do what SUMO's drivers do, on random scenes by situation.
+
+    python benchmarks/conformance.py [--encounters N] [--plans N] [--kind NAME ...] [--perturb]
+
+In each encounter SUMO drives the ego against motions of the adversary that are given in advance, and the prediction
+drives it against the same motions. Printed of each situation and driver: the scenes, and the median, the 90 % quantile
+and the maximum over them of the largest error along the path [m], sideways [m] and of the speed [m/s] within a scene.
+Status 1 if a bound of ``conformance_scenes.py`` is broken. The last situations have none: they are known to differ.
+Left out are scenes in which SUMO's ego changes lanes, which no prediction does, and what comes after a contact.
+
+``--perturb`` also changes each copied constant by 20 %, up and down, one at a time, and prints in which situations the
+errors then break their bounds, and in how many scenes of the others they change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from conformance_scenes import ADVERSARY, DIFFER, KINDS, Plan
+
+from sumo_adv.benchmark.nouns import course_proposal
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import Floats, ObservedMotion, PrescribedMotion
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.episode.loop import make_task
+from sumo_adv.episode.refinement import observed_motion
+from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.episode.worker import Worker
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.trajectory import Batch, Motion, pose, start
+from sumo_adv.simulation.engine import Engine, in_forks
+from sumo_adv.situation import Situation
+
+SECONDS = 8.0  # of an attack
+PROFILE = 3.0  # s that the unattacked ego is known for beyond that
+CHANGES_LANE = 1.0  # m off the middle of its lane: no driver moves so far over to make room
+AT_ONCE = 2  # encounters
+DRIVERS = ("krauss", "idm")
+CAREFUL = ("following", "cut_in", "crossing")  # situations that the careful driver is compared in, too
+QUANTILES = (0.5, 0.9, 1.0)
+SHARE = 0.2  # of a constant
+SEEN = 0.05  # m, m/s
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What SUMO's ego did in one encounter: ``seen[k]`` against the adversary on ``plans[k]``."""
+
+    situation: Situation
+    plans: tuple[Plan, ...]
+    seen: tuple[ObservedMotion, ...]
+
+
+class Attacks:
+    """The adversary's motions by plan: as SUMO gets them (``courses``), and the egos predicted for them."""
+
+    def __init__(self, situation: Situation, plans: Sequence[Plan]) -> None:
+        n, target, dt = len(plans), situation.targets[ADVERSARY], situation.dt
+        self._ground = AdversaryBatch([situation] * n, [ADVERSARY] * n)
+        self._ground.rows.row = self._ground.rows.row + np.array([p.way for p in plans])
+        self._width = np.full(n, target.state.width)
+        time = np.arange(round(SECONDS / dt) + 1) * dt
+        v = np.stack([p.speeds(target.state.speed, time) for p in plans])
+        d = np.stack([p.offsets(target.offset, one, time) for p, one in zip(plans, v, strict=True)])
+        s, slope, a = (np.full(n, q) for q in (target.station, np.sin(target.turn), target.state.acceleration))
+        self._motions: list[Motion] = [start(Batch, s, d[:, 0], slope, v[:, 0], a)]
+        for k in range(1, len(time)):
+            aside, speed = (d[:, k] - d[:, k - 1]) / dt, v[:, k]
+            slope = np.where(speed > 0.01, aside / np.maximum(speed, 0.01), slope)
+            bend = self._ground.rows.at(s)[3]
+            s = s + dt * np.sqrt(np.maximum(speed**2 - aside**2, 0.0)) / np.maximum(1.0 - bend * d[:, k], 0.2)
+            self._motions.append(start(Batch, s, d[:, k], slope, speed, (speed - v[:, k - 1]) / dt))
+
+    def courses(self) -> list[PrescribedMotion]:
+        """One a plan, from the step after the takeover on."""
+        poses = np.array([(*pose(Batch, m, self._ground.rows), m.v) for m in self._motions[1:]])
+        return [PrescribedMotion(*np.ascontiguousarray(poses[:, :, k].T)) for k in range(poses.shape[2])]
+
+    def predicted(self) -> Floats:
+        """Station, offset, speed of the predicted egos by step, ``(3, n, steps)``."""
+        ground, found = self._ground, []
+        egos = PredictedEgos(ground.scenes, ground.names, ground.length, self._width)
+        for k, motion in enumerate(self._motions):
+            found.append((egos.s, egos.d, egos.v))
+            egos.step(k * ground.scenes.dt, ground.relative(motion), motion.v, ground.at_junction(motion))
+        return np.array(found).transpose(1, 2, 0)
+
+
+Job = tuple[str, str, int, int]
+"""Situation, driver, seed, number of plans."""
+
+
+def drive(slots: Sequence[Connection], kind: str, driver: str, seed: int, count: int) -> Driven | None:
+    """One encounter in SUMO, in a process that holds no simulation; None where it came to nothing."""
+    what, draw = {**KINDS, **DIFFER}[kind], np.random.default_rng([seed, *kind.encode()])
+    settings = load_settings(
+        None, ego=driver, seed=seed, duration=SECONDS, delays=(0.0, PROFILE), ttc=0.01, fork=False
+    )  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as name:
+        worker = Worker(slots)
+        worker.open(make_task(what.start(draw).source(Path(name)), settings, Path(name)))
+        found = worker.seek()
+        if not isinstance(found, FoundEncounter):
+            return None
+        delay = min(found.situations)
+        situation = found.situations[delay]
+        plans = [what.plan(draw, situation, situation.targets[ADVERSARY]) for _ in range(count)]
+        courses = Attacks(situation, plans).courses()
+        results = worker.attempts([course_proposal("conformance", ADVERSARY, delay, c) for c in courses])
+    seen = [observed_motion(r, found, delay, settings) for r in results]
+    kept = [(p, s) for p, s in zip(plans, seen, strict=True) if s is not None and not _changes_lane(s)]
+    return Driven(situation, tuple(p for p, _ in kept), tuple(s for _, s in kept)) if kept else None
+
+
+def _changes_lane(seen: ObservedMotion) -> bool:
+    return bool(np.abs(seen.d[: seen.seen]).max() > CHANGES_LANE)
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The engine's commands."""
+
+    def scenes(jobs: Sequence[Job]) -> list[Driven | None]:
+        return in_forks([partial(drive, slots, *job) for job in jobs])
+
+    return {"scenes": scenes}
+
+
+def run(engine: Engine, jobs: Sequence[Job]) -> list[Driven]:
+    """The encounters of the jobs that came to something."""
+    found: list[Driven | None] = []
+    for first in range(0, len(jobs), AT_ONCE):
+        found += engine.request("scenes", jobs[first : first + AT_ONCE])
+    return [one for one in found if one is not None]
+
+
+def errors(driven: Sequence[Driven]) -> Floats:
+    """Each scene's largest error along the path [m], sideways [m] and of the speed [m/s], ``(3, scenes)``."""
+    found = [np.empty((3, 0))]
+    for one in driven:
+        predicted = Attacks(one.situation, one.plans).predicted()
+        for k, seen in enumerate(one.seen):
+            count = min(seen.seen, predicted.shape[2])
+            real = np.stack([seen.s, seen.d, seen.v])[:, :count]
+            found.append(np.abs(predicted[:, k, :count] - real).max(axis=1, keepdims=True))
+    return np.concatenate(found, axis=1)
+
+
+def quantiles(of: Floats) -> Floats:
+    """Median, 90 % quantile and maximum of each error, ``(3, 3)``."""
+    return np.array(np.quantile(of, QUANTILES, axis=1).T)
+
+
+def broken(kind: str, of: Floats) -> list[str]:
+    """What is wrong with the errors of a situation; each sentence names the rules that it exercises."""
+    names, found = ("m along the path", "m sideways", "m/s"), []
+    for name, measured, bounds in zip(names, quantiles(of), KINDS[kind].bounds, strict=True):
+        for quantile, one, bound in zip(("median", "90 %", "maximum"), measured, bounds, strict=True):
+            if one > bound:
+                found.append(
+                    f"{kind}: the {quantile} of the error is {one:.3f} {name}, more than {bound:g}. SUMO and the "
+                    f"prediction differ in {KINDS[kind].rules}."
+                )
+    return found
+
+
+# -- constants that are wrong -------------------------------------------------------------------------------------
+
+COPIED = {
+    "drivers.car_following": ("EMERGENCY", "AMPLIFIED"),
+    "drivers.prediction": ("WITHIN", "ACROSS", "SAME_WAY", "OVER", "TURNED", "BACK"),
+    "drivers.lateral_gap": ("SUBLANE", "GAP", "OVERLAP", "RATE", "ACCELERATION", "DECELERATION"),
+    "drivers.leaders": ("HELD_UP", "ALONG", "BRAKES", "LATE", "NOTICED", "JAM"),
+    "drivers.junctions": (
+        "FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "SEES", "CAN_STOP", "CLEARANCE", "LONGEST", "CRAWL",
+    ),
+    "planners.adversary_batch": ("SUMO_TURN_COST", "SUMO_LOYALTY", "AFTER", "JOINED", "FLATTEST"),
+}  # fmt: skip
+"""The copied constants by module."""
+MODEL = ("acceleration", "deceleration", "tau", "min_gap")
+"""Numbers of the driver model, which SUMO tells."""
+
+
+@contextmanager
+def changed(home: str, name: str, factor: float) -> Iterator[None]:
+    """A constant times a factor, in the module that has it and in those that import it."""
+    value = getattr(sys.modules[f"sumo_adv.{home}"], name)
+    modules = [m for n, m in sys.modules.items() if n.startswith("sumo_adv.") and getattr(m, name, None) is value]
+    for module in modules:
+        setattr(module, name, tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value)
+    try:
+        yield
+    finally:
+        for module in modules:
+            setattr(module, name, value)
+
+
+def with_model(driven: Sequence[Driven], name: str, factor: float) -> list[Driven]:
+    """The same scenes, predicted with a number of the driver model times a factor."""
+    found = []
+    for one in driven:
+        model = one.situation.ego_model
+        wrong = replace(model, **{name: factor * getattr(model, name)})
+        found.append(replace(one, situation=replace(one.situation, ego_model=wrong)))
+    return found
+
+
+def perturbed(driven: Mapping[str, Sequence[Driven]]) -> Iterator[str]:
+    """A line for each constant: the situations whose errors break a bound once it is wrong, and of the others those in
+    which errors change by more than ``SEEN``, with the number of such scenes."""
+    right = {kind: errors(some) for kind, some in driven.items()}
+    for factor in (1.0 - SHARE, 1.0 + SHARE):
+        for home, names in COPIED.items():
+            for name in names:
+                with changed(home, name, factor):
+                    wrong = {kind: errors(some) for kind, some in driven.items()}
+                yield f"{name:17s} x {factor:.1f}  {_seen(right, wrong)}"
+        for name in MODEL:
+            wrong = {kind: errors(with_model(some, name, factor)) for kind, some in driven.items()}
+            yield f"{name:17s} x {factor:.1f}  {_seen(right, wrong)}"
+
+
+def _seen(right: Mapping[str, Floats], wrong: Mapping[str, Floats]) -> str:
+    bounded = [kind for kind in wrong if kind in KINDS and not broken(kind, right[kind])]
+    fails = [kind for kind in bounded if broken(kind, wrong[kind])]
+    moved = {kind: int((np.abs(wrong[kind] - right[kind]).max(axis=0) > SEEN).sum()) for kind in wrong}
+    others = ", ".join(f"{kind} {count}" for kind, count in moved.items() if count and kind not in fails)
+    return f"fails: {', '.join(fails) or '-'}; changes: {others or '-'}"
+
+
+# -- the table ----------------------------------------------------------------------------------------------------
+
+
+def line(kind: str, driver: str, of: Floats) -> str:
+    """The errors of one situation against one driver."""
+    spread = "  ".join("".join(f"{q:7.2f}" for q in row) for row in quantiles(of))
+    return f"{kind:20s} {driver:8s} {of.shape[1]:6d}  {spread}"
+
+
+def main() -> int:
+    """Print the table; 1 if a bound is broken."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--encounters", type=int, default=6, help="of each situation and driver")
+    parser.add_argument("--plans", type=int, default=6, help="motions of the adversary in each encounter")
+    parser.add_argument("--kind", action="append", choices=[*KINDS, *DIFFER], help="repeatable (default: all)")
+    parser.add_argument("--perturb", action="store_true", help="also say which wrong constants are seen")
+    given = parser.parse_args()
+    heads = "  ".join(f"{name + ': median':>7s}   90 %    max" for name in ("m", "aside", "m/s"))
+    print(f"{'situation':20s} {'driver':8s} scenes  {heads}")
+    found: dict[str, list[Driven]] = {}
+    wrong: list[str] = []
+    with Engine(body) as engine:
+        for kind in given.kind or [*KINDS, *DIFFER]:
+            found[kind] = []
+            for driver in (*DRIVERS, "careful") if kind in CAREFUL else DRIVERS:
+                some = run(engine, [(kind, driver, seed, given.plans) for seed in range(given.encounters)])
+                if not some:
+                    continue
+                print(line(kind, driver, errors(some)), flush=True)
+                found[kind] += some if driver in DRIVERS else []
+            wrong += broken(kind, errors(found[kind])) if kind in KINDS else []
+    if wrong:
+        print("\n".join(wrong))
+    if given.perturb:
+        for one in perturbed(found):
+            print(one, flush=True)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
