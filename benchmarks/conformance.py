@@ -32,9 +32,8 @@ from sumo_adv.benchmark.nouns import course_proposal
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Floats, ObservedMotion, PrescribedMotion
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.episode.loop import make_task
-from sumo_adv.episode.refinement import observed_motion
-from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.episode.assessment import observed_motion
+from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import Worker
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.trajectory import Batch, Motion, pose, start

@@ -82,7 +82,7 @@ class Bench(Worker):
         """Seconds, steps and vehicles of one attempt with its verdict, and its ending."""
         self._again()
         slot = self._slots[0]
-        local = _local(self._found, proposal)
+        local = _local(self._encounter, proposal)
 
         def ask(observation: PlannerObservation) -> Any:
             slot.send(observation)

@@ -393,6 +393,8 @@ def test_an_observed_ego_repeats_its_motion_whatever_is_in_its_way() -> None:
 
 # ---- above 60 km/h SUMO's drivers do not overtake on the right
 
+LEFT = ((3.2, "same"),)  # a lane of the same direction
+
 
 @pytest.mark.parametrize(
     ("ego", "other", "left", "brakes"),
@@ -409,8 +411,8 @@ def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
     ego: float, other: float, left: float, brakes: bool
 ) -> None:
     """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
-    sit = situation([leader()], model=KRAUSS)
-    sit = changed(sit, ego=replace(sit.ego, speed=ego), s=np.arange(51) * 0.1 * ego, v=np.full(51, ego))
+    sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
+    sit = changed(sit, ego=replace(sit.ego, speed=ego), s=np.arange(51) * 0.1 * ego, v=np.full(51, ego), sides=LEFT)
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), at_junction())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
@@ -419,8 +421,8 @@ def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
 def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_partly_there() -> None:
     """A car 2 m wide goes on to the next lane but one: at 5.7 m to the left its right side is 0.1 m over the line at
     4.8 m, at 5.9 m no more. Coming from there, it is not followed until its middle is over the line."""
-    sit = situation([leader()], model=KRAUSS)
-    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0))
+    sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
+    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0), sides=LEFT)
     for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
         egos = egos_of(sit)
         egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), at_junction())

@@ -87,8 +87,8 @@ def test_from_the_left_lane_it_moves_to_the_left() -> None:
 
 
 def test_one_that_has_moved_over_looks_less_far_to_the_side_that_it_left() -> None:
-    """Its left side is 0.9 m from the middle, in the strip from 0.8 m on; once it has moved by 0.06 m, no more than
-    0.045 m of that strip are left."""
-    left, right = seen_edges(np.full(2, 3.2), 1.8, np.array([0.0, -0.06]))
+    """Its left side is 0.9 m from the middle, in the strip from 0.8 m on; once it has moved by 0.07 m, no more than
+    0.03 m of that strip are left."""
+    left, right = seen_edges(np.full(2, 3.2), 1.8, np.array([0.0, -0.07]))
     assert left == pytest.approx([1.6, 0.8])
     assert right == pytest.approx([1.6, 1.6])

@@ -21,7 +21,7 @@ from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
 
-WITHIN = 0.045  # m that a side must be inside a strip to count as in it (measured: between 0.034 and 0.058)
+WITHIN = 0.037  # m that a side must be inside a strip to count as in it (measured: between 0.034 and 0.04)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 OVER = 0.365  # m beyond the line to the opposite lane up to which SUMO keeps a vehicle in its lane (measured)
@@ -141,7 +141,8 @@ class PredictedEgos:
         (_, _, h), (s, ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
         leads = self._in_lane(front_d, h) & ahead & ~across
-        gap = s - self.s - (self._length + self.scenes.ego.length) / 2
+        nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
+        gap = nose - self._length - self.s - self.scenes.ego.length / 2
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))
@@ -178,8 +179,8 @@ class PredictedEgos:
     def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
         """The highest speed [m/s] behind an adversary in the lane to the left; inf without a limit.
 
-        Above ``JAM`` SUMO's drivers do not overtake on the right. They stay behind a vehicle that is in the lane to the
-        left, or was there and is still partly in it. They brake gently for it.
+        Above ``JAM`` SUMO's drivers do not overtake on the right. They stay behind a slower vehicle that is in the lane
+        to the left, or was there and is still partly in it. They brake gently for it.
         """
         if self.model.ignores_sumo_lane_rules:
             return np.full(len(self.s), np.inf)
@@ -188,7 +189,7 @@ class PredictedEgos:
         beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
         self._was_beside |= beside
         beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
-        limits = beside & ahead & (self.v > JAM)
+        limits = beside & ahead & (self.v > JAM) & self._has_left & (speed < self._driver.desired_speed)
         return np.where(limits, self._driver.staying_behind(self.v, gap, speed), np.inf)
 
 

@@ -161,7 +161,7 @@ class Refiner:
                 search.add_version(changed)
 
     def _rewritten(self, found: Refinement) -> list[Proposal]:
-        """Without a search: the best attempt with a planner that can still be changed, repeated with the new version."""
+        """Without a search: the best attempt whose planner can be changed, repeated with the new version."""
         for attempt in sorted(found.attempts, key=lambda a: (rank(a.verdict), a.verdict.min_distance)):
             tried = attempt.proposal
             changed = self._changed(tried.planner.hash, found)
