@@ -5,7 +5,7 @@
 In each encounter SUMO drives the ego against motions of the adversary that are given in advance, and the prediction
 drives it against the same motions. Printed of each situation and driver: the scenes, and the median, the 90 % quantile
 and the maximum over them of the largest error along the path [m], sideways [m] and of the speed [m/s] within a scene.
-Status 1 if a bound of ``conformance_scenes.py`` is broken. The last situations have none: they are known to differ.
+Status 1 if a bound of ``conformance_scenes.py`` is broken. The last situation has none: it is known to differ.
 Left out are scenes in which SUMO's ego changes lanes, which no prediction does, and what comes after a contact.
 
 ``--perturb`` also changes each copied constant by 20 %, up and down, one at a time, and prints in which situations the
@@ -207,9 +207,9 @@ def with_model(driven: Sequence[Driven], name: str, factor: float) -> list[Drive
     """The same scenes, predicted with a number of the driver model times a factor."""
     found = []
     for one in driven:
-        model = one.situation.ego_model
+        model = one.situation.baseline.model
         wrong = replace(model, **{name: factor * getattr(model, name)})
-        found.append(replace(one, situation=replace(one.situation, ego_model=wrong)))
+        found.append(replace(one, situation=one.situation.driven_by(wrong)))
     return found
 
 

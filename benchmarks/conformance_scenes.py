@@ -261,7 +261,7 @@ def _follow(draw: Draw, situation: Situation, target: Target) -> Plan:
 def _into(situation: Situation, target: Target) -> float:
     """The offset from its way of the middle of the ego's lane [m]."""
     side = np.sign(target.ways[0].ego_d[0])
-    return float(-side * situation.lane_width) if abs(target.ways[0].ego_d[0]) > 1.0 else 0.0
+    return float(-side * situation.road.lane_width) if abs(target.ways[0].ego_d[0]) > 1.0 else 0.0
 
 
 def _cut(draw: Draw, situation: Situation, target: Target) -> Plan:
@@ -331,20 +331,25 @@ KINDS: Mapping[str, Kind] = {
         ((0.02, 0.02, 0.02), (0.02, 0.02, 0.09), (0.01, 0.02, 0.02))),
     "beside": Kind("making room within the lane, and the strips that are looked at (lateral_gap.py, prediction.py)",
         _beside, _come_back,
-        ((0.08, 2.34, 18.66), (0.02, 0.11, 0.72), (0.07, 1.91, 7.72))),
+        ((0.02, 0.1, 2.5), (0.02, 0.11, 0.72), (0.02, 0.02, 1.3))),
     "left": Kind("not overtaking on the right above 60 km/h (leaders.py: JAM)", _left, _in_the_left,
         ((0.02, 0.02, 0.27), (0.02, 0.02, 0.02), (0.02, 0.02, 0.66))),
     "over_the_middle": Kind("going over to a lane of the other direction (prediction.py: OVER, TURNED, BACK)",
         _over_the_middle, _go_over,
         ((0.03, 0.52, 0.72), (0.02, 0.02, 0.02), (0.08, 0.6, 1.05))),
+    "left_faster": Kind("overtaking a faster vehicle on the right (prediction.py: desired speed)", _left_faster, _pass,
+        ((0.04, 0.08, 0.1), (0.02, 0.02, 0.02), (0.02, 0.02, 0.03))),
+    "over_the_middle_fast": Kind("passing a vehicle in a lane of the other direction (prediction.py: has_left)",
+        _over_the_middle_fast, _go_over,
+        ((0.04, 0.1, 0.4), (0.02, 0.03, 0.03), (0.03, 0.06, 0.6))),
     "oncoming_intrusion": Kind("oncoming vehicles in the lane (prediction.py: ACROSS)", _oncoming, _intrude,
-        ((0.93, 3.63, 6.15), (0.02, 0.02, 0.02), (1.78, 4.95, 5.92))),
+        ((0.02, 0.3, 0.6), (0.02, 0.02, 0.02), (0.02, 2.5, 3.2))),
     "behind_another": Kind("other leaders, which brake for the adversary (leaders.py)",
         _behind_another, _cut_in_further_on,
         ((0.02, 0.02, 0.05), (0.02, 0.02, 0.02), (0.02, 0.02, 0.05))),
     "crossing": Kind("crossing on a junction (junctions.py)",
         _meeting(CROSSING, (-2.5, 1.0)), _rush((-3.0, 2.5), "crossing"),
-        ((0.02, 0.31, 2.65), (0.02, 0.02, 0.02), (0.02, 1.0, 2.24))),
+        ((0.02, 0.5, 2.65), (0.02, 0.02, 0.02), (0.02, 1.0, 2.6))),
     "merging": Kind("merging on a junction (junctions.py)",
         _meeting(MERGING, (-2.5, 1.0)), _rush((-3.0, 2.5), "merging"),
         ((0.02, 0.1, 0.59), (0.02, 0.02, 0.02), (0.02, 0.07, 2.09))),
@@ -356,9 +361,5 @@ KINDS: Mapping[str, Kind] = {
 DIFFER: Mapping[str, Kind] = {
     "gave_way": Kind("an ego that gives way to the adversary unattacked keeps its unattacked speeds as a limit",
         _meeting(GIVING_WAY, (-2.5, 1.0)), _rush((-3.0, 2.5), "crossing", "merging")),
-    "left_faster": Kind("above 60 km/h the ego brakes behind an adversary in the lane to the left that is faster than "
-        "the ego ever goes", _left_faster, _pass),
-    "over_the_middle_fast": Kind("above 60 km/h the ego brakes behind an adversary in a lane of the other direction",
-        _over_the_middle_fast, _go_over),
 }  # fmt: skip
 """Where the prediction is known to differ from SUMO, and what it does: measured, without bounds."""
