@@ -13,12 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sumo_samples import needs_sumo
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / "tests" / "data" / "golden.json"
-
-pytestmark = needs_sumo
 
 
 @pytest.fixture(scope="module")
