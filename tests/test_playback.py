@@ -221,7 +221,7 @@ def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_oth
         for s in found.situations.values():
             ends = (ego, background) != ("idm", "sumo")
             assert s.left == (pytest.approx((9.0 - s.time) / 0.1) if ends else np.inf)
-            assert s.reacting is (background == "sumo")
+            assert s.traffic.reacting is (background == "sumo")
 
 
 def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path: Path) -> None:
