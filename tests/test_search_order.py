@@ -316,3 +316,25 @@ def test_long_vehicles_touch_from_further_away():
     bus = Boxes(one + 8.0, one, one, one, 12.0, 2.5)
     assert touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
     assert not touching(car, Boxes(one + 8.6, one, one, one, 12.0, 2.5)).any()
+
+
+def test_once_no_template_is_left_the_search_ends_however_much_it_may_draw():
+    """Three attempts use up the only mode's share; drawing on to a thousand million candidates would take hours."""
+    weights = SearchSettings(proposals=30, share=3)
+    weights = replace(weights, sampling=replace(weights.sampling, most=10**9))
+    library = [entry("Shift", ("neighbour",))]
+    scorer = InTurn((1, 0.5))  # something is avoidable: no more than 750 are drawn while the mode is open
+    search = AttackSearch(scorer, {0.0: straight_situation()}, library, weights, seed=7)
+    search.follow([Intent("bv", "Shift", "", "high", 0.0)], library)
+    assert len(search.propose(3)) == 3
+    predicted = scorer.asked
+    assert search.propose(5) == []
+    assert scorer.asked == predicted
+
+
+def test_an_intent_whose_planners_all_failed_says_no_infinite_time():
+    search, near = empty(), entry("Near", ("neighbour",))
+    broken = Prediction("It divides by zero.")
+    search.pool = [Proposal("bv", "Near", near.planners[0], {}, 0.0, 0.0, score=9.0, prediction=broken)]
+    (intent, *_) = search.ranking([near])
+    assert intent.reason.endswith("least TTC 10.00 s")

@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import math
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -220,3 +221,13 @@ def test_a_replay_comes_to_the_same_bytes(crossing: Run, tmp_path: Path) -> None
     for name in ("states.csv.gz", "criticality.csv.gz", "raw.csv.gz"):
         assert (again.folder / name).read_bytes() == (crossing.folder / name).read_bytes()
     assert [again.outcome[k] for k in ("outcome", "realism")] == [crossing.outcome[k] for k in ("outcome", "realism")]
+
+
+def test_a_stored_run_with_a_setting_that_is_gone_can_still_be_read(crossing: Run, tmp_path: Path) -> None:
+    """Version 0.1 wrote ``experience``; a replay drives the recorded attempt and does not need it."""
+    folder = tmp_path / "stored"
+    shutil.copytree(crossing.folder, folder)
+    table = json.loads((folder / "manifest.json").read_text())
+    table["settings"]["experience"] = "on"
+    (folder / "manifest.json").write_text(json.dumps(table))
+    assert read_manifest(folder).settings == read_manifest(crossing.folder).settings

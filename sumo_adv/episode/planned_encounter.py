@@ -64,23 +64,25 @@ def find_attackable(
 def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
     """An encounter with the bank's library and the predictions of the first candidates."""
     settings = episode.settings
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+    weights = SearchSettings(proposals=settings.proposals, share=settings.per_planner)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed)
-    search, known = searched(episode, found, predictor, library, bank)
+    search, known = searched(episode, found, predictor, library, bank, weights)
     return PlannedEncounter(found, predictor, library, scene, search, known)
 
 
 def searched(
-    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> tuple[AttackSearch, Intent | None]:
+    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank,
+    weights: SearchSettings,
+) -> tuple[AttackSearch, Intent | None]:  # fmt: skip
     """The search with its predictions of an encounter. With ``recall = scene`` it starts with the candidate that
     succeeded in a similar scene instead. The intent of that candidate, or None, comes second."""
     settings, driver = episode.settings, found.first.baseline.model
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
         predictor, found.situations, library,
-        SearchSettings(proposals=settings.proposals, share=settings.per_planner), seed=settings.seed,
+        weights, seed=settings.seed,
         allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if known is None else known[1],
     )  # fmt: skip

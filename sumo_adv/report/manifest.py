@@ -55,8 +55,11 @@ def read_manifest(folder: Path) -> Recorded:
         raise UsageError(f"{file} is not a manifest of this program ({type(error).__name__}: {error}).") from error
 
 
+RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
+
+
 def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
-    settings = load_settings(None, **m["settings"])
+    settings = load_settings(None, **{name: value for name, value in m["settings"].items() if name not in RETIRED})
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,

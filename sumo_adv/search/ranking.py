@@ -43,7 +43,8 @@ def _intent(members: Sequence[Proposal], description: str, settings: SearchSetti
     best, first = min(members, key=lambda p: p.score), drawn(members)
     risk = "high" if best.score < settings.avoidable else ("medium" if best.score < settings.reaches else "low")
     avoidable = sum(p.nominal_score < settings.avoidable for p in first)
-    least = min(NOTHING_NEAR if p.prediction is None else p.prediction.min_ttc for p in first)
+    made = [p.prediction for p in first if p.prediction is not None and not p.prediction.failure]
+    least = min((prediction.min_ttc for prediction in made), default=NOTHING_NEAR)
     share = _share(members, settings)
     reason = (
         f"predicted: {share:.0%} of {len(first)} candidates collide, {avoidable} of them avoidably; "

@@ -59,7 +59,7 @@ class AttackSearch:
         self._by_motion: Counter[PredictedMotion | None] = Counter()
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
-        self._redrawn = 0  # rounds in which nothing could be drawn count as one candidate each
+        self._redrawn = 0  # candidates drawn, with those of the first analysis
         self.pool: list[Proposal] = []
         if recalled is not None:
             self.pool = [recalled]
@@ -175,7 +175,9 @@ class AttackSearch:
             over = self._used_up()
             templates = [t for t in self._templates if self._share_of(t.planner) not in over]
             fresh = self._scored(self._sampler.more(templates, sorted(open_, key=self._price_now)))
-            self._redrawn += max(len(fresh), 1)
+            if not fresh:
+                break
+            self._redrawn += len(fresh)
             self.pool += fresh
             open_, closed = self._split()
         if not open_:

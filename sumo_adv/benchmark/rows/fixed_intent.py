@@ -3,7 +3,7 @@
 What it is: one intent of the library, on every vehicle, with every mode and at every moment it applies to: first all of
 them with their authors' numbers, earliest and most dangerous first, then in turn with drawn ones. No prediction. The
 row ``best fixed`` of the tables is the label with the best rate over a suite: what can be had without looking at the
-encounter, chosen in correction, so it flatters.
+encounter, chosen in hindsight, so it flatters.
 Limits: where the intent applies to nobody there is nothing to try and the encounter counts as failed.
 Citation: the best constant answer, the usual floor of a classifier; the paper's LLM-F is two such behaviours.
 """

@@ -54,7 +54,7 @@ class Oracle:
 
 
 def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal]:
-    """At most ``MOST`` proposals: all templates_of once, in turn by label; then the label with the fewest so far."""
+    """At most ``MOST`` proposals: all templates once, in turn by label; then the label with the fewest so far."""
     by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
     for way in ways:
         by_label[way.entry.label].append(way)
@@ -70,7 +70,7 @@ def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal
 
 
 def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) -> Iterator[Proposal]:
-    """A label's templates_of with their authors' numbers, then again and again with drawn ones."""
+    """A label's templates with their authors' numbers, then again and again with drawn ones."""
     turn = 0
     while True:
         for k, way in enumerate(ways):

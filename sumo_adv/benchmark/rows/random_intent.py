@@ -20,7 +20,7 @@ from sumo_adv.search.templates import AttackTemplate, templates_of
 
 
 class RandomIntent:
-    """Draws templates_of and their numbers uniformly."""
+    """Draws templates and their numbers uniformly."""
 
     name = "random"
 

@@ -211,12 +211,12 @@ def _kappas(weights: Floats, right: Floats, answer: Floats, allowed: Floats) -> 
 
 
 def _constant(truth: Truth, applies: Mapping[Key, Sequence[str]]) -> Score:
-    """The one label that is right most often, chosen with correction."""
+    """The one label that is right most often, chosen in hindsight."""
     best = max(LABELS, key=lambda label: sum(label in labels for labels in truth.values()))
     right = {name: best in labels for name, labels in truth.items()}
     several = [right[name] for name in right if len(applies.get(name, ())) > 1]
     return Score(
-        f"always {best} (best constant, with correction)", wilson(sum(right.values()), len(right)),
+        f"always {best} (best constant, in hindsight)", wilson(sum(right.values()), len(right)),
         wilson(sum(several), len(several)) if several else None,
     )  # fmt: skip
 

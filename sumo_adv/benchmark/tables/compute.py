@@ -73,7 +73,7 @@ def make_table(
     """
     asked = tuple(rows or names(cells, "row"))
     cells = [cell for cell in cells if cell["row"] in asked]
-    best, correction = best_fixed(cells)
+    best, hindsight = best_fixed(cells)
     cells, shown = [*cells, *best], asked + ((BEST_FIXED,) if best else ())
     reference = reference or next((row for row in shown if row != RAW), None)
     entries: list[Entry] = []
@@ -85,7 +85,7 @@ def make_table(
             by_row = {row: [c for c in mine if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(found) for row, found in by_row.items() if found}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_missing(cells, drivers, asked, cases), *correction, *_never_valid(cells, drivers))
+    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
@@ -109,7 +109,7 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
         best = max(rows, key=won.count)
         found += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
         notes.append(
-            f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} with correction, which flatters it."
+            f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} chosen in hindsight, which flatters it."
         )
     return found, notes
 
