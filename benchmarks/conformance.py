@@ -100,7 +100,7 @@ Job = tuple[str, str, int, int]
 
 
 def drive(slots: Sequence[Connection], kind: str, driver: str, seed: int, count: int) -> Driven | None:
-    """One encounter in SUMO, in a process that holds no simulation; None where it came to nothing."""
+    """One encounter in SUMO, in a process that holds no simulation; None if it failed."""
     what, draw = {**KINDS, **DIFFER}[kind], np.random.default_rng([seed, *kind.encode()])
     settings = load_settings(
         None, ego=driver, seed=seed, duration=SECONDS, delays=(0.0, PROFILE), ttc=0.01, fork=False
@@ -214,7 +214,7 @@ def with_model(driven: Sequence[Driven], name: str, factor: float) -> list[Drive
 
 
 def perturbed(driven: Mapping[str, Sequence[Driven]]) -> Iterator[str]:
-    """A line for each constant: the situations whose errors break a bound once it is wrong, and of the others those in
+    """A line for each constant: the situations where errors break a bound once it is wrong, and of the others those in
     which errors change by more than ``SEEN``, with the number of such scenes."""
     right = {kind: errors(some) for kind, some in driven.items()}
     for factor in (1.0 - SHARE, 1.0 + SHARE):

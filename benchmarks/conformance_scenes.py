@@ -133,8 +133,8 @@ def _along(
     roads: Sequence[tuple[str, int, float]] = STRAIGHT, steady: bool = False,
 ) -> Start:  # fmt: skip
     """Two cars of one direction. ``ahead``: from the ego's front to the adversary's rear [m]; ``side``: the adversary's
-    lane is so many to the left of the ego's, 2: to either side; ``slower``: by how much it drives less [m/s];
-    ``steady``: the ego goes no faster than it starts."""
+    lane is this number of lanes to the left of the ego's, 2: to either side; ``slower``: by how much it drives less
+    [m/s]; ``steady``: the ego goes no faster than it starts."""
     network, lanes, limit = roads[draw.integers(len(roads))]
     side = int(draw.choice((-1, 1))) if side == 2 else side
     lane = int(draw.integers(max(0, -side), min(lanes, lanes - side)))
@@ -228,7 +228,7 @@ GIVING_WAY = (
 def _meeting(
     ways: Sequence[tuple[str, str, int, str, int]], later: tuple[float, float]
 ) -> Callable[[Draw], Start]:  # fmt: skip
-    """Both come to a junction, the adversary so much later than the ego [s]."""
+    """Both come to a junction; ``later``: how long after the ego the adversary does [s]."""
 
     def start(draw: Draw) -> Start:
         network, mine, lane, others, other_lane = ways[draw.integers(len(ways))]

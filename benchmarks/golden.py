@@ -94,7 +94,7 @@ def run_all(cases: list[tuple[str, str]], workers: int) -> dict[str, dict[str, s
 
 
 def differences(before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """A line for each run whose hashes differ."""
+    """A line for each run with other hashes."""
     lines = []
     for name, hashes in before.items():
         changed = [part for part in PARTS if hashes[part] != now[name][part]]

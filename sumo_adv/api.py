@@ -131,11 +131,13 @@ def run(
     """
     from sumo_adv.app import load, play
     from sumo_adv.config import load_settings
+    from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.folder import staged, write_run
 
     given = load(Path(source), record)
     wanted = {name: value for name, value in settings.items() if value is not None}
-    wanted = {"horizon": given.horizon, **wanted, "ego": given.driver(wanted.get("ego"))}
+    ego = trusted_driver(wanted.get("ego"), given.ego_controller, given.source)
+    wanted = {"horizon": given.horizon, **wanted, "ego": ego}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **wanted)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"

@@ -371,7 +371,7 @@ class Prediction:
     min_ttc, gap: least time to collision and least distance of the boxes up to the contact. time: until the contact, or
     until the end; spare: from then to the end; warning: from the hazard to the contact. braking: share of the steps up
     to the contact in which the adversary brakes. careful, manoeuvre: whether this reference driver avoids it.
-    rear_end, third_party, off_road, beyond_limits: why the contact does not count.
+    third_party, off_road, beyond_limits: why the contact does not count.
     """
 
     failure: str = ""
@@ -384,7 +384,6 @@ class Prediction:
     braking: float = 0.0
     careful: bool = False
     manoeuvre: bool = False
-    rear_end: bool = False
     third_party: bool = False
     off_road: bool = False
     beyond_limits: bool = False

@@ -83,7 +83,7 @@ def test_the_attempt_that_counts_is_one_of_the_attempts(runs: Runs) -> None:
 
 def test_the_expert_is_called_the_expert(runs: Runs) -> None:
     outcome, text = runs["first"].outcome, runs["again"].out
-    assert [outcome["agents"][k] for k in ("analyzer", "generator", "modifier")] == ["expert"] * 3
+    assert [outcome["agents"][k] for k in ("analyzer", "generator", "modifier")] == ["expert", "expert", "none"]
     assert "no language model" in outcome["agents"]["note"]
     assert outcome["llm"]["model"] is None and outcome["llm"]["calls"] == 0
     assert outcome["attempts"][0]["by"] == "expert"

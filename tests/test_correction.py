@@ -117,7 +117,7 @@ def test_what_is_drawn_later_is_weighed_by_all_that_was_seen() -> None:
 
 def test_a_rear_end_or_a_miss_by_far_counts_as_2_5() -> None:
     correction = correcting(BySpeed())
-    pool = [proposal(5.0, rear_end=True), proposal(4.5)]
+    pool = [proposal(5.0), proposal(4.5)]
     key = correction.observe(pool[0], SLOW)
     assert scores(correction.corrected(pool, key)) == pytest.approx([0.5 * 2.5 + 0.5 * 1.0] * 2)
 

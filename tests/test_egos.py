@@ -23,6 +23,7 @@ from sumo_adv.drivers import (
     make_ego,
     model_of,
 )
+from sumo_adv.drivers.registry import trusted_driver
 from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -66,14 +67,31 @@ def test_wrong_names_and_values_are_named(name: str, parameters: dict[str, objec
         make_ego(name, parameters)
 
 
-def test_drivers_of_other_packages_are_found_by_their_entry_point(tmp_path: Path, user_module: str) -> None:
+@pytest.fixture
+def polite(tmp_path: Path, user_module: str) -> str:
+    """The class of an installed package with the entry point ``polite``."""
     (tmp_path / "theirs-1.0.dist-info").mkdir()
     (tmp_path / "theirs-1.0.dist-info" / "METADATA").write_text("Name: theirs\nVersion: 1.0\n")
     entry = f"[sumo_adv.drivers]\npolite = {user_module}:Good\n"
     (tmp_path / "theirs-1.0.dist-info" / "entry_points.txt").write_text(entry)
-    assert make_ego("polite", {"gain": 2.0}).name == f"{user_module}:Good"
+    return f"{user_module}:Good"
+
+
+def test_drivers_of_other_packages_are_found_by_their_entry_point(polite: str) -> None:
+    assert make_ego("polite", {"gain": 2.0}).name == polite
     with pytest.raises(UsageError, match="choose krauss, idm, eidm, careful, lattice, replay, polite or module:Class"):
         make_ego("wild", {})
+
+
+def test_a_file_alone_makes_no_class_drive_the_ego_however_it_names_it(polite: str) -> None:
+    source = Path("case.toml")
+    for name in (polite, "polite"):
+        with pytest.raises(UsageError, match=f"case.toml wants the class '{name}' .* with --ego {name}"):
+            trusted_driver(None, name, source)
+        assert trusted_driver(name, name, source) == name
+    assert trusted_driver(None, "idm", source) == "idm"
+    assert trusted_driver("krauss", "polite", source) == "krauss"
+    assert trusted_driver(None, None, source) is None
 
 
 # ---- how drivers are predicted

@@ -234,7 +234,7 @@ def test_who_drives_into_the_ego_s_back_does_not_count_also_with_a_corner(
     drift = np.maximum(TIME - 4.0, 0.0) if aside > 2.0 else 0.0 * TIME
     ego = motion(0.0, 0.0, 20.0)
     bv = motion(-15.0 if closing > 0 else 15.0, aside - drift, 20.0 + closing)
-    assert (judged(ego, bv)["score"] == REAR) == judged(ego, bv)["rear_end"] == rear
+    assert (judged(ego, bv)["score"] == REAR) == rear
     assert judged(ego, bv)["hit"]
 
 

@@ -36,7 +36,7 @@ def level_of(part: str) -> int:
 
 
 def part_of(module: str) -> str | None:
-    """``sumo_adv.drivers`` -> ``world``; None if it is not ours or the package itself."""
+    """``sumo_adv.drivers.careful`` -> ``drivers``; None if it is not ours or the package itself."""
     names = module.split(".")
     return names[1] if names[0] == TOP and len(names) > 1 else None
 

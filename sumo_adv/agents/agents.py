@@ -29,13 +29,15 @@ from sumo_adv.search.search import AttackSearch
 from sumo_adv.situation import Situation
 
 ROLES = ("analyzer", "generator", "modifier")
+BUILT_IN = {"analyzer": NAME, "generator": NAME, "modifier": "none"}
+"""Role -> what plays it without a model: nothing built in modifies planners."""
 T = TypeVar("T")
 
 
 class Agents:
     """Analyzer, generator and modifier of one run.
 
-    models: by role, the models that play one; the expert plays the other roles.
+    models: by role, the models that play one; ``BUILT_IN`` says what plays the other roles.
     ledger: counts what the models spend.
     prompts: required if there are models.
     """
@@ -56,8 +58,8 @@ class Agents:
         self.failed: dict[str, str] = {}  # role -> why the expert took over
 
     def player(self, role: str) -> str:
-        """The name of the model that plays a role now, or ``expert``."""
-        return self.models[role].name if self.by_model(role) else NAME
+        """The name of the model that plays a role now, else that of ``BUILT_IN``."""
+        return self.models[role].name if self.by_model(role) else BUILT_IN[role]
 
     def by_model(self, role: str) -> bool:
         """Whether a model plays a role now."""

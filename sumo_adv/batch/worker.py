@@ -17,6 +17,7 @@ from sumo_adv.batch.nouns import Done, Job, Learn, Row, Setup
 from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Ending
+from sumo_adv.drivers.registry import trusted_driver
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
@@ -99,10 +100,11 @@ class Runner:
 
     def settings(self, job: Job, given: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
+        ego = trusted_driver(job.ego, given.ego_controller, given.source)
         variant: Mapping[str, Any] = {"horizon": given.horizon, **self._setup.variants[job.variant]}
         return load_settings(
             None, **{
-                **variant, "ego": given.driver(job.ego), "seed": job.seed, "memory": self._setup.bank,
+                **variant, "ego": ego, "seed": job.seed, "memory": self._setup.bank,
                 "learn": "off" if self._setup.learn is Learn.OFF else "on",
             },
         )  # fmt: skip

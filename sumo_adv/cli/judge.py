@@ -87,16 +87,16 @@ def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
 def _replayed(folder: Path, ego: str | None) -> Judgement:
     """A run simulated again, and its reference drivers with it."""
     from sumo_adv.app import replay
+    from sumo_adv.drivers.registry import is_foreign, trusted_driver
     from sumo_adv.report.judging import Judgement
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.report.outcome import verdict
     from sumo_adv.report.page.read import read_run
-    from sumo_adv.simulation.inputs import trusted_driver
 
     before = read_run(folder).outcome.get("outcome") or {}
     recorded = read_manifest(folder)
     driver = recorded.task.ego_driver
-    if trusted_driver(ego, driver, str(folder)) != driver and ":" in driver:
+    if trusted_driver(ego, driver, folder) != driver and is_foreign(driver):
         raise UsageError(f"The run in {folder} was driven by {driver!r}, not by {ego!r}.")
     episode = replay(recorded)
     if episode.best is None:

@@ -28,8 +28,10 @@ def successes_on(source: Source, planner: Planner, network: str) -> list[Evidenc
 
     Not that of an ego which is a Python class: evidence may have been imported, and must not name code to be run.
     """
+    from sumo_adv.drivers.registry import is_foreign
+
     own = [e for e in source.evidence if e.success and e.planner_hash == planner.hash]
-    return [e for e in own if e.network == network and ":" not in e.scene.controller]
+    return [e for e in own if e.network == network and not is_foreign(e.scene.controller)]
 
 
 def rerun(

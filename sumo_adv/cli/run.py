@@ -98,9 +98,12 @@ def run(
         return
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
+    from sumo_adv.drivers.registry import trusted_driver
+
     given = app.load(source, record)
+    driver = trusted_driver(ego, given.ego_controller, given.source)
     settings = load_settings(
-        settings_file, ego=given.driver(ego), ego_id=ego_id, adversary=adversary, trigger=trigger,
+        settings_file, ego=driver, ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
         memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
         fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
@@ -159,13 +162,13 @@ def _refuse_what_a_replay_ignores(context: typer.Context) -> None:
 
 
 def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
+    from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.simulation.inputs import trusted_driver
 
     recorded = read_manifest(source)
     driver = recorded.task.ego_driver
-    if trusted_driver(ego, driver, str(source)) != driver:
+    if trusted_driver(ego, driver, source) != driver:
         raise UsageError(
             f"The run in {source} was driven by {driver!r}, and a replay repeats it: leave out --ego {ego}, "
             "or give the INPUT for a new run with that driver."

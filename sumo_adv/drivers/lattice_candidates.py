@@ -134,7 +134,7 @@ def choose(
     )  # fmt: skip
 
 
-def in_conflict(egos: Egos, size: Size, reference: Floats, others: Expected, times: Floats) -> Bools:
+def in_conflict(egos: Egos, size: Size, reference: Floats, others: Expected) -> Bools:
     """Whether egos come close to another vehicle by their reference on the lane's centre, ``(n,)``."""
     v = np.maximum(egos.speed[:, None] + _summed(reference), 0.0)
     s = egos.s[:, None] + _summed(v)

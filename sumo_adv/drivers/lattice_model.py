@@ -66,7 +66,7 @@ class LatticeDrivers:
         self.disturbed |= v + ordinary[:, 0] * dt < next_v - NOTICED
         moved = np.maximum(np.maximum(np.abs(self.d), np.abs(egos.target)), np.abs(egos.rate)) > MOVED
         # the other egos keep to their reference on the centre, which costs least there
-        rows = np.flatnonzero(moved | in_conflict(egos, size, ordinary, others, settings.times))
+        rows = np.flatnonzero(moved | in_conflict(egos, size, ordinary, others))
         a, (aim, target, left, second) = ordinary[:, 0].copy(), np.zeros((4, len(s)))
         ahead = look_ahead(v)
         if len(rows):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 from sumo_adv.drivers.careful import CarefulEgo
@@ -40,11 +41,36 @@ def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
         return DRIVERS[name](parameters)
     if name == ExternalEgo.name:
         raise UsageError("The ego 'external' is driven by a program of yours over TraCI: use sumo-adv serve.")
-    installed = {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
+    installed = _installed()
     if name in installed:
         return UserEgo(installed[name], parameters)
     names = ", ".join((*DRIVERS, *installed))
     raise UsageError(f"There is no ego {name!r}; choose {names} or module:Class.")
+
+
+def is_foreign(name: str) -> bool:
+    """Whether the driver ``name`` is a class of another package, which runs with the user's rights."""
+    return ":" in name or (name not in DRIVERS and name in _installed())
+
+
+def trusted_driver(named: str | None, recorded: str | None, source: Path) -> str | None:
+    """The driver ``named`` by the user, else the driver that the file or folder ``source`` records; None if neither
+    names one.
+
+    Raises:
+        UsageError: only ``source`` names the driver, and it is a class of another package.
+    """
+    if named is None and recorded is not None and is_foreign(recorded):
+        raise UsageError(
+            f"{source} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "
+            f"if you trust it, name it yourself with --ego {recorded}."
+        )
+    return named or recorded
+
+
+def _installed() -> dict[str, str]:
+    """Drivers of other packages: name -> ``module:Class``."""
+    return {entry.name: entry.value for entry in entry_points(group=ENTRY_POINTS)}
 
 
 class ExternalEgo:

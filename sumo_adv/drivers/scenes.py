@@ -69,7 +69,7 @@ class Scenes:
     def sumo_station(self, s: Floats, front_d: Floats) -> Floats:
         """The stations ``(n,)`` at which SUMO takes vehicles to be, given the offsets of their fronts.
 
-        On a lane beside the ego's they differ from the real ones (``Situation.shifts``).
+        On a lane beside the ego's they differ from the real ones (``RoadAhead.shifts``).
         """
         if not self._shifted:
             return s

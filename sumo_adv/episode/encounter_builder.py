@@ -26,7 +26,7 @@ ROAD_MARGIN = 150.0  # m around the unattacked ego's path within which the driva
 
 
 @dataclass(frozen=True, slots=True)
-class Baseline:
+class UnattackedMotion:
     """The motion without an attack, simulated or foreseen.
 
     tracks: by id, from the history before the trigger to the end; snapshots: the simulated states from the trigger on,
@@ -43,11 +43,11 @@ def build_encounter(
     road: RoadMap,
     settings: Settings,
     ranking: Sequence[RankedVehicle],
-    baseline_for: Callable[[float], Baseline],
+    baseline_for: Callable[[float], UnattackedMotion],
     *,
     checked: float = math.inf,
     passed_over: Sequence[str] = (),
-) -> tuple[FoundEncounter, Baseline] | str:
+) -> tuple[FoundEncounter, UnattackedMotion] | str:
     """The encounter that begins now, and its baseline; or why it is passed over.
 
     Args:

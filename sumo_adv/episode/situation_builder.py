@@ -189,7 +189,7 @@ def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[
 
 
 def _shifts(road: RoadMap, lane: str, path: Path) -> tuple[tuple[float, Floats], ...]:
-    """``Situation.shifts``."""
+    """``RoadAhead.shifts``."""
     x, y, _ = path.at(np.arange(0.0, path.length, SHIFT_STEP))
     return tuple((o, m) for o, m in road.lane_shifts(lane, x, y) if np.abs(m).max() > UNLIKE)
 

@@ -19,7 +19,7 @@ from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.attempt import attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter_builder import Baseline, build_encounter
+from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
@@ -225,12 +225,12 @@ class Worker:
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 
-    def _baseline(self, seconds: float) -> Baseline:
+    def _baseline(self, seconds: float) -> UnattackedMotion:
         drive, settings = self._drive, self._settings
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
         snapshots, sizes = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
         tracks = tracks_of([*before, *snapshots], sizes, drive.roles(), settings.step_length)
-        return Baseline({t.id: t for t in tracks}, snapshots, sizes)
+        return UnattackedMotion({t.id: t for t in tracks}, snapshots, sizes)
 
     def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive = self._drive

@@ -1,7 +1,7 @@
 """Trusted planners, which run in this process: the same answers, about 20 times as fast.
 
 Trusted are the shipped texts, listed in ``TRUSTED``. The table ``PARAMETERS`` and the word ``MOVEMENT`` may differ,
-because the expert writes new versions that way; the table is read and never run. Every other text of a bank or a model
+since versions of a planner differ in them; the table is read and never run. Every other text of a bank or a model
 runs in the sandbox. A trusted planner that fails here runs there too, for the sandbox's error message.
 """
 

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.agents import ROLES
+from sumo_adv.agents.agents import BUILT_IN, ROLES
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.episode import Episode
 from sumo_adv.llm.ledger import Ledger
-from sumo_adv.search.composed_intents import NAME
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 
 SCHEMA = 1
@@ -62,7 +61,7 @@ def outcome(
 def _agents(episode: Episode) -> dict[str, Any]:
     """Who played which part. The built-in expert is never presented as a language model."""
     agents = episode.agents
-    players = {role: NAME if agents is None else agents.player(role) for role in ROLES}
+    players = dict(BUILT_IN) if agents is None else {role: agents.player(role) for role in ROLES}
     models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     note = EXPERT_NOTE
     if models:

@@ -79,7 +79,7 @@ def judge_all(
             time=float(last[k] * situation.dt), spare=float((end - last[k]) * situation.dt),
             warning=float((last[k] - hazard[k]) * situation.dt),
             braking=float(brakes[k, : max(int(last[k]), 1)].mean()), careful=bool(careful[k]),
-            manoeuvre=bool(by_manoeuvre[k]), rear_end=bool(rear[k]), third_party=bool(third[k]),
+            manoeuvre=bool(by_manoeuvre[k]), third_party=bool(third[k]),
             off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]),
         ))
         for k in range(n)

@@ -13,7 +13,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
 from sumo_adv.episode.attempt import Driven, attack, leader
 from sumo_adv.episode.attempt_runner import answer_of
-from sumo_adv.episode.encounter_builder import Baseline, build_encounter
+from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
@@ -50,8 +50,8 @@ def describe(
 ) -> Scene | str:
     """The encounter that begins now, or why it is passed over."""
 
-    def foresee(seconds: float) -> Baseline:
-        return Baseline(traffic_forecast(road, session, seconds), (), dict(session.simulation.fleet.sizes))
+    def foresee(seconds: float) -> UnattackedMotion:
+        return UnattackedMotion(traffic_forecast(road, session, seconds), (), dict(session.simulation.fleet.sizes))
 
     built = build_encounter(session, road, settings, ranking, foresee, checked=FORESEEN, passed_over=passed)
     return built if isinstance(built, str) else Scene(built[0], tuple(ranking), built[1].tracks)

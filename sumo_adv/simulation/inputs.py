@@ -70,27 +70,6 @@ class RunInput:
     files: tuple[Path, ...] = ()
     playback: PlaybackSpec | None = None
 
-    def driver(self, named: str | None) -> str | None:
-        """The ego's driver: ``named`` by the user, else by the input; None if neither says.
-
-        Raises UsageError if only the input names a class, because a class runs as the user.
-        """
-        return trusted_driver(named, self.ego_controller, str(self.source))
-
-
-def trusted_driver(named: str | None, recorded: str | None, source: str) -> str | None:
-    """The driver ``named`` by the user, else the driver in the file ``source``.
-
-    Raises:
-        UsageError: the file names a ``module:Class``, and the user names no driver.
-    """
-    if named is None and recorded is not None and ":" in recorded:
-        raise UsageError(
-            f"{source} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "
-            f"if you trust it, name it yourself with --ego {recorded}."
-        )
-    return named or recorded
-
 
 def load_input(path: Path) -> RunInput:
     """The input at ``path``, or the shipped scenario or network of that name, checked.

@@ -1,7 +1,7 @@
 """A finished net.xml as this package measures it: lanes with shapes and permissions, and what follows what.
 
-Unlike ``world.network`` it keeps internal lanes in their order, bicycle lanes and signal links, and is read in tens of
-milliseconds.
+Unlike ``simulation.network`` it keeps internal lanes in their order, bicycle lanes and signal links, and is read in
+tens of milliseconds.
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ def _fault(one: Trial, found: FoundEncounter) -> str:
 
 
 def in_time(target: Target, ego_speed: float) -> bool:
-    """Whether a vehicle that accelerates at once is at a conflict no later than 0.2 s after the ego (ALGORITHM)."""
+    """Whether a vehicle that accelerates at once is at a conflict no later than 0.2 s after the ego."""
     for way in target.ways:
         if way.conflict is None or way.conflict.bv_s < 1.0 or way.conflict.ego_s < 1.0:
             continue

@@ -6,7 +6,7 @@ first draws are those of random search: the two differ by the adaptation and by 
 is ``POPULATION`` attempts; the objective comes from their verdicts. Where a search has come to rest the next one begins
 with the next vehicle or way.
 Limits: a budget of 25 is four generations in twelve dimensions, of a vehicle fixed beforehand; local steps were the
-worst of the refinements measured (ALGORITHM, "Refinement by diagnosis").
+worst of the refinements measured.
 Citation: Hansen and Ostermeier 2001, "Completely derandomized self-adaptation in evolution strategies", Evolutionary
 Computation 9(2); Hansen, Akimoto and Baudis 2019, "CMA-ES/pycma on Github", Zenodo, doi:10.5281/zenodo.2559634.
 """

@@ -5,8 +5,9 @@ is ``STEERING_UNIT`` of the sharpest turn that the limits allow at its speed, on
 and ``ACCELERATION_UNIT`` of the strongest braking or acceleration. So the zero vector drives on along its way, and a
 standard normal one wanders by about a lane. After the horizon it turns back to the direction of its way and keeps its
 speed. The vehicle is the bicycle of ``drivers/bicycle.py`` (Polack et al. 2017). Acceleration, jerk and grip are
-bound as for any adversary (``planning.trajectory.faster``); the front wheel turns by at most ``STEERING_RATE``. Where
-the motion leaves the road it ends, standing: nothing after that can count, and SUMO has crashed on what went on there.
+bound as for any adversary (``planners/trajectory.py:faster``); the front wheel turns by at most ``STEERING_RATE``.
+Where the motion leaves the road it ends, standing: nothing after that can count, and SUMO has crashed on what went on
+there.
 """
 
 from __future__ import annotations

@@ -4,9 +4,8 @@ What it is: every family (vehicle, intent, mode, delay) is driven against the re
 is left of ``MOST`` simulations goes, with drawn numbers, to the intents that had fewest, so that shares are of like
 precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a success.
 ``oracle_labels`` reads from that the label an analyzer should have answered: the largest share of collisions that count
-(feasible and not rear-end, or valid), then the least mean of min TTC, ties as sets (ALGORITHM, "The most dangerous
-intent, as a label"). ``split_half`` is how well one half of the simulations answers for the other: how
-certain a label of half as many is.
+(feasible and not rear-end, or valid), then the least mean of min TTC, ties as sets. ``split_half`` is how well one half
+of the simulations answers for the other: how certain a label of half as many is.
 Limits: it has more simulations than the other rows have attempts, so it is a bound, not a competitor; with tens of
 simulations a share is known to about 0.1; it knows of nothing but the library's behaviours.
 """
