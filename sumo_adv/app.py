@@ -197,6 +197,17 @@ def replay(recorded: Recorded) -> Episode:
     return episode
 
 
+def minimise(recorded: Recorded, settings: Settings, tell: Callable[[str, Any], None]) -> Episode:
+    """Make the attack that a manifest records as mild as the level ``settings.until`` allows. Raises UsageError."""
+    from sumo_adv.episode.minimise import minimise_episode
+
+    task = replace(recorded.task, settings=settings)
+    with new_sandbox(settings) as sandbox, new_engine() as engine:
+        return minimise_episode(
+            recorded.source, settings, task, engine, sandbox, recorded.proposal, recorded.skips, tell
+        )
+
+
 def new_engine() -> Engine:
     """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
     from sumo_adv.episode.worker import body

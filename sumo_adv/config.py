@@ -67,6 +67,7 @@ class Settings(ModelSettings, BaseSettings):
     end: float | None = Field(None, ge=0)
     until: Until = Until.TTC
     attempts: int = Field(25, ge=1, le=10_000)
+    diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
     ttc: float = Field(1.0, gt=0, le=20)
     tuner: Literal["builtin", "off"] = "builtin"
     llm: str | None = None  # who plays analyzer, generator and modifier, but for those named below

@@ -301,6 +301,7 @@ class Verdict:
     ego_blocking: bool | None = None
     humanlike: bool | None = None
     beyond_human: tuple[str, ...] = ()  # signals outside the human envelope
+    contact_side: str | None = None  # of the ego: front | rear | left | right
     delta_v: float | None = None  # m/s, of the ego
     adversary_delta_v: float | None = None
     severity: str | None = None  # negligible | minor | moderate | severe
@@ -369,9 +370,12 @@ class Prediction:
 
     failure: why the planner failed; the other fields then mean nothing. hit: whether ego and adversary touch.
     min_ttc, gap: least time to collision and least distance of the boxes up to the contact. time: until the contact, or
-    until the end; spare: from then to the end; warning: from the hazard to the contact. braking: share of the steps up
-    to the contact in which the adversary brakes. careful, manoeuvre: whether this reference driver avoids it.
-    third_party, off_road, beyond_limits: why the contact does not count.
+    until the end; spare: from then to the end; closest: until the contact or the closest approach. warning: from the
+    alarm of ``cc_human`` to the contact. braking: share of the steps up to the contact in which the adversary brakes.
+    level: that the collision reaches, by the reference drivers ``careful`` (cc_human) and ``manoeuvre``, which avoid it
+    or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2]; human: it stays within the human
+    envelope; side: of the ego that is hit. third_party, off_road, beyond_limits, rear_end: why the contact does not
+    count. trace: positions of the adversary, x and y, every 0.5 s up to ``closest``.
     """
 
     failure: str = ""
@@ -380,13 +384,21 @@ class Prediction:
     gap: float = math.inf
     time: float = 0.0
     spare: float = math.inf
+    closest: float = 0.0
     warning: float = 0.0
     braking: float = 0.0
+    level: Level = Level.NONE
+    delta_v: float = 0.0
+    acceleration: float = 0.0
+    human: bool = True
     careful: bool = False
     manoeuvre: bool = False
+    side: str = ""
     third_party: bool = False
     off_road: bool = False
     beyond_limits: bool = False
+    rear_end: bool = False
+    trace: tuple[tuple[float, float], ...] = ()
 
     @property
     def hopeless(self) -> bool:
@@ -467,6 +479,7 @@ class Attempt:
     ending: str  # contact | passed | time_limit | ego_left | ego_lost | planner_failed
     message: str = ""
     diagnosis: Diagnosis | None = None
+    kind: str = ""  # intent, relation and side of the ego that is hit
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,21 @@ from typing import Annotated
 
 import typer
 
-from sumo_adv.cli import batch, bench, convert, doctor, export, figure, import_fcd, judge, memory, report, run, serve
+from sumo_adv.cli import (
+    batch,
+    bench,
+    convert,
+    doctor,
+    export,
+    figure,
+    import_fcd,
+    judge,
+    memory,
+    minimise,
+    report,
+    run,
+    serve,
+)
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
@@ -23,6 +37,7 @@ app = typer.Typer(
 app.command("run", epilog=run.EXAMPLE)(run.run)
 app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
+app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)
 app.command("judge", epilog=judge.EXAMPLE)(judge.judge)
 app.command("report", epilog=report.EXAMPLE)(report.report)
 app.command("figure", epilog=figure.EXAMPLE)(figure.figure)

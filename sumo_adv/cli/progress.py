@@ -101,6 +101,9 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    for success in result.get("successes", ())[1:] and result["successes"]:
+        where = f" ({folder / success['folder']})" if success["folder"] else ""
+        lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{where}.")
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")

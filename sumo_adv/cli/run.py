@@ -44,6 +44,9 @@ def run(
         Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
     ] = None,
     attempts: Annotated[int | None, typer.Option(help="At most so many attempts (default: 25).")] = None,
+    diverse: Annotated[
+        int | None, typer.Option(help="Go on until this many attacks of different kinds succeeded (default: 1).")
+    ] = None,
     ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
     tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
     llm: Annotated[
@@ -104,10 +107,10 @@ def run(
     driver = trusted_driver(ego, given.ego_controller, given.source)
     settings = load_settings(
         settings_file, ego=driver, ego_id=ego_id, adversary=adversary, trigger=trigger,
-        begin=begin, end=end, until=until, attempts=attempts, ttc=ttc, tuner=tuner, learn=learn, recall=recall,
-        memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator, modifier=modifier,
-        fallback=fallback, samples=samples, evidence=evidence, instruction=instruction, density=density,
-        background=background, horizon=given.horizon, fork=False if no_fork else None,
+        begin=begin, end=end, until=until, attempts=attempts, diverse=diverse, ttc=ttc, tuner=tuner, learn=learn,
+        recall=recall, memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator,
+        modifier=modifier, fallback=fallback, samples=samples, evidence=evidence, instruction=instruction,
+        density=density, background=background, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
     if show_prompts:
         from sumo_adv.cli.prompts import show
@@ -132,10 +135,11 @@ def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: 
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(given, settings, folder.stage, Path(scratch), tell, interrupts.hold)
-        _finish(folder, episode, force=force, as_json=as_json)
+        finish(folder, episode, force=force, as_json=as_json)
 
 
-def _finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -> None:
+def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -> None:
+    """Write the folder of an episode and say what it came to. Raises typer.Exit if it failed."""
     from sumo_adv.cli.progress import summary
     from sumo_adv.report.folder import write_run
 
@@ -176,4 +180,4 @@ def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
         episode = app.replay(recorded)
-        _finish(folder, episode, force=force, as_json=as_json)
+        finish(folder, episode, force=force, as_json=as_json)

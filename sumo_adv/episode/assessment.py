@@ -14,6 +14,7 @@ from sumo_adv.episode.diagnosis import REACH, diagnose
 from sumo_adv.episode.references import simulated
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.metrics.levels import judged
+from sumo_adv.search.novelty import kind_of
 from sumo_adv.simulation.recording import tracks_of
 
 NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
@@ -42,8 +43,9 @@ def attempt_of(
         verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
     path = found.situations[proposal.delay].baseline.path
     diagnosis = diagnose(result, found.ego, proposal.bv, path, settings.limits.limits(), settings.step_length)
+    kind = kind_of(proposal.label, found.situations[proposal.delay].targets[proposal.bv].relation, verdict.contact_side)
     return Attempt(
-        index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis
+        index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
@@ -29,6 +29,7 @@ class Episode:
     refinement: Refinement = field(default_factory=Refinement)
     prefix: Prefix | None = None
     lanes: Sequence[Any] = ()
+    known_labels: frozenset[str] = frozenset()  # of intents that the bank had
     forked: bool = False
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
     isolation: str = ""
@@ -39,6 +40,24 @@ class Episode:
     traceback: str = ""  # of a fault in sumo_adv
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
+
+    def of_attempt(self, index: int) -> Episode:
+        """The same episode with another attempt as the one that counts."""
+        episode = replace(self, refinement=replace(self.refinement, chosen=index), timing=dict(self.timing))
+        episode.keep_intent()
+        return episode
+
+    def keep_intent(self) -> None:
+        """Take the intent of the attempt that counts, as the analyzer ranked it; without attempts, the first one."""
+        best = self.best
+        if best is None:
+            self.intent = self.intents[0]
+            return
+        p = best.proposal
+        same = [i for i in self.intents if i.label == p.label]
+        intent = next((i for i in same if i.bv == p.bv), same[0] if same else self.intents[0])
+        source = "memory" if p.label in self.known_labels else "generated"
+        self.intent = replace(intent, bv=p.bv, acceleration=p.acceleration, source=source)
 
     @property
     def best(self) -> Attempt | None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Sequence
-from dataclasses import replace
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
@@ -21,7 +20,7 @@ from sumo_adv.episode.memory_access import (
 )
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
-from sumo_adv.episode.task import Task
+from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -108,7 +107,8 @@ def pursue(
     except ModelError as error:  # the attempts until then count
         episode.ending, episode.reason = model_ending(error), str(error)
     finally:  # also after an interruption or a failure
-        _keep_intent(episode, planned.library)
+        episode.known_labels = frozenset(e.label for e in planned.library)
+        episode.keep_intent()
         episode.isolation = agents.sandbox.isolation
         timing["prediction"] = timing.get("prediction", 0.0) + planned.predictor.seconds
         timing["attempts"] = episode.refinement.seconds
@@ -122,17 +122,9 @@ def replay_episode(
     """The encounter again, with one given attempt and nothing else: no analyzer, no bank; ``skips`` as recorded."""
     episode = Episode(source, settings, task)
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
-    for _ in range(skips + 1):
-        found = seek(episode, engine, lambda *_: None)
-        if found is None:
-            return episode
-    assert found is not None
-    if proposal.delay not in found.situations:
-        raise UsageError(
-            f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
-        )
-    if proposal.bv not in found.situations[proposal.delay].targets:
-        raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
+    found = recorded_encounter(episode, engine, proposal, skips)
+    if found is None:
+        return episode
     runner = AttemptRunner(engine, sandbox, found, settings.seed)
     result = runner.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
@@ -145,16 +137,21 @@ def replay_episode(
     return episode
 
 
-def _keep_intent(episode: Episode, library: Sequence[LibraryEntry]) -> None:
-    """The intent of the attempt that counts, as the analyzer ranked it."""
-    best = episode.best
-    if best is None:
-        episode.intent = episode.intents[0]
-        return
-    p = best.proposal
-    same = [i for i in episode.intents if i.label == p.label]
-    intent = next((i for i in same if i.bv == p.bv), same[0] if same else episode.intents[0])
-    known = {e.label for e in library}
-    episode.intent = replace(
-        intent, bv=p.bv, acceleration=p.acceleration, source="memory" if p.label in known else "generated"
-    )
+def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, skips: int) -> FoundEncounter | None:
+    """The encounter of a recorded attack; None if the simulation does not come to it (the episode says why).
+
+    Raises:
+        UsageError: the recorded start or vehicle is none of the encounter's.
+    """
+    for _ in range(skips + 1):
+        found = seek(episode, engine, lambda *_: None)
+        if found is None:
+            return None
+    assert found is not None
+    if proposal.delay not in found.situations:
+        raise UsageError(
+            f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
+        )
+    if proposal.bv not in found.situations[proposal.delay].targets:
+        raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
+    return found

@@ -64,7 +64,9 @@ def find_attackable(
 def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
     """An encounter with the bank's library and the predictions of the first candidates."""
     settings = episode.settings
-    weights = SearchSettings(proposals=settings.proposals, share=settings.per_planner)
+    modified = episode.agents is not None and episode.agents.by_model("modifier")
+    share = settings.per_planner if modified else settings.attempts
+    weights = SearchSettings(proposals=settings.proposals, share=share)
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed)
@@ -82,7 +84,7 @@ def searched(
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
         predictor, found.situations, library,
-        weights, seed=settings.seed,
+        weights, seed=settings.seed, goal=settings.until.level,
         allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if known is None else known[1],
     )  # fmt: skip

@@ -25,7 +25,11 @@ AT_ONCE = 2  # attempts that run side by side after the first; also where they c
 
 @dataclass(slots=True)
 class Refinement:
-    """The attempts so far; ``results[k]`` belongs to ``attempts[k]``."""
+    """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
+
+    successes: indices of the attempts that reached the level, one of each kind. chosen: the attempt that counts, if it
+    is not the best.
+    """
 
     attempts: list[Attempt] = field(default_factory=list)
     results: list[AttemptResult] = field(default_factory=list)
@@ -33,12 +37,14 @@ class Refinement:
     reason: str = ""
     seconds: float = 0.0
     first_success_seconds: float | None = None
+    successes: list[int] = field(default_factory=list)
+    chosen: int | None = None
 
     @property
     def best(self) -> int | None:
         """Index of the attempt that counts, None without attempts."""
-        if not self.attempts:
-            return None
+        if self.chosen is not None or not self.attempts:
+            return self.chosen
         return min(range(len(self.attempts)), key=lambda k: (*rank(self.attempts[k].verdict), k))
 
 
@@ -78,7 +84,7 @@ class Refiner:
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(optimizer, found)
             if not plans:
-                found.reason = "Nothing was left to try." if found.attempts else "There was nothing to try."
+                found.reason = self._why_ended(optimizer, found)
                 break
             if self._try(plans, found, began):
                 break
@@ -114,25 +120,37 @@ class Refiner:
         return plans or (self._rewritten(found) if isinstance(optimizer, FixedOrder) else [])
 
     def _try(self, plans: Sequence[Proposal], found: Refinement, began: float) -> bool:
-        """Run candidates; True once one of them succeeded (those behind it are dropped)."""
+        """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
             attempt = checked(attempt, result, self._runner, self._settings.until)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell(attempt)
-            if succeeded(attempt.verdict, self._settings.until):
-                found.ending, found.reason = Ending.CRITICAL, ""
-                found.first_success_seconds = time.perf_counter() - began
+            if succeeded(attempt.verdict, self._settings.until) and self._keep(attempt, found, began):
                 return True
         return False
+
+    def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
+        """Take note of a success; whether there are enough of different kinds now."""
+        if found.first_success_seconds is None:
+            found.ending, found.reason = Ending.CRITICAL, ""
+            found.first_success_seconds = time.perf_counter() - began
+        if attempt.kind not in {found.attempts[k].kind for k in found.successes}:
+            found.successes.append(attempt.index)
+            self._search.succeeded(attempt.kind)
+        return len(found.successes) >= self._settings.diverse
 
     def _observe(self, optimizer: Optimizer, found: Refinement, count: int) -> None:
         """Give the optimizer the ego's motions in the last ``count`` attempts."""
         for attempt, result in zip(found.attempts[-count:], found.results[-count:], strict=True):
             motion = observed_motion(result, self._found, attempt.proposal.delay, self._settings)
-            if motion is not None:
-                optimizer.observe(attempt.proposal, motion, avoidable=attempt.verdict.avoidable_collision)
+            optimizer.observe(attempt.proposal, motion, attempt.verdict)
+
+    def _why_ended(self, optimizer: AttackSearch | FixedOrder, found: Refinement) -> str:
+        if isinstance(optimizer, AttackSearch):
+            return optimizer.result
+        return "Nothing was left to try." if found.attempts else "There was nothing to try."
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         phase, by = self._credit(index, proposal)

@@ -65,6 +65,12 @@ def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> Motion:
     return Motion(b.speed, acceleration, yaw_rate, b.speed * size, size / np.maximum(b.speed, CRAWL), jerk)
 
 
+def largest_acceleration(b: Boxes, acceleration: Floats, time: Floats) -> Floats:
+    """The largest acceleration of each motion ``(..., steps)`` in any direction [m/s2], ``(...)``."""
+    m = derivatives(b, acceleration, time)
+    return np.asarray(np.hypot(m.acceleration, m.lateral).max(axis=-1))
+
+
 def kinematic_gates(b: Boxes, acceleration: Floats, time: Floats, limits: Limits) -> dict[str, Bools]:
     """The steps ``(..., steps)`` that break each gate on the motion itself, by the gate's name.
 

@@ -21,9 +21,11 @@ brake hard for what is before them, and the ego behind them has to cope.
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from sumo_adv.datatypes import Bools, Floats, Track
-from sumo_adv.metrics.gates import motion
+from sumo_adv.datatypes import Bools, Boxes, Floats, Track
+from sumo_adv.metrics.boxes import row_of
+from sumo_adv.metrics.gates import derivatives
 
 SLOW, FAST = 5.0, 20.0  # m/s
 BOUNDS = {
@@ -41,33 +43,40 @@ def outside(track: Track, start: float, end: float, excused: Bools | None = None
     """
     if len(track.time) < 3:
         return ()
-    dt = float(np.diff(track.time).min())
     judged = (track.time >= start - 5e-4) & (track.time <= end + 5e-4)
-    m = motion(track)
-    along = _mean(np.diff(track.speed, prepend=track.speed[0]) / dt, dt, BRAKING_SPAN)
-    change = _span_change(along, dt)
     free = np.zeros(len(track.time), bool) if excused is None else excused
+    found = envelope_left(row_of(track), track.time, judged[None], free[None])
+    return tuple(name for name, left in found.items() if left[0])
+
+
+def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict[str, Bools]:
+    """Which motions ``(n, steps)`` leave the envelope for more than ``ALLOWED`` in the ``judged`` steps, by signal.
+
+    ``time`` ``(steps,)`` [s], evenly spaced; ``excused`` ``(n, steps)``: where braking is not judged.
+    """
+    dt = float(np.diff(time).min())
+    change = np.diff(b.speed, axis=-1, prepend=b.speed[..., :1]) / dt
+    m, along = derivatives(b, change, time), _mean(change, dt, BRAKING_SPAN)
+    jerk = _span_change(along, dt)
     signals = {
-        "acceleration": along, "braking": np.where(free, 0.0, -along), "jerk": np.where(free, 0.0, np.abs(change)),
-        "lateral": m.lateral, "yaw_rate": np.abs(m.yaw_rate),
+        "acceleration": along, "braking": np.where(excused, 0.0, -along),
+        "jerk": np.where(excused, 0.0, np.abs(jerk)), "lateral": m.lateral, "yaw_rate": np.abs(m.yaw_rate),
     }  # fmt: skip
-    found = []
+    found = {}
     for name, values in signals.items():
-        low, high = BOUNDS[name]
-        bound = np.interp(track.speed, (SLOW, FAST), (low, high))
-        if float((judged & (values > bound + 1e-6)).sum()) * dt > ALLOWED + 1e-9:
-            found.append(name)
-    return tuple(found)
+        bound = np.interp(b.speed, (SLOW, FAST), BOUNDS[name])
+        found[name] = (judged & (values > bound + 1e-6)).sum(axis=-1) * dt > ALLOWED + 1e-9
+    return found
 
 
 def _mean(values: Floats, dt: float, span: float) -> Floats:
     """The mean over the last ``span`` [s]."""
     count = max(1, round(span / dt))
-    padded = np.concatenate([np.repeat(values[:1], count - 1), values])
-    return np.convolve(padded, np.ones(count) / count, "valid")
+    padded = np.concatenate([np.repeat(values[..., :1], count - 1, axis=-1), values], axis=-1)
+    return np.asarray(sliding_window_view(padded, count, axis=-1).mean(axis=-1))
 
 
 def _span_change(values: Floats, dt: float) -> Floats:
     """The change over ``JERK_SPAN`` [s], per second."""
-    back = np.maximum(np.arange(len(values)) - max(1, round(JERK_SPAN / dt)), 0)
-    return np.asarray((values - values[back]) / JERK_SPAN)
+    back = np.maximum(np.arange(values.shape[-1]) - max(1, round(JERK_SPAN / dt)), 0)
+    return np.asarray((values - values[..., back]) / JERK_SPAN)

@@ -160,7 +160,7 @@ def with_level(
     strange = outside(adversary, trigger_time, contact, _ahead_in_lane(ego, adversary, lane_half_width))
     verdict = replace(
         verdict, preventability=found, ego_stationary=_stationary(ego, contact), ego_blocking=_blocking(ego, contact),
-        humanlike=not strange, beyond_human=strange, delta_v=impact.ego_delta_v,
+        humanlike=not strange, beyond_human=strange, contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v,
         adversary_delta_v=impact.adversary_delta_v, severity=str(impact.severity), injury_risk=impact.injury_risk,
     )  # fmt: skip
     return judged(verdict)

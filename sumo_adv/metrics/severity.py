@@ -86,13 +86,18 @@ def injury_risk(delta_v: float) -> float:
 
 def crash(ego: Track, adversary: Track, contact_time: float) -> Crash:
     """The impact at ``contact_time`` [s] of two tracks at their first contact."""
-    a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
+    boxes = at_time(ego, contact_time), at_time(adversary, contact_time)
+    return crash_of(*boxes, (_yaw_rate(ego, contact_time), _yaw_rate(adversary, contact_time)))
+
+
+def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Crash:
+    """The impact of two boxes at first contact (0-d arrays) that turn with ``yaw_rates`` [rad/s]."""
+    a, b = ego, adversary
     normal, point = _normal(a, b), contact_point(a, b)
     mass = [mass_of(float(v.length)) for v in (a, b)]
     inertia = [m * (float(v.length) ** 2 + float(v.width) ** 2) / 12 for m, v in zip(mass, (a, b), strict=True)]
-    rate = [_yaw_rate(t, contact_time) for t in (ego, adversary)]
     lever, velocity = [], []
-    for box, yaw in zip((a, b), rate, strict=True):
+    for box, yaw in zip((a, b), yaw_rates, strict=True):
         rx, ry = point[0] - float(box.x), point[1] - float(box.y)
         lever.append(rx * normal[1] - ry * normal[0])
         velocity.append(

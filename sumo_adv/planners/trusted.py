@@ -39,6 +39,7 @@ TRUSTED = frozenset(
         "feb689cd98b768a336d9bd7943cc23ba8b7f6510a8d431142de0c6e60c8aa07a",  # straddle
         "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
         "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail of the lane shift
+        "3421bf14c28f8f4a68dc8d44d9652e1116ad720bf4a3593ef8414dc2532dcff3",  # slow
     }
 )
 """Fingerprints of the planners in ``memory_bank/``. They are listed here so that no bank can claim to be trusted."""

@@ -101,6 +101,15 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
         if episode.best is not None and figure:
             _figure_or_note(stage / "encounter.png", episode, result)
     (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
+    for success in result["successes"]:
+        if success["folder"] is not None:
+            other = stage / success["folder"]
+            other.mkdir(parents=True)
+            write_run(
+                RunFolder(folder.target / success["folder"], other),
+                episode.of_attempt(success["attempt"]),
+                figure=figure,
+            )
     return result
 
 

@@ -19,6 +19,7 @@ from sumo_adv.simulation.playback_spec import PlaybackSpec
 
 SCHEMA = 1
 VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)
+ATTACKS = "attacks"  # in a run's folder: one folder for each further kind of attack, by the number of its attempt
 MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
 
@@ -50,7 +51,7 @@ def outcome(
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
-        "best": episode.refinement.best, "until": str(settings.until),
+        "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
@@ -111,7 +112,7 @@ def level_figures(v: Verdict) -> dict[str, Any]:
         "references": None if p is None else dict(p.answers), "alarms": None if p is None else dict(p.alarms),
         "inconclusive": None if p is None else p.inconclusive, "simulated": None if p is None else p.simulated,
         "ego_stationary": v.ego_stationary, "ego_blocking": v.ego_blocking, "humanlike": v.humanlike,
-        "beyond_human": list(v.beyond_human), "delta_v": number(v.delta_v),
+        "beyond_human": list(v.beyond_human), "contact_side": v.contact_side, "delta_v": number(v.delta_v),
         "adversary_delta_v": number(v.adversary_delta_v), "severity": v.severity, "injury_risk": number(v.injury_risk),
     }  # fmt: skip
 
@@ -139,9 +140,20 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
-        "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v),
+        "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
+        "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
+
+
+def _successes(episode: Episode) -> list[dict[str, Any]]:
+    """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
+    done = episode.refinement
+    best, found = done.best, []
+    for k in done.successes:
+        folder = None if k == best or done.chosen is not None else f"{ATTACKS}/{k + 1}"
+        found.append({"attempt": k, "kind": done.attempts[k].kind, "folder": folder})
+    return found
 
 
 def _timing(episode: Episode) -> dict[str, float | None]:

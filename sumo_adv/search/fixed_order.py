@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from sumo_adv.datatypes import Intent, ObservedMotion, Proposal
+from sumo_adv.datatypes import Intent, ObservedMotion, Proposal, Verdict
 from sumo_adv.search.templates import AttackTemplate
 
 
@@ -20,7 +20,7 @@ class FixedOrder:
         candidates, self._left = self._left[:budget], self._left[budget:]
         return candidates
 
-    def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
+    def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
         """Nothing."""
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from sumo_adv.datatypes import ObservedMotion, Proposal
+from sumo_adv.datatypes import ObservedMotion, Proposal, Verdict
 
 
 class Scorer(Protocol):
@@ -27,6 +27,6 @@ class Optimizer(Protocol):
         """The next candidates, at most ``budget``; none when nothing is left."""
         ...
 
-    def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
-        """Take note of the ego's motion in an attempt; ``avoidable``: it was a collision that counts."""
+    def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
+        """Take note of an attempt: its verdict, and how the ego moved in it (None: not at all)."""
         ...

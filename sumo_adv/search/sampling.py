@@ -50,6 +50,17 @@ class Sampler:
         return [varied(proposals[k % len(proposals)], self.random, spread) for k in range(count if proposals else 0)]
 
 
+def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
+    """The first candidate of each cell, in order: a cell is a vehicle, intent and mode, and the side of the ego that is
+    hit or why it is not (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites")."""
+    cells: dict[tuple[str, ...], Proposal] = {}
+    for p in ordered:
+        seen = p.prediction
+        if seen is not None and not seen.failure:
+            cells.setdefault((*p.family, seen.side or ("contact" if seen.hit else "miss")), p)
+    return list(cells.values())
+
+
 def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
     range, within the bounds. It counts as proposed by the search."""

@@ -1,7 +1,7 @@
 """Predicted rollouts judged by the verdict's own functions, and their scores.
 
-The lower the score, the better. A feasible collision that is not a rear-end scores by which driver could have avoided
-it and with how much time to spare. Unavoidable contacts, misses, infeasible motions, contacts with a third party
+The lower the score, the better. A predicted collision scores by the level that it reaches (``predicted_level.py``) and
+by how much there is to spare. Collisions that prove nothing, misses, infeasible motions, contacts with a third party
 and rear-ends follow in this order.
 """
 
@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Prediction, Proposal, Role
+from sumo_adv.datatypes import Bools, Boxes, Floats, Level, Limits, Prediction, Proposal, Role
 from sumo_adv.drivers.third_parties import braking
-from sumo_adv.geometry import wrap_all
-from sumo_adv.metrics.avoidance import avoidance, careful_after
 from sumo_adv.metrics.boxes import between_steps, gap, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
-from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.levels import SERIOUS_DELTA_V
+from sumo_adv.search.novelty import TRACE_STEP
+from sumo_adv.search.predicted_level import Danger, danger_of, some_rows, some_steps
 from sumo_adv.search.rollouts import Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -31,7 +31,6 @@ GENTLY = 1.0  # m/s2: gentler braking does not count
 ROAD_INSET = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
 ROAD_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
 LEAST_STEPS = 3  # before a contact, for a hazard to show
-MANOEUVRE = 1  # the place of the verdict's delay among ``manoeuvre_delays``
 
 
 def judge_all(
@@ -58,32 +57,52 @@ def judge_all(
     leaves = _leaves_road(adversary, judged, drivable)
     beyond = _beyond_limits(adversary, before, rollouts.time, judged, limits)
     rear = hit & rear_end(*at_contact)
-    least, nearest = _least(ego, adversary, last)
+    least, nearest, nearest_step = _least(ego, adversary, last)
     good = np.flatnonzero(hit & ~third & ~leaves & ~beyond & ~rear & (contact >= LEAST_STEPS))
     missed = weights.miss_by_ttc * np.minimum(least, 10.0) + weights.miss_by_gap * np.minimum(nearest, 30.0)
-    score = np.where(hit, weights.unavoidable, weights.miss + missed)
+    score = np.where(hit, weights.no_warning, weights.miss + missed)
     score = np.where(leaves, weights.off_road, np.where(beyond, weights.beyond_limits, score))
     score = np.where(third, weights.third_party, np.where(rear, weights.rear_end, score))
-    delays = weights.manoeuvre_delays
-    careful, manoeuvre, hazard = np.zeros(n, bool), np.zeros((n, len(delays)), bool), np.array(last)
+    found: dict[int, int] = {}
+    danger = None
     if len(good):
-        found = _avoidable(situation, proposals, ego, adversary, good, last[good], drivable, weights)
-        careful[good], late, nearly, manoeuvre[good], hazard[good] = found
-        warning = (last[good] - hazard[good]) * situation.dt
-        score[good] = _score(careful[good], late, nearly, manoeuvre[good], warning, weights)
-        score[good] += np.where(firm[good], 0.0, weights.grazes)
-    by_manoeuvre = manoeuvre[:, MANOEUVRE]
-    return [
-        (float(score[k]), Prediction(
+        names = [proposals[k].bv for k in good.tolist()]
+        own, foe = (some_rows(b, good) for b in (ego, adversary))
+        meeting = tuple(pick(b, good) for b in at_contact)
+        danger = danger_of(situation, names, own, foe, last[good], meeting, drivable, weights)  # type: ignore[arg-type]
+        score[good] = _score(danger, firm[good], weights)
+        found = {int(k): i for i, k in enumerate(good)}
+    closest = np.where(hit, last, nearest_step)
+    predictions = []
+    for k in range(n):
+        made = Prediction(
             hit=bool(hit[k]), min_ttc=0.0 if hit[k] else float(least[k]), gap=float(nearest[k]),
             time=float(last[k] * situation.dt), spare=float((end - last[k]) * situation.dt),
-            warning=float((last[k] - hazard[k]) * situation.dt),
-            braking=float(brakes[k, : max(int(last[k]), 1)].mean()), careful=bool(careful[k]),
-            manoeuvre=bool(by_manoeuvre[k]), third_party=bool(third[k]),
-            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]),
-        ))
-        for k in range(n)
-    ]  # fmt: skip
+            braking=float(brakes[k, : max(int(last[k]), 1)].mean()), third_party=bool(third[k]),
+            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]), rear_end=bool(rear[k]),
+            level=Level.COLLISION if hit[k] and not (third[k] or leaves[k] or beyond[k] or rear[k]) else Level.NONE,
+            trace=_trace(adversary, k, int(closest[k]), situation.dt), closest=float(closest[k] * situation.dt),
+        )  # fmt: skip
+        if danger is not None and k in found:
+            made = _with_danger(made, danger, found[k])
+        predictions.append((float(score[k]), made))
+    return predictions
+
+
+def _with_danger(made: Prediction, danger: Danger, row: int) -> Prediction:
+    return replace(
+        made, level=Level(int(danger.level[row])), warning=float(danger.warning[row]),
+        delta_v=float(danger.delta_v[row]), human=bool(danger.human[row]), careful=bool(danger.careful[row]),
+        manoeuvre=bool(danger.manoeuvre[row]), side=danger.sides[row],
+        acceleration=float(danger.acceleration[row]),
+    )  # fmt: skip
+
+
+def _trace(adversary: Boxes, row: int, until: int, dt: float) -> tuple[tuple[float, float], ...]:
+    """Where the adversary is every ``TRACE_STEP`` [s], x and y [m], up to a step."""
+    steps = slice(0, until + 1, max(1, round(TRACE_STEP / dt)))
+    x, y = np.round(adversary.x[row, steps], 2).tolist(), np.round(adversary.y[row, steps], 2).tolist()
+    return tuple(zip(x, y, strict=True))
 
 
 def _brakes(speed: Floats, dt: float) -> Bools:
@@ -114,15 +133,21 @@ def _first(holds: Bools) -> Any:
     return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
 
 
-def _score(
-    careful: Bools, late: Bools, nearly: Floats, manoeuvre: Bools, warning: Floats, weights: ScoreSettings
-) -> Floats:
-    """By which driver avoids it and with what to spare: winners at the verdict's very edge do not survive noise."""
-    score = weights.unavoidable - weights.warned * np.clip(warning / weights.warned_enough, 0.0, 1.0)
-    for k, value in enumerate(weights.by_manoeuvre):
-        score = np.where(manoeuvre[:, k], value, score)
-    score = score - nearly
-    return np.where(careful, np.where(late, weights.by_late_careful, weights.by_careful), score)
+def _score(danger: Danger, firm: Bools, weights: ScoreSettings) -> Floats:
+    """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
+    warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
+    hard = np.clip(danger.delta_v / SERIOUS_DELTA_V, 0.0, 1.0)
+    harder = np.clip(danger.delta_v / SERIOUS_DELTA_V - 1.0, 0.0, 1.0)
+    spare = weights.not_late * ~danger.late + weights.not_hard * (1.0 - harder)
+    to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human + weights.not_late * ~danger.late
+    to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
+    to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)
+    levels = (Level.SERIOUS, Level.STRICT, Level.VALID)
+    bases = (weights.serious, weights.strict, weights.valid)
+    score = weights.collision + to_valid
+    for level, base, rest in zip(levels, bases, (spare, to_serious, to_strict), strict=True):
+        score = np.where(danger.level == level, base + rest, score)
+    return np.asarray(score + np.where(firm, 0.0, weights.grazes))
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:
@@ -137,15 +162,17 @@ def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> 
     return time[before] + share * (time[last] - time[before]), at_contact
 
 
-def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
-    """Least TTC [s] and least box distance [m] up to the contact, every third step."""
+def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any]:
+    """Least TTC [s], least box distance [m] up to the contact, and the step at which the centres are nearest; every
+    third step."""
     steps = np.arange(0, ego.x.shape[1], 3)
     shown = (np.arange(len(last))[:, None], steps[None, :])
     a, b = pick(ego, shown), pick(adversary, shown)
     before = steps[None, :] <= last[:, None]
     centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
     at = (np.arange(len(last)), centres.argmin(axis=1))
-    return np.where(before, ttc(a, b), np.inf).min(axis=1), np.asarray(gap(pick(a, at), pick(b, at)))
+    least = np.where(before, ttc(a, b), np.inf).min(axis=1)
+    return least, np.asarray(gap(pick(a, at), pick(b, at))), steps[at[1]]
 
 
 def _third_party(
@@ -157,20 +184,20 @@ def _third_party(
     if not tracks:
         return touched
     around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
-    mine, theirs, when = _steps(adversary, driven), _steps(around, driven), time[driven]
+    mine, theirs, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
     rows, others = near_pairs(mine, theirs, when, end)
     is_other = np.array([t.id for t in tracks])[others] != np.array([p.bv for p in proposals])[rows]
     rows, others = rows[is_other], others[is_other]
-    meets = third_party(_rows(mine, rows), _rows(theirs, others), when, end[rows])
+    meets = third_party(some_rows(mine, rows), some_rows(theirs, others), when, end[rows])
     rows, others = rows[meets], others[meets]
     reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
     touched[rows[~reacts]] = True
     rows, others = rows[reacts], others[reacts]
     if len(rows):
         steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
-        mine = _steps(_rows(adversary, rows), steps)
-        braked = braking(_rows(around, others), mine, situation.road.lane_width, situation.dt)
-        meets = third_party(_steps(mine, driven), _steps(braked, driven), time[steps][driven], end[rows])
+        mine = some_steps(some_rows(adversary, rows), steps)
+        braked = braking(some_rows(around, others), mine, situation.road.lane_width, situation.dt)
+        meets = third_party(some_steps(mine, driven), some_steps(braked, driven), time[steps][driven], end[rows])
         touched[rows[meets]] = True
     return touched
 
@@ -187,100 +214,3 @@ def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools
     acceleration = np.concatenate([before[:, None], change], axis=1)
     broken = kinematic_gates(adversary, acceleration, time, limits)
     return np.asarray((np.any(list(broken.values()), axis=0) & judged).any(axis=1))
-
-
-def _avoidable(
-    situation: Situation, proposals: Sequence[Proposal], ego: Boxes, adversary: Boxes, good: Any, last: Any,
-    drivable: Drivable, weights: ScoreSettings,
-) -> tuple[Bools, Bools, Floats, Bools, Any]:  # fmt: skip
-    """Whether the careful driver avoids it, also if slower; what is taken off where it nearly does; whether some
-    manoeuvre does, by delay (evaluated only where the careful driver does not); the step of the hazard."""
-    a, b = _cut(_rows(ego, good), last, situation.dt), _rows(adversary, good)
-    start, dt = np.zeros(len(good), np.intp), situation.dt
-    half = situation.road.lane_width / 2
-    path, until = _held(_rows(ego, good), last), slice(0, int(last.max()) + 1)
-    hazard, _ = hazard_index(_steps(path, until), _steps(b, until), start, last, dt, lane_half_width=half)
-    leads = (0.0, weights.slower, *(-t for t in weights.sooner))
-    careful, late, *sooner = careful_after(a, b, hazard, dt, leads)
-    careful, hazard = _surely(careful, a, b, path, hazard, last, dt, half, weights.turn_error)
-    nearly = np.where(sooner, np.array(weights.nearly)[:, None], 0.0).max(axis=0)
-    manoeuvre = np.zeros((len(good), len(weights.manoeuvre_delays)), bool)
-    time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * dt, float)
-    names = np.array([proposals[k].bv for k in good])
-
-    def where(rows: Any) -> tuple[Boxes, Boxes, Any, float]:
-        return _rows(a, rows), _rows(b, rows), hazard[rows], dt
-
-    others_of = {bv: [t for t in situation.traffic.others if t.id != bv] for bv in np.unique(names)}
-    around = {bv: on_grid(tracks, time) for bv, tracks in others_of.items() if tracks}
-    for bv, others in around.items():  # they may leave no room
-        rows = np.flatnonzero((names == bv) & careful)
-        if len(rows):
-            careful[rows] = careful_after(*where(rows), (0.0,), others=others)[0]
-    for bv in np.unique(names[~careful]):
-        rows = np.flatnonzero((names == bv) & ~careful)
-        manoeuvre[rows] = _manoeuvre(*where(rows), drivable, around.get(bv), weights.manoeuvre_delays)
-    return careful, careful & late, nearly, manoeuvre, hazard
-
-
-def _surely(
-    careful: Bools, ego: Boxes, adversary: Boxes, path: Boxes, hazard: Any, last: Any, dt: float, half: float,
-    turn_error: float,
-) -> tuple[Bools, Any]:  # fmt: skip
-    """Which contacts the careful driver avoids also if a turning ego has turned a little more or less than predicted:
-    that moves a far vehicle sideways by metres, and its hazard may show seconds later. And the steps of the hazards,
-    later where that matters."""
-    unsure = np.minimum(np.abs(wrap_all(path.heading[:, -1] - path.heading[:, 0])), turn_error)
-    rows = np.flatnonzero(careful & (unsure > 0.1 * turn_error))
-    if not len(rows):
-        return careful, hazard
-    lasts = last[rows]
-    until = slice(0, int(lasts.max()) + 1)
-    mine, other = _steps(_rows(path, rows), until), _steps(_rows(adversary, rows), until)
-    latest = hazard[rows]
-    for turn in (-unsure[rows, None], unsure[rows, None]):
-        turned = replace(mine, heading=mine.heading + turn)
-        shows, _ = hazard_index(turned, other, lasts * 0, lasts, dt, lane_half_width=half)
-        latest = np.maximum(latest, shows)
-    later = latest > hazard[rows]
-    late, found, hazard = rows[later], careful.copy(), hazard.copy()
-    if len(late):
-        found[late] = careful_after(_rows(ego, late), _rows(adversary, late), latest[later], dt, (0.0,))[0]
-    lost = ~found[late]
-    hazard[late[lost]] = latest[later][lost]
-    return found, hazard
-
-
-def _manoeuvre(
-    ego: Boxes, adversary: Boxes, hazard: Any, dt: float, drivable: Drivable, others: Boxes | None,
-    delays: Sequence[float],
-) -> Bools:  # fmt: skip
-    """Whether some manoeuvre avoids it, by delay."""
-    return avoidance(
-        ego, adversary, hazard, dt, delays=tuple(delays), careful=False, on_road=drivable, others=others
-    )["manoeuvre"]  # fmt: skip
-
-
-def _cut(b: Boxes, last: Any, dt: float) -> Boxes:
-    """Motions that go straight on at an even speed after the step ``last``, as the judge has them."""
-    steps = np.arange(b.x.shape[1])[None, :]
-    k = (np.arange(len(last))[:, None], np.minimum(steps, last[:, None]))
-    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
-    heading = b.heading[k]
-    x, y = b.x[k] + over * np.cos(heading), b.y[k] + over * np.sin(heading)
-    return Boxes(x, y, heading, b.speed[k], b.length, b.width)
-
-
-def _held(b: Boxes, last: Any) -> Boxes:
-    """Motions that end at the step ``last``, as the path has them that the judge measures offsets from."""
-    k = (np.arange(len(last))[:, None], np.minimum(np.arange(b.x.shape[1])[None, :], last[:, None]))
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], b.length, b.width)
-
-
-def _rows(b: Boxes, rows: Any) -> Boxes:
-    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
-    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
-
-
-def _steps(b: Boxes, steps: slice) -> Boxes:
-    return Boxes(b.x[:, steps], b.y[:, steps], b.heading[:, steps], b.speed[:, steps], b.length, b.width)

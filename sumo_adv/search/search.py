@@ -4,26 +4,30 @@
 their neighbours (``robustness``), and draws more while none is good. ``propose`` takes the candidate with the least
 price: its score, and what else counts (``settings.PriceSettings``). ``observe`` corrects the pool by how the ego really
 drove (``correction``). It plays the analyzer where no language model does (``ranking``).
+
+An attempt is only made if it can bring something new. Its prediction must promise a higher level than the attempts so
+far reached, and its adversary must not move as in an attempt that has failed (``novelty``). Where nothing is left the
+search ends, long before the budget of attempts.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from sumo_adv.datatypes import Intent, LibraryEntry, ObservedMotion, Planner, Proposal
+from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
+from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.ranking import ranked_intents
 from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
-from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.sampling import Sampler, elites
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
-
-PredictedMotion = tuple[str | float, ...]
 
 
 class AttackSearch:
@@ -37,6 +41,7 @@ class AttackSearch:
         settings: SearchSettings,
         *,
         seed: int,
+        goal: Level = Level.SERIOUS,
         allowed: Sequence[str] = (),
         unknown_driver: bool = False,
         exact_driver: bool = False,
@@ -44,11 +49,13 @@ class AttackSearch:
     ) -> None:
         """Predict the first candidates.
 
-        situations: by delay after the trigger [s]. allowed: the only intents, if any are named. unknown_driver: no
-        model of the ego's driver is known; exact_driver: the model is the driver's own. recalled: a candidate that
-        succeeded in a similar scene; it is tried first, and nothing is predicted until it has failed.
+        situations: by delay after the trigger [s]. goal: the level that is wanted. allowed: the only intents, if any
+        are named. unknown_driver: no model of the ego's driver is known; exact_driver: the model is the driver's own.
+        recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
+        has failed.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
+        self._goal, self._best = max(goal, Level.VALID), Level.NONE
         self._allowed, self._unknown_driver = tuple(allowed), unknown_driver
         self._sampler = Sampler(settings.sampling, seed)
         self._correction = PredictionCorrection(scorer, settings.correction, known_driver=exact_driver)
@@ -56,7 +63,8 @@ class AttackSearch:
         self._tried: list[Proposal] = []
         self._by_family: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[Planner] = Counter()
-        self._by_motion: Counter[PredictedMotion | None] = Counter()
+        self._failures: Counter[tuple[tuple[str, str, str], str]] = Counter()  # by family and gate
+        self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
         self._redrawn = 0  # candidates drawn, with those of the first analysis
@@ -82,7 +90,7 @@ class AttackSearch:
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
         most = settings.sampling.before_first_attempt * count
         while templates and len(self.pool) < min(self._wanted(self.pool), most):
-            self.pool += self._scored(self._sampler.more(templates, sorted(self.pool, key=self.price)))
+            self.pool += self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
         self.pool = self._made_robust(self.pool, self._cheapest, settings.robustness.first)
 
     def ranking(self, library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -98,14 +106,13 @@ class AttackSearch:
         return reaching + new + rest
 
     def price(self, p: Proposal) -> float:
-        """A candidate's score with what else counts: a late contact, much braking, and that a brake would do."""
+        """A candidate's score with what else counts: a late contact, and much braking."""
         weights, seen = self._settings.price, p.prediction
-        clear = weights.clear if p.nominal_score < weights.braked else 0.0
         if seen is None:
-            return p.score - clear
+            return p.score
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
-        return p.score + late + weights.harsh * seen.braking - clear
+        return p.score + late + weights.harsh * seen.braking
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -139,14 +146,26 @@ class AttackSearch:
         self.pool += fresh
         return self._take(min(defaults + fresh, key=lambda p: p.score)) if defaults or fresh else None
 
-    def observe(self, tried: Proposal, motion: ObservedMotion, *, avoidable: bool) -> None:
-        """Correct the pool by the ego's motion in an attempt; ``avoidable``: it was a collision that counts."""
-        before, self.pool = self.pool, self._predicted_again(tried, motion)
-        for old, new in zip(before, self.pool, strict=True):  # predicted otherwise, it is still what was tried
-            if new is not old and (count := self._same(old)):
-                self._by_motion[_motion(new)] = count
-        if (tried.nominal_score < self._settings.avoidable) != avoidable:
+    def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
+        """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""
+        self._best = max(self._best, verdict.level)
+        self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
+        if motion is None:
+            return
+        self.pool = self._predicted_again(tried, motion)
+        if (tried.nominal_score < self._settings.avoidable) != (verdict.level >= Level.VALID):
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
+
+    def succeeded(self, kind: str) -> None:
+        """From now on look for an attack of another kind; see ``novelty.kind_of``."""
+        self._kinds.add(kind)
+        self._best = Level.NONE
+
+    @property
+    def result(self) -> str:
+        """What the search came to, in a sentence."""
+        count = len(drawn(self.pool)) + len(self._tried)
+        return f"No {self._goal} attack found in {count} candidates; the best level is {self._best}."
 
     def exhausted(self) -> list[str]:
         """Hashes of planners without attempts left; of versions with one share, the most tried one."""
@@ -170,22 +189,44 @@ class AttackSearch:
     # -- choosing -----------------------------------------------------------------------------------------------
 
     def _next(self) -> Proposal | None:
-        open_, closed = self._split()
-        while self._redrawn < self._wanted([p for p in open_ if not self._same(p)], len(self._tried)):
+        open_ = self._open()
+        while self._redrawn < self._wanted(open_):
             over = self._used_up()
             templates = [t for t in self._templates if self._share_of(t.planner) not in over]
-            fresh = self._scored(self._sampler.more(templates, sorted(open_, key=self._price_now)))
+            fresh = self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self._price_now))))
             if not fresh:
                 break
             self._redrawn += len(fresh)
             self.pool += fresh
-            open_, closed = self._split()
+            open_ = self._open()
         if not open_:
             return None
+        closed = [p for p in self.pool if id(p) not in {id(q) for q in open_}]
         robustness = self._settings.robustness
         open_ = self._made_robust(open_, self._choice, robustness.later if self._tried else robustness.first)
         self.pool = closed + open_
-        return self._take(self._choice(open_))
+        worth = [p for p in open_ if self._is_worth(p)]
+        return self._take(self._choice(worth)) if worth else None
+
+    def _open(self) -> list[Proposal]:
+        """The candidates that may be tried, cheapest first: they promise more than was reached, and are no copies."""
+        over, bound = self._used_up(), self._settings.bound(self._best) + self._settings.nearly
+        promising = [p for p in self.pool if p.nominal_score < bound and self._is_worth(p)]
+        promising = [p for p in promising if self._share_of(p.planner) not in over]
+        return [p for p in promising if not any(is_copy(p, tried, self._settings.differs) for tried in self._tried)]
+
+    def _is_worth(self, p: Proposal) -> bool:
+        """Whether nothing rules a candidate out: its prediction, the same gate failed again and again, or its kind."""
+        seen = p.prediction
+        if p.by == "memory" or seen is None:
+            return True
+        if seen.hopeless or self._kind_of(p, seen.side) in self._kinds:
+            return False
+        worst = max((n for (family, _), n in self._failures.items() if family == p.family), default=0)
+        return worst < self._settings.same_gate
+
+    def _kind_of(self, p: Proposal, side: str) -> str:
+        return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
         """The cheapest candidate; every few attempts, the cheapest of the template that was tried least."""
@@ -200,24 +241,16 @@ class AttackSearch:
         return min(pool, key=self.price)
 
     def _price_now(self, p: Proposal) -> float:
-        """The price, with what the analyzer's order adds and what it costs to try the same motion again."""
-        weights = self._settings.price
-        again = weights.same_motion * self._same(p)
-        return self.price(p) + weights.rank * self._ranks.get((p.bv, p.label), len(self._ranks)) + again
+        """The price, with what the analyzer's order adds."""
+        ranks = self._ranks.get((p.bv, p.label), len(self._ranks))
+        return self.price(p) + self._settings.price.rank * ranks
 
     def _take(self, chosen: Proposal) -> Proposal:
         self.pool.remove(chosen)
         self._tried.append(chosen)
         self._by_family[chosen.family] += 1
         self._by_planner[chosen.planner] += 1
-        self._by_motion[_motion(chosen)] += 1
         return chosen
-
-    def _split(self) -> tuple[list[Proposal], list[Proposal]]:
-        """The candidates that may still be tried, and those of planners without attempts left."""
-        over = self._used_up()
-        open_ = [p for p in self.pool if self._share_of(p.planner) not in over]
-        return open_, [p for p in self.pool if self._share_of(p.planner) in over]
 
     def _used_up(self) -> set[str]:
         """Shares of attempts that are used up."""
@@ -230,26 +263,19 @@ class AttackSearch:
         """The name of the share of attempts that a planner counts towards."""
         return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
 
-    def _same(self, p: Proposal) -> int:
-        """The number of attempts that were predicted to move like a candidate."""
-        motion = _motion(p)
-        return 0 if motion is None else self._by_motion[motion]
-
     # -- predicting ---------------------------------------------------------------------------------------------
 
     def _scored(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         """All predicted together, which takes less time than one by one."""
         return self._correction.corrected(self._scorer.score(proposals)) if proposals else []
 
-    def _wanted(self, pool: Sequence[Proposal], tried: int = 0) -> int:
-        """The number of candidates to draw at most: more where no brake avoids a contact, most where nothing does."""
+    def _wanted(self, pool: Sequence[Proposal]) -> int:
+        """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
         settings, sampling = self._settings, self._settings.sampling
-        best = min((p.score for p in pool), default=settings.reaches)
-        if best < settings.price.braked:
+        best, bound = min((p.score for p in pool), default=math.inf), settings.bound(Level(self._goal - 1))
+        if best < bound - settings.spare:
             return 0
-        if best < settings.avoidable:
-            return settings.proposals + sampling.for_brakes
-        return sampling.most + sampling.for_each_attempt * tried
+        return sampling.most if best >= bound else settings.proposals + sampling.for_spare
 
     def _made_robust(
         self, pool: Sequence[Proposal], choose: Callable[[Sequence[Proposal]], Proposal], at_once: int
@@ -279,13 +305,3 @@ class AttackSearch:
         for k, again in zip(rows, scored, strict=True):
             selected[k] = replace(again, is_neighbour=selected[k].is_neighbour)
         return selected
-
-
-def _motion(p: Proposal) -> PredictedMotion | None:
-    """Numbers that tell predicted motions of a vehicle apart: parameters that only matter after the contact change
-    nothing. None where no motion was predicted."""
-    seen = p.prediction
-    if seen is None or seen.failure:
-        return None
-    traces = (seen.time, seen.gap, seen.min_ttc, seen.warning, seen.braking)
-    return (p.bv, p.delay, *(round(trace, 2) for trace in traces))

@@ -7,46 +7,48 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from sumo_adv.datatypes import Level
+
 
 @dataclass(frozen=True, slots=True)
 class ScoreSettings:
     """From a predicted motion to a score (``scoring.py``)."""
 
-    unavoidable: float = 1.3  # a contact that no reference driver avoids
+    serious: float = 0.0  # where each level begins
+    strict: float = 0.3
+    valid: float = 0.6
+    collision: float = 0.9  # a contact that no reference driver avoids
+    no_warning: float = 1.3  # a contact before which no danger shows
     miss: float = 1.5  # no contact; more for each second of TTC and each metre of distance
     miss_by_ttc: float = 0.3  # 1/s, up to 10 s
     miss_by_gap: float = 0.1  # 1/m, up to 30 m
+    near_miss: float = 1.0  # a miss that costs no more is tried, as long as no attempt has been critical
     off_road: float = 3.0  # leaves the road before the contact
     beyond_limits: float = 3.0  # moves as no vehicle can
     third_party: float = 4.0  # touches another vehicle first
     rear_end: float = 5.0  # runs into the back of the ego
     failed: float = 9.0  # the planner failed
-    warned: float = 0.3  # taken off ``unavoidable`` in proportion to the warning: it is nearly avoidable
-    warned_enough: float = 2.0  # s of warning from which on all of it is taken off
-    manoeuvre_delays: tuple[float, ...] = (0.6, 0.8, 1.0, 1.4)  # s from the hazard to the start of a manoeuvre
-    by_manoeuvre: tuple[float, ...] = (1.0, 0.6, 0.47, 0.34)  # by the longest of these delays that still avoids
-    sooner: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0)  # s earlier at which the careful driver would avoid it:
-    nearly: tuple[float, ...] = (0.24, 0.18, 0.12, 0.06)  # taken off, so that the search goes towards brakes
-    by_careful: float = 0.08  # the careful driver avoids it
-    by_late_careful: float = 0.0  # the careful driver avoids it even if it reacts ``slower``
-    slower: float = 0.4  # s
+    later: float = 0.4  # s by which ``cc_human`` may react later and still avoid it:
+    not_late: float = 0.04  # added where it may not
+    not_hard: float = 0.05  # added to a serious collision, up to twice the delta-v of one
+    to_delta_v: float = 0.2  # added to a strict one: the share of a serious delta-v that is missing
+    not_human: float = 0.06  # added to a strict one that no person would drive
+    to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
+    to_delta_v_early: float = 0.05  # added to a valid one: the share of a serious delta-v that is missing
+    warned_enough: float = 2.0  # s from the alarm of ``cc_human`` to the contact
     graze: float = 0.3  # m; a contact that a box this much smaller does not make may become a near miss,
-    grazes: float = 0.14  # which costs this
-    turn_error: float = 0.02  # rad that a turning ego may have turned more or less than predicted
+    grazes: float = 0.1  # which costs this
 
 
 @dataclass(frozen=True, slots=True)
 class PriceSettings:
     """What else counts when the search chooses (``search.py``): added to a candidate's score."""
 
-    braked: float = 0.09  # a lower nominal score: the careful driver avoids the contact by braking alone
-    clear: float = 0.35  # taken off then: of all predictions these come true most often
-    harsh: float = 0.4  # times the share of steps in which the adversary brakes: traffic hardly brakes
-    late: float = 0.06  # 1/s until the predicted contact: the later, the less sure
+    harsh: float = 0.1  # times the share of steps in which the adversary brakes: traffic hardly brakes
+    late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
     at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
-    same_motion: float = 1.0  # for each attempt that was predicted to move in the same way
     rank: float = 0.3  # for each place in a model's ranking
 
 
@@ -57,9 +59,8 @@ class SamplingSettings:
     redraw: int = 150  # candidates drawn at once after the first ones
     nearest: int = 10  # number of best candidates that are varied
     spread: float = 0.12  # of a parameter's range: standard deviation of a variation
-    for_brakes: int = 750  # drawn at most for a contact that a brake avoids, where a manoeuvre avoids one already
-    most: int = 2000  # drawn at most where nothing is avoidable,
-    for_each_attempt: int = 300  # and this many more for each attempt
+    for_spare: int = 450  # drawn at most for a candidate that reaches the goal with something to spare
+    most: int = 2000  # drawn at most where none reaches the goal
     before_first_attempt: int = 14  # times ``proposals``: drawn at most before the first attempt
 
 
@@ -90,16 +91,24 @@ class CorrectionSettings:
 class SearchSettings:
     """All weights of the search.
 
-    proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together.
-    reaches, avoidable: lower scores mean a contact that counts, and an avoidable one. few: with fewer
-    avoidable candidates, intents that the library lacks are composed. diverse_every: each time this number of attempts
-    is reached, the template that was tried least has its turn.
+    proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
+    modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
+    spare: what a candidate's score must be below that of its level, so that no better one is looked for. nearly: by
+    how much a score may miss a level and the candidate still be tried for it. differs: another attempt must differ
+    from those before by this [m] at the contact (``novelty.py``). same_gate: a mode is given up after this many
+    attempts that failed the same gate. few: with fewer avoidable candidates, intents that the library lacks are
+    composed. diverse_every: each time this number of attempts is reached, the template that was tried least has its
+    turn.
     """
 
     proposals: int = 80
     share: int = 8
     reaches: float = 1.5
-    avoidable: float = 0.75
+    avoidable: float = 0.9
+    spare: float = 0.15
+    nearly: float = 0.08
+    differs: float = 1.0
+    same_gate: int = 3
     few: int = 5
     diverse_every: int = 3
     score: ScoreSettings = field(default_factory=ScoreSettings)
@@ -107,3 +116,12 @@ class SearchSettings:
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
     robustness: RobustnessSettings = field(default_factory=RobustnessSettings)
     correction: CorrectionSettings = field(default_factory=CorrectionSettings)
+
+    def bound(self, reached: Level) -> float:
+        """The score below which a candidate promises more than the level ``reached``."""
+        weights = self.score
+        near = weights.miss + weights.near_miss
+        return {
+            Level.NONE: near, Level.CRITICAL: weights.miss, Level.COLLISION: weights.collision,
+            Level.VALID: weights.valid, Level.STRICT: weights.strict, Level.SERIOUS: weights.serious,
+        }[reached]  # fmt: skip

@@ -12,7 +12,7 @@ have in this check is inconclusive.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.manoeuvre import escapes
 from sumo_adv.metrics.reference.view import SAME, Views
 
+MakeDriver = Callable[[tuple[int, int], float], Braker]
+"""Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
 BEYOND = 4.0  # s after the contact to which the check goes at least
 
 
@@ -80,7 +82,7 @@ class Counterfactual:
         contact = self._contact(self.ego, station)
         return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
 
-    def braking(self, driver: type[Braker]) -> Answer:
+    def braking(self, driver: MakeDriver) -> Answer:
         """What a driver that brakes makes of them."""
         station, speed, alarm = self.roll_out(driver)
         x, y, heading = self.paths.poses(station)
@@ -109,7 +111,7 @@ class Counterfactual:
                 contact[row] = 0.0
         return Answer(best >= 0, alarm, contact), best
 
-    def roll_out(self, driver: type[Braker]) -> tuple[Floats, Floats, Floats]:
+    def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
         """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
         n, dt = len(self.ego.x), self.given.dt
         m = 1 if self.others is None else 1 + len(self.others.x)

@@ -112,6 +112,12 @@ class Views:
             speed[:, None], acceleration[:, None], ego_length, ego_width, self._half,
         )  # fmt: skip
 
+    def in_lane_ahead(self, ego_station: Floats) -> Bools:
+        """In which steps each vehicle is in the lane of an ego at ``ego_station`` ``(N, T)`` [m], ahead of it, and goes
+        its way, ``(N, M, T)``."""
+        ahead = self._station > ego_station[:, None, :]
+        return np.asarray(ahead & (np.abs(self._left) < self._half) & (np.abs(self._heading) < SAME))
+
     def lateral(self, step: int) -> tuple[Floats, Floats]:
         """Station and offset of all vehicles in a step, ``(N, M)``."""
         return self._station[..., step], self._left[..., step]

@@ -16,6 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.report.folder import FIRST
+from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEADER
 
 OUTCOME, MANIFEST = "outcome.json", "manifest.json"
@@ -28,6 +29,7 @@ class RunRead:
 
     ``best``: the attempt that counts from the start of its simulation on, or the unattacked run where there was no
     attempt; ``raw``: the unattacked run; ``first``: ego and adversary of the first attempt where that is another.
+    ``attacks``: the index of each attempt of another kind that succeeded too, and its tracks.
     """
 
     folder: Path
@@ -36,6 +38,7 @@ class RunRead:
     best: Sequence[Track]
     raw: Sequence[Track]
     first: Sequence[Track]
+    attacks: Sequence[tuple[int, Sequence[Track]]] = ()
 
 
 def read_run(folder: Path) -> RunRead:
@@ -45,7 +48,15 @@ def read_run(folder: Path) -> RunRead:
     outcome = _json(folder / OUTCOME)
     manifest = _json(folder / MANIFEST) if (folder / MANIFEST).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
-    return RunRead(folder, outcome, manifest, best, raw, first)
+    return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome))
+
+
+def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[Track]]]:
+    try:
+        others = [int(s["attempt"]) for s in outcome.get("successes") or () if s["folder"] is not None]
+    except (KeyError, TypeError, ValueError) as error:
+        raise damaged(folder / OUTCOME, error) from error
+    return [(k, _tracks(folder / ATTACKS / str(k + 1) / "states.csv.gz")) for k in others]
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -82,7 +82,7 @@ def _described(a: Shown) -> dict[str, Any]:
         [t.id, str(t.role), t.length, t.width, [[s.first, len(s.x)] for s in segments]] for t, segments in a.vehicles
     ]
     return {
-        "key": a.key, "name": NAMES[a.key], "ego": a.ego, "adversary": a.adversary, "trigger": a.trigger,
+        "key": a.key, "name": NAMES.get(a.key, a.key), "ego": a.ego, "adversary": a.adversary, "trigger": a.trigger,
         "from": a.frm, "to": a.to, "vehicles": vehicles,
         "curves": [a.curves_from, len(a.curves[0])] if a.curves else None,
     }  # fmt: skip
@@ -116,7 +116,7 @@ def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
     first = min(t.time[0] for t in played)
     last = max(t.time[-1] for t in played)
     pivot = last if pivot is None else pivot
-    ends = [last, *(t.time[-1] for t in run.first)]
+    ends = [last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)]
     end = max(ends)
     if run.raw:
         end = max(end, min(max(t.time[-1] for t in run.raw), end + AFTER))
@@ -155,6 +155,10 @@ def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
         shown.append(
             _shown("first", run.first, grid, lead.id, str(theirs["adversaries"][0]), theirs["trigger_time"], common)
         )
+    for k, tracks in run.attacks:
+        theirs = listed[k]
+        key = f"attack {k + 1}: {theirs['kind']}"
+        shown.append(_shown(key, tracks, grid, lead.id, str(theirs["adversaries"][0]), theirs["trigger_time"], common))
     if run.raw and whole_run == "best":
         trigger = outcome.get("trigger_time")
         shown.append(_shown("raw", run.raw, grid, lead.id, names[0] if names else "", trigger, common))

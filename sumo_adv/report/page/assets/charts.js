@@ -107,9 +107,9 @@ class Charts {
   curve(c, attempt, name, y, pair) {
     if (!attempt.curve) return;
     const k = this.colours;
-    c.strokeStyle = pair ? (name.startsWith("ego") ? k.ego : k.adversary) : attempt.key === "best" ? k.ink : k[attempt.key];
+    c.strokeStyle = pair ? (name.startsWith("ego") ? k.ego : k.adversary) : attempt.key === "best" ? k.ink : k[attempt.key] || k.first;
     c.lineWidth = attempt.key === "best" ? 2 : 1.7;
-    c.setLineDash(DASHES[attempt.key]);
+    c.setLineDash(DASHES[attempt.key] || [7, 4]);
     c.beginPath();
     let on = false;
     for (let f = Math.max(this.from, attempt.curve.first); f <= this.to; f++) {

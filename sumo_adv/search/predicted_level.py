@@ -1,0 +1,191 @@
+"""The level that predicted collisions reach: the judge's own rules on rollouts, in batches.
+
+The reference drivers are ``cc_human`` and ``manoeuvre``. The others (``reg157``, ``rss``, ``fsm``) are judges that the
+search must not know, so that their answers say something about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
+from sumo_adv.geometry import Path
+from sumo_adv.metrics.boxes import on_grid, pick
+from sumo_adv.metrics.gates import largest_acceleration
+from sumo_adv.metrics.human import envelope_left
+from sumo_adv.metrics.levels import SERIOUS_DELTA_V, STATIONARY, STATIONARY_FOR
+from sumo_adv.metrics.reference.cc_human import REACTION, CcHuman
+from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
+from sumo_adv.metrics.severity import crash_of
+from sumo_adv.search.settings import ScoreSettings
+from sumo_adv.simulation.network import Drivable
+from sumo_adv.situation import Situation
+
+LEAST_WARNING = 0.5  # s from the alarm to the contact; with less no manoeuvre avoids anything
+NEAR = 60.0  # m from the ego at the contact: other vehicles that may be in a reference driver's way
+WAY = 60.0  # m of the ego's path past the contact, at points this far apart [m]:
+WAY_STEP = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Danger:
+    """What predicted collisions come to, row by row, arrays ``(n,)``.
+
+    level: ``COLLISION`` or higher. late: ``cc_human`` avoids it even if it reacts later than it does. warning: from
+    its alarm to the contact [s], 0 without an alarm. delta_v: of the ego [m/s]. human: the adversary stays within the
+    human envelope. careful, manoeuvre: whether this reference driver avoids it. sides: the side of the ego that is hit.
+    """
+
+    level: Ints
+    late: Bools
+    warning: Floats
+    delta_v: Floats
+    human: Bools
+    careful: Bools
+    manoeuvre: Bools
+    sides: list[str]
+    acceleration: Floats  # the largest of the adversary up to the contact [m/s2]
+
+
+def danger_of(
+    situation: Situation, bvs: Sequence[str], ego: Boxes, adversary: Boxes, last: Ints,
+    at_contact: tuple[Boxes, Boxes], drivable: Drivable, weights: ScoreSettings,
+) -> Danger:  # fmt: skip
+    """The level of each predicted collision.
+
+    ego, adversary: ``(n, steps)`` from the start of the attack on. last: the step of the contact ``(n,)``; at_contact:
+    both boxes then, ``(n,)``. bvs: the adversary of each row.
+    """
+    n, dt = len(last), situation.dt
+    onward = _onward(situation.baseline.path, ego, last)
+    check = _check(situation, ego, adversary, last, onward, None)
+    normal = check.braking(CcHuman)
+    contact = last * dt
+    warning = np.where(normal.alarm < contact, contact - normal.alarm, 0.0)
+    conclusive = (warning > 0.0) & ~check.unchanged().avoids
+    careful = normal.avoids & conclusive
+    careful[careful] = _clear_of_others(situation, bvs, ego, adversary, last, onward, np.flatnonzero(careful))
+    late = careful.copy()
+    if careful.any():
+        rows = np.flatnonzero(careful)
+        again = _check(situation, some_rows(ego, rows), some_rows(adversary, rows), last[rows], onward[rows], None)
+        late[rows] = again.braking(partial(CcHuman, reaction=REACTION + weights.later)).avoids
+    manoeuvre = careful.copy()
+    asked = conclusive & ~careful & (warning >= LEAST_WARNING)
+    if asked.any():
+        rows = np.flatnonzero(asked)
+        again = _check(situation, some_rows(ego, rows), some_rows(adversary, rows), last[rows], onward[rows], None)
+        manoeuvre[rows] = again.manoeuvring(normal.alarm[rows], drivable)[0].avoids
+    impacts = [crash_of(*_single(at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)]
+    delta_v = np.array([impact.ego_delta_v for impact in impacts])
+    human = _human(check, adversary, last, dt)
+    span = np.arange(ego.x.shape[1])
+    final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR / dt)
+    stands = (np.where(final, ego.speed, 0.0) < STATIONARY).all(axis=1)
+    level = np.full(n, int(Level.COLLISION))
+    counts = conclusive & ~stands
+    level[counts & manoeuvre] = Level.VALID
+    level[counts & careful] = Level.STRICT
+    level[counts & careful & human & (delta_v >= SERIOUS_DELTA_V)] = Level.SERIOUS
+    sides = [str(impact.ego_side) for impact in impacts]
+    return Danger(level, late, warning, delta_v, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
+
+
+def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
+    """The largest acceleration of each adversary up to the contact [m/s2], ``(n,)``; afterwards it stands still."""
+    steps = np.minimum(np.arange(adversary.x.shape[1])[None, :], last[:, None])
+    x, y, heading, speed = (
+        np.take_along_axis(v, steps, axis=1) for v in (adversary.x, adversary.y, adversary.heading, adversary.speed)
+    )
+    until = Boxes(x, y, heading, speed, adversary.length, adversary.width)
+    change = np.diff(speed, axis=1, prepend=speed[:, :1]) / dt
+    return largest_acceleration(until, change, np.asarray(np.arange(steps.shape[1]) * dt, float))
+
+
+def _check(
+    situation: Situation, ego: Boxes, adversary: Boxes, last: Ints, onward: Floats, others: Boxes | None
+) -> Counterfactual:
+    """The counterfactual of the rows: the ego as predicted until the contact, the adversary as planned after it too."""
+    until = int(last.max()) + 1
+    stop = until + round(BEYOND / situation.dt)
+    given = Encounters(
+        some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, stop)), np.zeros(len(last), np.intp), last,
+        situation.dt, others, situation.road.lane_width / 2, onward,
+    )  # fmt: skip
+    return Counterfactual(given)
+
+
+def _onward(path: Path, ego: Boxes, last: Ints) -> Floats:
+    """Points ``(n, P, 2)`` of the ego's way past the contact: its unattacked path, beside it by the ego's offset."""
+    ahead = np.arange(WAY_STEP, WAY, WAY_STEP)
+    points = np.full((len(last), len(ahead), 2), np.nan)
+    for row, k in enumerate(last.tolist()):
+        station, offset = path.project(float(ego.x[row, k]), float(ego.y[row, k]))
+        x, y, _ = path.at(station + ahead, np.full(len(ahead), offset))
+        points[row] = np.stack([x, y], axis=-1)
+    return points
+
+
+def _clear_of_others(
+    situation: Situation, bvs: Sequence[str], ego: Boxes, adversary: Boxes, last: Ints, onward: Floats, rows: Ints
+) -> Bools:
+    """Whether ``cc_human`` avoids a collision in each of ``rows`` also with other vehicles near, which may leave it no
+    room."""
+    clear = np.ones(len(rows), bool)
+    names = np.array([bvs[k] for k in rows])
+    time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * situation.dt, float)
+    for bv in np.unique(names):
+        group = np.flatnonzero(names == bv)
+        k = rows[group]
+        tracks = [t for t in situation.traffic.others if t.id != bv and _comes_near(t.x, t.y, ego, last, k)]
+        if tracks:
+            own, foe = (some_rows(b, k) for b in (ego, adversary))
+            check = _check(situation, own, foe, last[k], onward[k], on_grid(tracks, time))
+            clear[group] = check.braking(CcHuman).avoids
+    return clear
+
+
+def _comes_near(x: Floats, y: Floats, ego: Boxes, last: Ints, rows: Ints) -> bool:
+    """Whether a track comes within ``NEAR`` of where one of the egos is at its contact."""
+    ex, ey = ego.x[rows, last[rows]], ego.y[rows, last[rows]]
+    return bool((np.hypot(x[:, None] - ex, y[:, None] - ey) < NEAR).any())
+
+
+def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bools:
+    """Which adversaries stay within the human envelope until the contact."""
+    excused = check.views.in_lane_ahead(check.paths.station)[:, 0]
+    steps = min(adversary.x.shape[1], excused.shape[1])
+    judged = np.arange(steps) <= last[:, None]
+    left = envelope_left(
+        some_steps(adversary, slice(0, steps)), np.arange(steps) * dt, judged, excused[:, :steps]
+    )  # fmt: skip
+    return np.asarray(~np.any(list(left.values()), axis=0))
+
+
+def _yaw_rates(ego: Boxes, adversary: Boxes, row: int, step: int, dt: float) -> tuple[float, float]:
+    """The yaw rates [rad/s] of both over the step to the contact."""
+    before = max(step - 1, 0)
+    turns = (float(b.heading[row, step] - b.heading[row, before]) for b in (ego, adversary))
+    first, second = ((turn + np.pi) % (2 * np.pi) - np.pi for turn in turns)
+    return first / dt, second / dt
+
+
+def _single(boxes: tuple[Boxes, Boxes], row: int) -> tuple[Boxes, Boxes]:
+    """Row ``row`` of both as 0-d arrays with plain sizes."""
+    a, b = (pick(box, np.array(row)) for box in boxes)
+    return tuple(Boxes(v.x, v.y, v.heading, v.speed, float(v.length), float(v.width)) for v in (a, b))  # type: ignore[return-value]
+
+
+def some_steps(b: Boxes, steps: slice) -> Boxes:
+    """The same boxes ``(n, steps)`` over some of the steps."""
+    return Boxes(b.x[:, steps], b.y[:, steps], b.heading[:, steps], b.speed[:, steps], b.length, b.width)
+
+
+def some_rows(b: Boxes, rows: Ints) -> Boxes:
+    """Some of the rows of boxes ``(n, steps)`` with sizes ``(n, 1)`` or plain ones."""
+    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
