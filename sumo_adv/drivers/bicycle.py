@@ -19,6 +19,7 @@ from dataclasses import replace
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers.protocol import Steer
+from sumo_adv.geometry import wrap
 
 MAX_STEERING = 0.6  # rad, front wheel angle to either side
 MAX_BRAKING = 9.0  # m/s2, as SUMO's emergency deceleration
@@ -44,12 +45,7 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float =
         state,
         x=state.x + chord * math.cos(direction),
         y=state.y + chord * math.sin(direction),
-        heading=_wrap(state.heading + turned),
+        heading=wrap(state.heading + turned),
         speed=speed,
         acceleration=(speed - state.speed) / dt,
     )
-
-
-def _wrap(angle: float) -> float:
-    """``angle`` [rad] in (-pi, pi]."""
-    return math.pi - (math.pi - angle) % math.tau

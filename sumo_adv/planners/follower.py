@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Limits
 from sumo_adv.errors import PlannerResultError
-from sumo_adv.geometry import Path, wrap, wrap_all
+from sumo_adv.geometry import Path, wrap
 from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
 
 LEAST_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
@@ -218,4 +218,4 @@ def _beside(line: Line, way: Path) -> tuple[Floats, Floats, Floats]:
     i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
     h = way.heading[i]
     d = -np.sin(h) * (line.x - way.x[i]) + np.cos(h) * (line.y - way.y[i])
-    return d, np.abs(wrap_all(line.heading - h)), way.curvature[i]
+    return d, np.abs(wrap(line.heading - h)), way.curvature[i]
