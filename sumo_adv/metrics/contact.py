@@ -16,7 +16,8 @@ from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps
 
 STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
-SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles go the same way
+SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
+OPPOSITE_DIRECTION = 3 * np.pi / 4  # rad, heading difference from which they go opposite ways
 BEHIND = np.deg2rad(150.0)  # rad, nuPlan's angle from the rear axle beyond which an agent is behind
 BUMPER = 0.02  # m ahead of the front edge; its ends are drawn in by this, so that a touch of a corner alone is lateral
 REAR_AXLE = 0.3  # of the length, how far the rear axle is behind the box centre

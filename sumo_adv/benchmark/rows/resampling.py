@@ -28,6 +28,7 @@ from sumo_adv.datatypes import Attempt, Bools, Boxes, Floats, Limits, Prescribed
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.geometry import wrap
 from sumo_adv.metrics.boxes import on_grid, pick, touching
+from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, pose, steer
 from sumo_adv.situation import Situation, Target
@@ -220,7 +221,7 @@ def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
     k = (np.arange(len(at)), np.maximum(at - 1, 0))
     a, b = pick(ego, k), pick(adversary, k)
     ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
-    alike = np.abs(wrap(b.heading - a.heading)) < np.pi / 4
+    alike = np.abs(wrap(b.heading - a.heading)) < SAME_DIRECTION
     return np.asarray(alike & (ahead < SLACK - (np.asarray(a.length) + b.length) / 2))
 
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats
 from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 
-SAME, FACING = np.pi / 4, 3 * np.pi / 4  # rad against the ego's path: the same way below, oncoming above
+SAME = SAME_DIRECTION  # counterfactual.py imports it by this name
 HISTORY = 0.5  # s over which yaw rates are measured
 
 
@@ -57,7 +58,7 @@ class View:
     @property
     def same_direction(self) -> Bools:
         """Whether it goes the ego's way (within 45 degrees)."""
-        return np.abs(self.heading) < SAME
+        return np.abs(self.heading) < SAME_DIRECTION
 
     @property
     def in_corridor(self) -> Bools:
