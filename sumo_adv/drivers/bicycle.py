@@ -21,12 +21,13 @@ from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers.protocol import Steer
 from sumo_adv.geometry import wrap
 
+WHEELBASE = 2.8  # m
 MAX_STEERING = 0.6  # rad, front wheel angle to either side
 MAX_BRAKING = 9.0  # m/s2, as SUMO's emergency deceleration
 MAX_ACCELERATION = 4.0  # m/s2
 
 
-def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float = 2.8) -> VehicleState:
+def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float = WHEELBASE) -> VehicleState:
     """``state`` after ``dt`` [s] of ``steer``, which is limited to 0.6 rad and -9 to 4 m/s2; ``wheelbase`` [m].
 
     The speed is that of the box centre; ``acceleration`` of the answer is the mean over the step.
