@@ -29,6 +29,7 @@ from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.geometry import wrap
 from sumo_adv.metrics.boxes import on_grid, pick, touching
 from sumo_adv.metrics.contact import SAME_DIRECTION
+from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, pose, steer
 from sumo_adv.situation import Situation, Target
@@ -227,13 +228,9 @@ def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
 
 def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:
     """Whether a corner leaves the road before ``last``, every fourth step."""
-    k = np.arange(0, adversary.x.shape[1], 4)
-    x, y, h = adversary.x[:, k], adversary.y[:, k], adversary.heading[:, k]
-    out = np.zeros(x.shape, bool)
-    for ahead, left in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
-        a, b = ahead * (np.asarray(adversary.length) - 0.3), left * (np.asarray(adversary.width) - 0.3)
-        out |= ~encounter.drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
-    return np.asarray((out & (k[None, :] <= last[:, None])).any(axis=1))
+    k = np.arange(adversary.x.shape[1])
+    judged = (k % 4 == 0) & (k <= last[:, None])
+    return np.asarray(off_road(adversary, judged, encounter.drivable).any(axis=1))
 
 
 def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, last: Places) -> Bools:
