@@ -195,7 +195,7 @@ def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding
     from sumo_adv.planners.trial import trial
 
     try:
-        with Sandbox(bubblewrap=None if bubblewrap else False) as box:
+        with Sandbox(bubblewrap=bubblewrap) as box:
             wrong = trial(box, make_planner("Trial", "trial", TRIED, "person"), ("neighbour",))
             isolation, note = box.isolation, box.note
     except SumoAdvError as error:
