@@ -91,7 +91,6 @@ _TYPE: Mapping[int, Shapes] = {
 }  # fmt: skip
 _EFFORT = ("(s)", "(sd)", "(ddsd)")
 _SPAN = ("(d)", "(ddd)")
-_STOP = "(sdb[diddib])"
 ANY_SET: Mapping[int, Shapes] = {0x7E: ("(ss)",)}
 """Variable -> shapes, the same for all setters."""
 SET: Mapping[int, Mapping[int, Shapes]] = {

@@ -14,7 +14,6 @@ from sumo_adv.datatypes import Ending
 
 RAW, ORACLE = "raw", "oracle"
 CAP = 10.0  # s: a min TTC of never, and the most any counts
-NO_ATTACK = (Ending.NO_ENCOUNTER, Ending.EGO_LEFT)
 FAILED = frozenset(
     {
         Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,

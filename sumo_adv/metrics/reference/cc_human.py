@@ -88,11 +88,6 @@ class CcHuman:
         """Whether a danger has shown to the driver, ``(N,)``."""
         return np.isfinite(self._first_alarm)
 
-    @property
-    def alarmed_at(self) -> Floats:
-        """When the first danger showed, s after the first view, ``(N,)``; ``inf`` if none did."""
-        return self._first_alarm
-
     def watch(self, columns: Ints) -> None:
         """Watch other vehicles from now on: ``columns`` ``(M',)`` says where each was before, -1 = it is new."""
         new = columns < 0
