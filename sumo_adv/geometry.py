@@ -37,6 +37,16 @@ wrap_all = wrap
 
 
 @dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a vehicle is put after a step: box centre [m], heading [rad], speed [m/s]."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
 class Frame:
     """The ego's pose at the trigger as a frame: x forward, y left (the paper's R(-theta)(s - s_0))."""
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError
-from sumo_adv.geometry import wrap
+from sumo_adv.geometry import Pose, wrap
 from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.simulation.moved_speed import MovedSpeeds
 from sumo_adv.simulation.remote import RawState, Remote
@@ -75,16 +75,6 @@ class SimulationSpec:
         if self.additional:
             args += ["-a", ",".join(map(str, self.additional))]
         return args
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where a driven vehicle is put: box centre [m], heading [rad], speed [m/s]."""
-
-    x: float
-    y: float
-    heading: float
-    speed: float
 
 
 @dataclass(frozen=True, slots=True)
