@@ -152,7 +152,7 @@ def reachable(settings: Settings) -> bool:
 def forget_environment() -> None:
     """Remove the settings from this process's environment, apart from the model's key.
 
-    For workers, whose plan contains the settings of the environment in which it was made.
+    For workers: their plan contains the settings of the environment in which it was made.
     """
     for name in [n for n in os.environ if n.upper().startswith(PREFIX) and n.upper() != KEY]:
         del os.environ[name]

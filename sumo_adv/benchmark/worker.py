@@ -93,8 +93,8 @@ class Bencher:
             return float(source.trigger) + shift
         task = make_task(source, common, scratch)
         with self._engine.episode() as engine:
-            found = Arena(source, common, task, engine, self._sandboxes.of(common), bank, common).found
-        return None if found is None else max(task.spec.begin, found.time + shift)
+            encounter = Arena(source, common, task, engine, self._sandboxes.of(common), bank, common).found
+        return None if encounter is None else max(task.spec.begin, encounter.time + shift)
 
     def _cell(self, job: Job, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
         method = method_of(row)
@@ -133,11 +133,11 @@ class Bencher:
 
     def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
         episode, raw = arena.episode, unattacked(arena.episode)
-        found = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
+        result = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
         return head(self._setup, job, row) | {
             "ending": str(episode.ending), "reason": episode.reason, "raw": None, "attempts": [], "best": None,
             "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
-            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **found,
+            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **result,
         }  # fmt: skip
 
 

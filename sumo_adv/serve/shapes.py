@@ -183,18 +183,18 @@ def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:
     if at >= len(payload):
         raise Misfit
     count, at = payload[at], at + 1
-    found = []
+    values = []
     for _ in range(count):
         if at >= len(payload) or (domain, payload[at]) in NOT_SUBSCRIBED:
             raise Misfit
         ends = [end for shape in get_shapes(domain, payload[at]) if (end := _ends(payload, at + 1, shape)) > 0]
         if not ends:
             raise Misfit
-        found.append(payload[at : ends[0]])
+        values.append(payload[at : ends[0]])
         at = ends[0]
     if at != len(payload):
         raise Misfit
-    return found
+    return values
 
 
 @dataclass(frozen=True, slots=True)

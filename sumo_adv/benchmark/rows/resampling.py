@@ -98,8 +98,8 @@ class Resampling:
         """Of the futures, by what the attempts came to."""
         weights = np.array(list(FUTURES.values()))
         for attempt, (i, k) in zip(tried, self._places, strict=False):
-            told = self._drawn[i].hits[:, k] > 0.0
-            weights = weights * np.where(told == _counts(attempt), RIGHT, WRONG)
+            predicted = self._drawn[i].hits[:, k] > 0.0
+            weights = weights * np.where(predicted == _counts(attempt), RIGHT, WRONG)
         return np.asarray(weights / weights.sum())
 
 
@@ -201,15 +201,15 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
     """The step until which each motion matters (the first contact under any future, else the end), and its chance of
     a collision that counts under each future."""
     n, steps = adversary.x.shape
-    last, found = np.full(n, steps - 1), np.zeros((len(futures), n))
+    last, chance = np.full(n, steps - 1), np.zeros((len(futures), n))
     for f, future in enumerate(futures):
         ego = _spread(future, (n, steps), situation.ego.length, situation.ego.width)
         touches = touching(ego, adversary)
         hit, first = touches.any(axis=1), touches.argmax(axis=1)
         counts = hit & (first > 2) & (first <= situation.left) & ~_from_behind(ego, adversary, first)
-        found[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
+        chance[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
         last = np.where(hit, np.minimum(last, first), last)
-    return last, found
+    return last, chance
 
 
 def _spread(columns: Sequence[Floats] | Floats, shape: tuple[int, int], length: float, width: float) -> Boxes:
@@ -236,11 +236,11 @@ def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:
 def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, last: Places) -> Bools:
     """Whether the motion touches a vehicle in its unattacked motion before ``last``."""
     n, steps = adversary.x.shape
-    found, mine = np.zeros(n, bool), np.array(names)
+    touched, ids = np.zeros(n, bool), np.array(names)
     before = np.arange(steps)[None, :] <= last[:, None]
     time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
     for track in situation.traffic.others:
-        one = on_grid([track], time)
-        other = _spread((one.x, one.y, one.heading, one.speed), (n, steps), track.length, track.width)
-        found |= (touching(other, adversary) & before).any(axis=1) & (mine != track.id)
-    return found
+        b = on_grid([track], time)
+        other = _spread((b.x, b.y, b.heading, b.speed), (n, steps), track.length, track.width)
+        touched |= (touching(other, adversary) & before).any(axis=1) & (ids != track.id)
+    return touched
