@@ -121,14 +121,14 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
         engines = [stack.enter_context(Engine(body)) for _ in ways]
         found = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
         best, count, searched = search(sandbox, ways[0], found[0], entries)
-        brains = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
-        results = [brain.attempt([best])[0] for brain in brains]
+        runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
+        results = [runner.attempt([best])[0] for runner in runners]
         took: list[list[float]] = [[], []]
         twice = []
         for _ in range(pairs):
-            for mine, brain in zip(took, brains, strict=True):
-                mine.append(seconds(lambda: brain.attempt([best])))  # noqa: B023 - called at once
-            twice.append(seconds(lambda: brains[0].attempt([best, best])) / 2)
+            for mine, runner in zip(took, runners, strict=True):
+                mine.append(seconds(lambda: runner.attempt([best])))  # noqa: B023 - called at once
+            twice.append(seconds(lambda: runners[0].attempt([best, best])) / 2)
         lines = calls(sandbox, found[0], best, max(3, pairs))
     same = states(results[0]) == states(results[1]) and results[0].verdict == results[1].verdict
     shares = [b / a for a, b in zip(*took, strict=True)]

@@ -84,8 +84,8 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
             return []
         predictor = Predictor(sandbox, settings, found.drivable, found.situations)
         expected, rollouts = predictor.score(drawn), predictor.rolled(found.situations, drawn)
-        brain = AttemptRunner(engine, sandbox, found, seed)
-        came = [result for proposal in drawn for result in brain.attempt([proposal])]
+        runner = AttemptRunner(engine, sandbox, found, seed)
+        came = [result for proposal in drawn for result in runner.attempt([proposal])]
     rows = []
     for k, (proposal, result) in enumerate(zip(expected, came, strict=True)):
         course = observed_motion(result, found, proposal.delay, settings)

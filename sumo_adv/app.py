@@ -117,7 +117,7 @@ def new_sandbox(settings: Settings) -> Sandbox:
     """The sandbox in which planners run."""
     from sumo_adv.planners.sandbox import Sandbox
 
-    return Sandbox(bubblewrap=None if settings.bubblewrap else False)
+    return Sandbox(bubblewrap=settings.bubblewrap)
 
 
 @contextmanager

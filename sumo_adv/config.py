@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -13,8 +14,9 @@ from sumo_adv.config_model import ModelSettings
 from sumo_adv.datatypes import Level, Limits
 from sumo_adv.errors import UsageError
 
+PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
+KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
 SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
-
 
 BUILTIN = "builtin"
 
@@ -55,7 +57,7 @@ class Settings(ModelSettings, BaseSettings):
     """Everything that shapes a run, times in s."""
 
     model_config = SettingsConfigDict(
-        env_prefix="SUMO_ADV_", env_nested_delimiter="__", frozen=True, extra="forbid", allow_inf_nan=False
+        env_prefix=PREFIX, env_nested_delimiter="__", frozen=True, extra="forbid", allow_inf_nan=False
     )
 
     ego: str = "idm"
@@ -146,6 +148,15 @@ class Settings(ModelSettings, BaseSettings):
 def reachable(settings: Settings) -> bool:
     """Whether the level can be reached: ``careful`` is the driver that ``strict`` is judged against."""
     return settings.ego != "careful" or settings.until.level < Level.STRICT
+
+
+def forget_environment() -> None:
+    """Remove the settings from this process's environment, apart from the model's key.
+
+    For workers: their plan contains the settings of the environment in which it was made.
+    """
+    for name in [n for n in os.environ if n.upper().startswith(PREFIX) and n.upper() != KEY]:
+        del os.environ[name]
 
 
 _chosen_file: list[Path] = []

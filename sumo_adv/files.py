@@ -11,12 +11,39 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sumo_adv.errors import SumoAdvError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
+
+
+USER_FOLDERS = {
+    # variable and folder of Linux and the rest, folder of macOS
+    "data": ("XDG_DATA_HOME", ".local/share", "Library/Application Support"),
+    "cache": ("XDG_CACHE_HOME", ".cache", "Library/Caches"),
+}
+
+
+def user_folder(kind: Literal["data", "cache"], environ: Mapping[str, str], platform: str, home: Path | None) -> Path:
+    """The user's folder for the program's data or cache; nothing is created.
+
+    Linux and the rest: ``$XDG_DATA_HOME`` or ``$XDG_CACHE_HOME`` (absolute, as the XDG base directory specification
+    asks), else ``~/.local/share`` or ``~/.cache``. macOS: ``~/Library/Application Support`` or ``~/Library/Caches``.
+    Windows: ``%LOCALAPPDATA%`` or ``~/AppData/Local``.
+    """
+    home = Path.home() if home is None else home
+    variable, elsewhere, on_macos = USER_FOLDERS[kind]
+    if platform == "win32":
+        given = environ.get("LOCALAPPDATA", "")
+        folder = Path(given) if given else home / "AppData" / "Local"
+    elif platform == "darwin":
+        folder = home / on_macos
+    else:
+        given = environ.get(variable, "")
+        folder = Path(given) if given and Path(given).is_absolute() else home / elsewhere
+    return folder / "sumo_adv"
 
 
 class StorageError(SumoAdvError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,16 +15,35 @@ PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged
 # passes of the average over a path with a bend that is too tight, each on top of the last
 ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
+Angle = TypeVar("Angle", float, Floats)
 
 
-def wrap(angle: float) -> float:
-    """An angle in (-pi, pi]."""
-    return math.pi - (math.pi - angle) % (2 * math.pi)
+def wrap(angle: Angle) -> Angle:
+    """An angle [rad] in (-pi, pi]: a float, or an array of any shape."""
+    return math.pi - (math.pi - angle) % math.tau
 
 
-def wrap_all(angle: Floats) -> Floats:
-    """Angles in (-pi, pi], any shape."""
-    return np.pi - (np.pi - angle) % (2 * np.pi)
+def wrap_below_pi(angle: Angle) -> Angle:
+    """An angle [rad] in [-pi, pi): a float, or an array of any shape.
+
+    The metrics use this half-open interval. Its last digit is rounded otherwise than that of :func:`wrap`, so that one
+    cannot stand for the other without a change of recorded results.
+    """
+    return (angle + math.pi) % math.tau - math.pi
+
+
+wrap_all = wrap
+"""The former name of :func:`wrap` for arrays; ``search/scoring.py`` still uses it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """Where a vehicle is put after a step: box centre [m], heading [rad], speed [m/s]."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +69,7 @@ class Frame:
         """World poses (any shape) to this frame."""
         c, s = math.cos(self.heading), math.sin(self.heading)
         dx, dy = x - self.x, y - self.y
-        return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - self.heading)
+        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - self.heading)
 
 
 @dataclass(frozen=True, slots=True)

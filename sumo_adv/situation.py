@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
-from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap_all
+from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
 NO_ARRIVAL = 1e3  # s: an arrival that is never
@@ -199,7 +199,7 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
     dx, dy = x - path.x[i], y - path.y[i]
     s[k[mine]], d[k[mine]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
-    heading[k[mine]], speed[k[mine]] = wrap_all(track.heading[mine] - path.heading[i]), track.speed[mine]
+    heading[k[mine]], speed[k[mine]] = wrap(track.heading[mine] - path.heading[i]), track.speed[mine]
     return OnPath(track.id, s, d, heading, speed, track.length)
 
 
@@ -210,7 +210,7 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
     along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
     s = nearest * PATH_STEP + along
-    h = wrap_all(path.heading - eh)
+    h = wrap(path.heading - eh)
     return ReferencePath(
         path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length)
     )

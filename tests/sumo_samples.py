@@ -6,8 +6,9 @@ import math
 from collections.abc import Iterable
 from pathlib import Path
 
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import Pose, SimulationSpec
+from sumo_adv.simulation.simulation import SimulationSpec
 
 TYPES = """
   <vType id="calm" vClass="passenger" carFollowModel="Krauss" sigma="0" tau="1" length="5" width="2" maxSpeed="40"

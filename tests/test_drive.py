@@ -15,7 +15,8 @@ from sumo_adv.datatypes import Role
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, SumoEgo
 from sumo_adv.drivers import Pose as EgoPose
 from sumo_adv.episode.drive import EGO_TYPE, Drive, ego_type_file
-from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.geometry import Pose
+from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 
 
 class Scripted:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, quintics, wrap, wrap_all
+from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, quintics, wrap
 
 COORDINATE = st.floats(-2000.0, 2000.0)
 ANGLE = st.floats(-math.pi + 1e-6, math.pi)
@@ -34,7 +34,7 @@ def test_angles_are_wrapped_to_minus_pi_exclusive_and_pi_inclusive() -> None:
     assert wrap(-math.pi) == pytest.approx(math.pi)
     assert wrap(3 * math.pi) == pytest.approx(math.pi)
     assert wrap(1.5 * math.pi) == pytest.approx(-math.pi / 2)
-    assert wrap_all(np.array([0.0, -7.0])) == pytest.approx([0.0, 2 * math.pi - 7.0])
+    assert wrap(np.array([0.0, -7.0])) == pytest.approx([0.0, 2 * math.pi - 7.0])
 
 
 @EXAMPLES

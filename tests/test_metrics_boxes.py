@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from metrics_tracks import TIME, car, cruise
 
 from sumo_adv.datatypes import Boxes, Floats
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import (
     at_time,
     between_steps,
@@ -19,7 +20,6 @@ from sumo_adv.metrics.boxes import (
     overlaps,
     separation,
     sweep,
-    wrap,
 )
 
 
@@ -42,7 +42,7 @@ def clouds(seed: int, n: int, steps: int) -> tuple[Boxes, Boxes]:
 def between(b: Boxes, part: Floats) -> Boxes:
     """Poses inside every interval, linear as the sweep defines them; a new last axis."""
     x, y = (v[..., :-1, None] + part * np.diff(v)[..., None] for v in (b.x, b.y))
-    heading = b.heading[..., :-1, None] + part * wrap(np.diff(b.heading))[..., None]
+    heading = b.heading[..., :-1, None] + part * wrap_below_pi(np.diff(b.heading))[..., None]
     sizes = [np.asarray(v)[..., None] for v in (b.length, b.width)]
     return Boxes(x, y, heading, np.zeros_like(x), sizes[0], sizes[1])
 
@@ -130,7 +130,7 @@ def test_the_sweep_finds_what_one_millisecond_sampling_finds_and_nothing_else(se
     turned = []
     for v, p in zip((a, b), poses, strict=True):
         x, y = (w[rows, columns] + at * np.diff(w)[rows, columns] for w in (v.x, v.y))
-        heading = v.heading[rows, columns] + at * wrap(np.diff(v.heading))[rows, columns]
+        heading = v.heading[rows, columns] + at * wrap_below_pi(np.diff(v.heading))[rows, columns]
         sizes = [np.asarray(w)[rows, 0, 0] for w in (p.length, p.width)]
         turned.append(Boxes(x, y, heading, x, sizes[0], sizes[1]))
     assert (separation(turned[0], turned[1]) <= 1e-8).all()
@@ -154,7 +154,7 @@ def test_distance_is_symmetric_and_the_same_from_any_point_of_view(
 
 def test_headings_are_interpolated_the_shorter_way() -> None:
     track = car("ego", 0.0, 0.0, 0.0, np.array([3.1, -3.1]), time=np.array([0.0, 0.1]))
-    assert abs(float(wrap(at_time(track, 0.05).heading))) == pytest.approx(np.pi)
+    assert abs(float(wrap_below_pi(at_time(track, 0.05).heading))) == pytest.approx(np.pi)
 
 
 def test_tracks_of_different_spans_meet_on_one_grid() -> None:

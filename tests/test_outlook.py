@@ -14,8 +14,9 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.traffic_forecast import MIN_GAP, apart, traffic_forecast
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.simulation.simulation import Pose, SimulationSpec
+from sumo_adv.simulation.simulation import SimulationSpec
 
 
 @contextmanager

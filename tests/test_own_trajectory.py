@@ -26,7 +26,7 @@ from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
 from sumo_adv.metrics.gates import motion
 from sumo_adv.planners.answers import Answer, PlannerObservation
-from sumo_adv.planners.follower import Follower, Line, aligned, off_road
+from sumo_adv.planners.follower import Follower, Line, aligned, leaves_road
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trajectory import PathRow, Scalar, pose, start
@@ -90,8 +90,8 @@ def test_the_first_moment_off_the_road_is_found() -> None:
         return np.asarray(x < 32.4)
 
     # the front is 5 / 2 - 0.15 = 2.35 m ahead: at 32.4 m once x is 30.05, after 3.01 s: 3.1 s, too far ahead
-    assert off_road(straight(10.0)[1:], 5.0, 2.0, DT, on_road) is None
-    assert off_road(straight(20.0)[1:], 5.0, 2.0, DT, on_road) == pytest.approx(1.6)  # x = 30.05 after 1.503 s
+    assert leaves_road(straight(10.0)[1:], 5.0, 2.0, DT, on_road) is None
+    assert leaves_road(straight(20.0)[1:], 5.0, 2.0, DT, on_road) == pytest.approx(1.6)  # x = 30.05 after 1.503 s
 
 
 # ---- a vehicle after it
@@ -306,9 +306,9 @@ def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Ite
         yield AttemptRunner(engine, sandbox, found, 0)
 
 
-def attempt(brain: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
+def attempt(runner: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
     proposal = Proposal("left_ahead", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
-    result = brain.attempt([proposal])[0]
+    result = runner.attempt([proposal])[0]
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, DT)}
     return result, tracks.get("left_ahead")
 

@@ -18,13 +18,14 @@ from sumo_adv.episode.encounter_detector import ego_path
 from sumo_adv.episode.encounter_filter import danger
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
+from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.playback import Playback
-from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 from sumo_adv.simulation.tracks import LoggedTrack
 
 EGO = moving("e", 60.0, RIGHT + 0.3, 14.0)

@@ -21,10 +21,10 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.serve.clerk import ResultWriter
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Options
+from sumo_adv.serve.result_writer import ResultWriter
 from sumo_adv.serve.server import MOST_AGE, Server, ServerDependencies
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.network import read_network
@@ -92,16 +92,16 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
     ):
         agents = Slow(settings, sandbox)
         agents.seconds = seconds
-        clerk = ResultWriter(write, events)
+        writer = ResultWriter(write, events)
         clients.append(subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)]))
         try:
-            house = ServerDependencies(
+            parts = ServerDependencies(
                 given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), agents,
-                bank, gate, events, clerk, lambda: None,
+                bank, gate, events, writer, lambda: None,
             )  # fmt: skip
-            assert Server(house).run() is None
+            assert Server(parts).run() is None
         finally:
-            clerk.close()
+            writer.close()
             clients[0].kill()
             clients[0].wait()
     return told

@@ -14,9 +14,10 @@ from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.moved_speed import MovedSpeeds
 from sumo_adv.simulation.recording import Recording, tracks_of
-from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
 
 
 @contextmanager

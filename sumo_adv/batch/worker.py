@@ -15,20 +15,17 @@ from typing import Any, Self
 from sumo_adv.batch.learning import Collector, as_text
 from sumo_adv.batch.nouns import Done, Job, Learn, Row, Setup
 from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.drivers.registry import trusted_driver
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.warm import WarmEngine
+from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
-
-KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
 
 
 class Runner:
@@ -37,11 +34,10 @@ class Runner:
     def __init__(self, setup: Setup) -> None:
         self._setup, self._parts = setup, setup.parts
         self._engine = WarmEngine()
-        self._sandboxes: dict[bool, Sandbox] = {}
+        self._sandboxes = WarmSandboxes()
         self._banks: dict[str, MemoryBank] = {}
         self._stamp = 0
-        for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
-            del os.environ[name]  # the plan has its settings from there already
+        forget_environment()
 
     def __enter__(self) -> Self:
         return self
@@ -52,8 +48,7 @@ class Runner:
         with ExitStack() as stack:
             for bank in self._banks.values():
                 stack.callback(bank.close)
-            for sandbox in self._sandboxes.values():
-                stack.callback(sandbox.close)
+            stack.callback(self._sandboxes.close)
             stack.callback(self._engine.close)
 
     def run(self, job: Job, *, last: bool) -> Done:
@@ -84,7 +79,7 @@ class Runner:
             bank = self._bank(settings)
             recorded = folder.stage / self._parts.model_file
             with (
-                self._parts.open_agents(settings, self._sandbox(settings), recorded) as agents,
+                self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
                 episode = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
@@ -108,12 +103,6 @@ class Runner:
                 "learn": "off" if self._setup.learn is Learn.OFF else "on",
             },
         )  # fmt: skip
-
-    def _sandbox(self, settings: Settings) -> Sandbox:
-        wall = settings.bubblewrap
-        if wall not in self._sandboxes:
-            self._sandboxes[wall] = Sandbox(bubblewrap=None if wall else False)
-        return self._sandboxes[wall]
 
     def _bank(self, settings: Settings) -> MemoryBank:
         """The bank with the metric of the settings, as it is to be seen by this episode."""

@@ -51,8 +51,8 @@ class Arena:
             if task.trigger is not None:
                 seek(self.episode, engine, _silent)
             else:
-                met = find_attackable(self.episode, engine, sandbox, bank, _silent)
-                self.episode.found = None if met is None else met.found
+                planned = find_attackable(self.episode, engine, sandbox, bank, _silent)
+                self.episode.found = None if planned is None else planned.found
         except SumoAdvError as error:
             if error.exit_status == 2:
                 raise
@@ -83,12 +83,12 @@ class Arena:
             return episode
         clock = _Clock(episode.settings)
         try:
-            met = with_predictions(episode, episode.found, self.sandbox, bank)
-            entries = decide(episode, met, agents, bank)
+            planned = with_predictions(episode, episode.found, self.sandbox, bank)
+            entries = decide(episode, planned, agents, bank)
             if entries is not None:
-                brain = AttemptRunner(self.engine, self.sandbox, met.found, episode.settings.seed)
-                tries = brain if self.engine.at_once > 1 else SequentialRunner(brain)
-                pursue(episode, met, entries, tries, agents, bank, clock.tell)
+                runner = AttemptRunner(self.engine, self.sandbox, planned.found, episode.settings.seed)
+                tries = runner if self.engine.at_once > 1 else SequentialRunner(runner)
+                pursue(episode, planned, entries, tries, agents, bank, clock.tell)
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)
         clock.stop(episode)

@@ -197,7 +197,7 @@ def _kill_all() -> None:
 
 def read_cells(folder: Path) -> list[Cell]:
     """Every cell of a bench. Raises UsageError for one that cannot be read."""
-    found: list[Cell] = []
+    cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
             cell = json.loads(file.read_text(encoding="utf-8"))
@@ -205,5 +205,5 @@ def read_cells(folder: Path) -> list[Cell]:
             raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
             raise UsageError(f"{file} is not a cell of a bench; delete it to have it run again.")
-        found.append(cell)
-    return found
+        cells.append(cell)
+    return cells

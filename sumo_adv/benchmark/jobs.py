@@ -72,14 +72,14 @@ def example_path(folder: Path, ego: str, case: str, row: str) -> Path:
 
 def examples_of(cases: Sequence[Case]) -> frozenset[str]:
     """The cases that are drawn: of each group the first of each of its first ``KINDS_SHOWN`` kinds."""
-    found: list[str] = []
+    names: list[str] = []
     for group in GROUPS:
         first: dict[str, str] = {}
         for case in cases:
             if case.group == group:
                 first.setdefault(case.kind, case.name)
-        found += list(first.values())[:KINDS_SHOWN]
-    return frozenset(found)
+        names += list(first.values())[:KINDS_SHOWN]
+    return frozenset(names)
 
 
 def slug(text: str) -> str:

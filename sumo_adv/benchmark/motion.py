@@ -21,12 +21,12 @@ MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
 
 def unattacked(episode: Episode) -> dict[str, Any] | None:
     """The raw run as an outcome: the ego and whoever of the shortlist comes nearest to it, from the trigger on."""
-    found = episode.found
-    if found is None:
+    encounter = episode.found
+    if encounter is None:
         return None
-    tracks = _raw(episode, found)
-    ego = tracks[found.ego].between(found.time, found.time + episode.settings.duration)
-    others = [tracks[n].between(found.time, float(ego.time[-1])) for n, _, _ in found.ranking if n in tracks]
+    tracks = _raw(episode, encounter)
+    ego = tracks[encounter.ego].between(encounter.time, encounter.time + episode.settings.duration)
+    others = [tracks[n].between(encounter.time, float(ego.time[-1])) for n, _, _ in encounter.ranking if n in tracks]
     others = [t for t in others if len(t.time) > 1]
     least, apart = np.inf, np.inf
     if others:
@@ -45,8 +45,8 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
 def motion_of(episode: Episode) -> dict[str, Any]:
     """Speeds [m/s] and accelerations [m/s2], step by step: of the adversary of the attempt that counts up to the
     contact, and of the unattacked traffic near the ego in the same window. Empty without an attempt."""
-    found, best, k, prefix = episode.found, episode.best, episode.refinement.best, episode.prefix
-    if found is None or best is None or k is None or prefix is None:
+    encounter, best, k, prefix = episode.found, episode.best, episode.refinement.best, episode.prefix
+    if encounter is None or best is None or k is None or prefix is None:
         return {}
     result, step = episode.refinement.results[k], episode.settings.step_length
     sizes = {**prefix.sizes, **result.sizes}
@@ -55,19 +55,21 @@ def motion_of(episode: Episode) -> dict[str, Any]:
     start = result.start + step / 2
     moved = [t.between(start, np.inf if contact is None else contact) for t in own]
     end = max((float(t.time[-1]) for t in moved if len(t.time)), default=start)
-    return {"adversary": _samples(moved), "raw": _samples(_near(episode, found, start, end))}
+    return {"adversary": _samples(moved), "raw": _samples(_near(episode, encounter, start, end))}
 
 
-def _raw(episode: Episode, found: FoundEncounter) -> dict[str, Track]:
+def _raw(episode: Episode, encounter: FoundEncounter) -> dict[str, Track]:
     before = episode.prefix.snapshots[-2:] if episode.prefix is not None else []
-    sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **found.sizes}
-    tracks = tracks_of([*before, *found.baseline], sizes, episode.task.roles(found.ego), episode.settings.step_length)
+    sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **encounter.sizes}
+    tracks = tracks_of(
+        [*before, *encounter.baseline], sizes, episode.task.roles(encounter.ego), episode.settings.step_length
+    )
     return {t.id: t for t in tracks}
 
 
-def _near(episode: Episode, found: FoundEncounter, start: float, end: float) -> list[Track]:
-    tracks = _raw(episode, found)
-    ego = tracks[found.ego].between(start, end)
+def _near(episode: Episode, encounter: FoundEncounter, start: float, end: float) -> list[Track]:
+    tracks = _raw(episode, encounter)
+    ego = tracks[encounter.ego].between(start, end)
     if not len(ego.time):
         return []
     x, y = float(ego.x.mean()), float(ego.y.mean())
@@ -76,12 +78,12 @@ def _near(episode: Episode, found: FoundEncounter, start: float, end: float) -> 
 
 
 def _samples(tracks: Sequence[Track]) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {}
+    samples: dict[str, list[float]] = {}
     for name in ("speed", "acceleration"):
         values = np.concatenate([getattr(t, name) for t in tracks]) if tracks else np.empty(0)
         stride = max(1, -(-len(values) // MOST_SAMPLES))
-        found[name] = [round(float(v), 2) for v in values[::stride]]
-    return found
+        samples[name] = [round(float(v), 2) for v in values[::stride]]
+    return samples
 
 
 def _number(value: float) -> float | None:

@@ -24,7 +24,7 @@ PLAN, LOCK = "bench.json", "bench.lock"
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class TableRequest:
     """What a table is made of. ``settings``: the same for all rows, as data; ``bank``: the library."""
 
     suite: Suite
@@ -55,23 +55,23 @@ class Means:
     keep_runs: bool = False
 
 
-def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
+def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cell]:
     """The cells of a table, those that are missing run now; also those that other commands left in the folder.
 
     Raises:
         UsageError: bad rows, egos or settings, a folder that holds cells of something else, or into which another
             bench writes; BankError.
     """
-    asked.check()
-    plan = json.loads(json.dumps(manifest(asked, means)))
+    request.check()
+    plan = json.loads(json.dumps(manifest(request, means)))
     with sentences(means.folder):
         means.folder.mkdir(parents=True, exist_ok=True)
         _keep_plan(plan, means.folder)
         setup = Setup(
-            means.folder.absolute(), asked.suite.name, asked.bank.absolute(), asked.settings, means.parts,
-            means.keep_runs, examples_of(asked.suite.cases),
+            means.folder.absolute(), request.suite.name, request.bank.absolute(), request.settings, means.parts,
+            means.keep_runs, examples_of(request.suite.cases),
         )  # fmt: skip
-        free, chains = make_jobs(asked.suite.cases, asked.egos, asked.rows, asked.seed)
+        free, chains = make_jobs(request.suite.cases, request.egos, request.rows, request.seed)
         with held(means.folder / LOCK) as alone:
             if not alone:
                 raise UsageError(f"Another bench writes into {means.folder}; wait for it, or give another --out.")
@@ -79,14 +79,14 @@ def run_table(asked: Asked, means: Means, watcher: Watcher) -> list[Cell]:
     return read_cells(means.folder)
 
 
-def manifest(asked: Asked, means: Means) -> dict[str, Any]:
+def manifest(request: TableRequest, means: Means) -> dict[str, Any]:
     """What the cells of a folder have in common."""
-    with MemoryBank.open(asked.bank, read_only=True) as bank:
+    with MemoryBank.open(request.bank, read_only=True) as bank:
         content = bank.content_hash()
-    suite = asked.suite
+    suite = request.suite
     return {
         "schema": SCHEMA, "suite": suite.name, "version": suite.version, "content": suite.content,
-        "cases": len(suite.cases), "seed": asked.seed, "settings": dict(asked.settings), "bank_hash": content,
+        "cases": len(suite.cases), "seed": request.seed, "settings": dict(request.settings), "bank_hash": content,
         "versions": dict(means.versions),
     }  # fmt: skip
 

@@ -98,9 +98,9 @@ def _named(named: Sequence[str]) -> Suite:
     if len(named) == 1:
         if named[0].startswith(WOMD):
             return _womd(Path(named[0].removeprefix(WOMD)))
-        found = _list_file(named[0])
-        if found is not None:
-            return _listed(found)
+        listing = _list_file(named[0])
+        if listing is not None:
+            return _listed(listing)
     whole = next((name for name in named if name.startswith(WOMD) or _list_file(name) is not None), None)
     if whole is not None:
         raise UsageError(f"The suite {whole} stands alone in a table; several --suite are scenario files, or folders.")
@@ -164,7 +164,7 @@ def _listed(path: Path) -> Suite:
             return _chosen(path, _Choice.model_validate(table))
         return _whole(path, _List.model_validate(table))
     except ValidationError as error:
-        first = min(error.errors(), key=lambda one: one["type"] != "extra_forbidden")
+        first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         key = ".".join(map(str, first["loc"]))
         if first["type"] == "extra_forbidden":
             raise UsageError(f"The suite {path} has an unknown key '{key}'.") from error

@@ -19,19 +19,17 @@ from sumo_adv.benchmark.methods import RAW, method_of
 from sumo_adv.benchmark.motion import motion_of, unattacked
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.rows.registry import make_row
-from sumo_adv.config import Settings, load_settings, reachable
+from sumo_adv.config import Settings, forget_environment, load_settings, reachable
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.warm import WarmEngine, die_with_parent
+from sumo_adv.episode.warm import WarmEngine, WarmSandboxes, die_with_parent
 from sumo_adv.errors import BankError, SumoAdvError, UsageError
 from sumo_adv.files import is_storage_error, json_text, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
 
 SCHEMA = 1
-KEY = "SUMO_ADV_LLM_API_KEY"  # the one variable that settings still come from
 
 
 class Bencher:
@@ -40,10 +38,9 @@ class Bencher:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._engine = WarmEngine()
-        self._sandboxes: dict[bool, Sandbox] = {}
+        self._sandboxes = WarmSandboxes()
         self.began = time.perf_counter()
-        for name in [n for n in os.environ if n.upper().startswith("SUMO_ADV_") and n.upper() != KEY]:
-            del os.environ[name]  # the table has its settings from there already
+        forget_environment()
 
     def run(self, job: Job, left: list[str]) -> None:
         """The cells of the job's rows that are ``left`` into their places; they leave the list one by one.
@@ -63,7 +60,7 @@ class Bencher:
                 settings = settings.model_copy(update={"trigger": moved})
             task = make_task(source, settings, Path(scratch))
             with self._engine.episode() as engine:
-                arena = Arena(source, settings, task, engine, self._sandbox(settings), bank, common)
+                arena = Arena(source, settings, task, engine, self._sandboxes.of(settings), bank, common)
                 while left:
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
@@ -74,8 +71,7 @@ class Bencher:
     def close(self) -> None:
         """End its processes."""
         self._engine.close()
-        for sandbox in self._sandboxes.values():
-            sandbox.close()
+        self._sandboxes.close()
 
     def _settings(self, job: Job, horizon: float | None, own: Mapping[str, Any]) -> Settings:
         """The table's settings with a row's ``own``."""
@@ -97,14 +93,8 @@ class Bencher:
             return float(source.trigger) + shift
         task = make_task(source, common, scratch)
         with self._engine.episode() as engine:
-            found = Arena(source, common, task, engine, self._sandbox(common), bank, common).found
-        return None if found is None else max(task.spec.begin, found.time + shift)
-
-    def _sandbox(self, settings: Settings) -> Sandbox:
-        wall = settings.bubblewrap
-        if wall not in self._sandboxes:
-            self._sandboxes[wall] = Sandbox(bubblewrap=None if wall else False)
-        return self._sandboxes[wall]
+            encounter = Arena(source, common, task, engine, self._sandboxes.of(common), bank, common).found
+        return None if encounter is None else max(task.spec.begin, encounter.time + shift)
 
     def _cell(self, job: Job, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
         method = method_of(row)
@@ -143,11 +133,11 @@ class Bencher:
 
     def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
         episode, raw = arena.episode, unattacked(arena.episode)
-        found = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
+        result = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
         return head(self._setup, job, row) | {
             "ending": str(episode.ending), "reason": episode.reason, "raw": None, "attempts": [], "best": None,
             "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
-            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **found,
+            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **result,
         }  # fmt: skip
 
 

@@ -105,11 +105,11 @@ def _overrides(
     figures: bool | None,
 ) -> dict[str, Any]:  # fmt: skip
     """What the command line says in a plan's words."""
-    found: dict[str, Any] = {
+    given: dict[str, Any] = {
         "seeds": None if seeds is None else _seeds(seeds), "egos": _words(egos), "records": _words(records),
         "learn": learn, "memory": memory, "figures": figures,
     }  # fmt: skip
-    return {key: value for key, value in found.items() if value is not None}
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def _words(text: str | None) -> list[str] | None:

@@ -18,7 +18,7 @@ from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.benchmark.nouns import Cell, Suite
-    from sumo_adv.benchmark.run import Asked, Means
+    from sumo_adv.benchmark.run import Means, TableRequest
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert --row random --out runs/bench"
 ROWS = ("raw", "llm-f", "expert", "random")
@@ -76,9 +76,9 @@ def table(
     rows = _unique([r for given in row or ROWS for r in (EVERY_FIXED if given == "fixed" else (given,))])
     if reference is not None and reference not in (*rows, BEST_FIXED):
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
-    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
-    cells = _run(asked, means, as_json=as_json)
-    _write(asked, means, cells, "table", reference or ("expert" if "expert" in rows else None), as_json=as_json)
+    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
+    cells = _run(request, means, as_json=as_json)
+    _write(request, means, cells, "table", reference or ("expert" if "expert" in rows else None), as_json=as_json)
 
 
 @app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
@@ -92,9 +92,9 @@ def ablations(
 
     words = {**ABLATIONS, **(sampled(llm) if llm else {})}
     rows = list(words)
-    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(asked, means, as_json=as_json)
-    _write(asked, means, cells, "ablations", REFERENCE, words=words, as_json=as_json)
+    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(request, means, as_json=as_json)
+    _write(request, means, cells, "ablations", REFERENCE, words=words, as_json=as_json)
 
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
@@ -112,17 +112,17 @@ def analyzer(
     from sumo_adv.benchmark.tables.plots import draw_confusions
 
     answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
-    asked, means = _order(
+    request, means = _order(
         suite, ego, ["oracle", *answering], seed, attempts, until, setting, memory, workers, out, False
     )
-    cells = _run(asked, means, as_json=as_json)
-    found = analyze(
-        cells, asked.suite.cases, title=f"Analyzers on {asked.suite.name}", analyzers=answering, reference=REFERENCE
+    cells = _run(request, means, as_json=as_json)
+    analysis = analyze(
+        cells, request.suite.cases, title=f"Analyzers on {request.suite.name}", analyzers=answering, reference=REFERENCE
     )
-    about = replace(_about(asked, means), further={"labels_hash": labels_hash(asked.suite)})
-    files = write_analysis(found, cells, means.folder, about)
-    files += draw_confusions(found, means.folder / "figures")
-    _say(means, cells, files, to_markdown(found), as_json=as_json)
+    about = replace(_about(request, means), further={"labels_hash": labels_hash(request.suite)})
+    files = write_analysis(analysis, cells, means.folder, about)
+    files += draw_confusions(analysis, means.folder / "figures")
+    _say(means, cells, files, to_markdown(analysis), as_json=as_json)
 
 
 @app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
@@ -138,11 +138,11 @@ def growth(
     from sumo_adv.benchmark.tables.plots import draw_growth
 
     rows = [f"{who}{more}" for who in ("expert", *([f"llm-a:{llm}"] if llm else [])) for more in GROWING]
-    asked, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(asked, means, as_json=as_json)
-    steps = growing(cells, asked.suite.cases)
-    files = write_growth(steps, cells, means.folder, _about(asked, means))
-    files.append(draw_growth(means.folder / "figures" / "growth.png", steps, f"Growth over {asked.suite.name}"))
+    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(request, means, as_json=as_json)
+    steps = growing(cells, request.suite.cases)
+    files = write_growth(steps, cells, means.folder, _about(request, means))
+    files.append(draw_growth(means.folder / "figures" / "growth.png", steps, f"Growth over {request.suite.name}"))
     _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
 
 
@@ -156,15 +156,15 @@ def label(
     from sumo_adv.benchmark.tables.write import as_json as text_of
     from sumo_adv.benchmark.tables.write import manifest, write_texts
 
-    asked, means = _order(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(asked, means, as_json=as_json)
+    request, means = _order(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(request, means, as_json=as_json)
     labels: dict[str, dict[str, Any]] = {}
     for cell in cells:
         if cell["attempts"]:
             labels.setdefault(cell["case"], {})[cell["ego"]] = oracle_labels(cell)
-    about = manifest(_about(asked, means), cells, ["labels.json"])
+    about = manifest(_about(request, means), cells, ["labels.json"])
     files = write_texts(means.folder, {"labels.json": text_of(labels), "labels.manifest.json": text_of(about)})
-    _say(means, cells, files, f"{len(labels)} of {len(asked.suite.cases)} encounters labelled.", as_json=as_json)
+    _say(means, cells, files, f"{len(labels)} of {len(request.suite.cases)} encounters labelled.", as_json=as_json)
 
 
 @app.command("make", epilog="Example: sumo-adv bench make --seed 2 --out suites/other")
@@ -179,12 +179,12 @@ def make(
     from sumo_adv.benchmark.making.suite import make_suite
     from sumo_adv.files import sentences
 
-    def told(case: str, wrong: str) -> None:
+    def print_candidate(case: str, wrong: str) -> None:
         if not as_json and not wrong:
             typer.echo(case, err=True)
 
     with sentences(out):
-        made = make_suite(seed, out, name=out.name, told=told)
+        made = make_suite(seed, out, name=out.name, report=print_candidate)
     if as_json:
         typer.echo(json.dumps(asdict(made), default=str))
         return
@@ -198,9 +198,9 @@ def _unique(rows: Sequence[str]) -> tuple[str, ...]:
 def _order(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
     setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, keep_runs: bool,
-) -> tuple[Asked, Means]:  # fmt: skip
+) -> tuple[TableRequest, Means]:  # fmt: skip
     from sumo_adv.app import bench_parts
-    from sumo_adv.benchmark.run import Asked, Means
+    from sumo_adv.benchmark.run import Means, TableRequest
     from sumo_adv.benchmark.suites import load_suite
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
@@ -208,35 +208,35 @@ def _order(
     egos = _unique([e.strip() for e in ego.split(",") if e.strip()])
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
-    found = load_suite(*suite)
+    loaded = load_suite(*suite)
     settings = {**_settings(setting or ()), "attempts": attempts, "until": until}
-    asked = Asked(found, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
-    _check_models(asked)
-    folder = out or Path("runs") / f"bench-{found.name}"
-    return asked, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs)
+    request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
+    _check_models(request)
+    folder = out or Path("runs") / f"bench-{loaded.name}"
+    return request, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs)
 
 
-def _check_models(asked: Asked) -> None:
+def _check_models(request: TableRequest) -> None:
     """Raises UsageError for a row whose model has no server or no key; asks nothing."""
     from sumo_adv.agents.agents import ROLES
     from sumo_adv.benchmark.methods import method_of
     from sumo_adv.llm.client import connect
     from sumo_adv.llm.ledger import Ledger
 
-    for row in asked.rows:
+    for row in request.rows:
         given = method.settings if (method := method_of(row)) is not None else {}
         for name in (given[key] for key in ("llm", *ROLES) if given.get(key, BUILTIN) != BUILTIN):
-            settings = load_settings(None, **{**asked.settings, **given})
+            settings = load_settings(None, **{**request.settings, **given})
             connect(name, settings, Ledger.for_settings(settings))
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
     """What ``SUMO_ADV_*`` variables and ``--set`` say, as data: a value is what TOML makes of it, else text."""
-    found = set_values(given, "proposals=60")
-    for name in found:
+    values = set_values(given, "proposals=60")
+    for name in values:
         if name in SAID_ELSEWHERE:
             raise UsageError(f"--set {name} is not for all rows of a table; say it as {SAID_ELSEWHERE[name]}.")
-    return {**_of_variables(), **found}
+    return {**_of_variables(), **values}
 
 
 def _of_variables() -> dict[str, Any]:
@@ -245,21 +245,21 @@ def _of_variables() -> dict[str, Any]:
     return settings.model_dump(mode="json", include=settings.model_fields_set - SAID_ELSEWHERE.keys())
 
 
-def _run(asked: Asked, means: Means, *, as_json: bool) -> list[Cell]:
+def _run(request: TableRequest, means: Means, *, as_json: bool) -> list[Cell]:
     from sumo_adv.benchmark.run import of_rows, run_table
     from sumo_adv.cli.bench_progress import make_watcher
 
     try:
         with make_watcher(quiet=as_json) as watcher:
-            cells = run_table(asked, means, watcher)
+            cells = run_table(request, means, watcher)
     except KeyboardInterrupt:
         typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
         raise typer.Exit(1) from None
-    return of_rows(cells, asked.rows, asked.egos)
+    return of_rows(cells, request.rows, request.egos)
 
 
 def _write(
-    asked: Asked, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *,
+    request: TableRequest, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *,
     words: Mapping[str, str] | None = None, as_json: bool,
 ) -> None:  # fmt: skip
     """The table's files; the table itself on stdout."""
@@ -267,14 +267,14 @@ def _write(
     from sumo_adv.benchmark.tables.plots import draw_all
     from sumo_adv.benchmark.tables.write import write_table
 
-    found: Suite = asked.suite
+    chosen: Suite = request.suite
     made = make_table(
-        cells, title=f"{found.name}, {len(found.cases)} encounters", cases=found.cases, egos=asked.egos,
-        rows=asked.rows, reference=reference, words=words or {},
+        cells, title=f"{chosen.name}, {len(chosen.cases)} encounters", cases=chosen.cases, egos=request.egos,
+        rows=request.rows, reference=reference, words=words or {},
         later=LATER if words is None else {},
     )  # fmt: skip
-    files = write_table(made, cells, means.folder, _about(asked, means), name)
-    files += draw_all(cells, means.folder / "figures", asked.rows)
+    files = write_table(made, cells, means.folder, _about(request, means), name)
+    files += draw_all(cells, means.folder / "figures", request.rows)
     _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
 
 
@@ -297,12 +297,12 @@ def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, 
         raise typer.Exit(1)
 
 
-def _about(asked: Asked, means: Means) -> Any:
+def _about(request: TableRequest, means: Means) -> Any:
     from sumo_adv.benchmark.run import manifest
     from sumo_adv.benchmark.tables.write import About
 
-    given = manifest(asked, means)
+    given = manifest(request, means)
     return About(
-        " ".join(["sumo-adv", *sys.argv[1:]]), asked.suite.name, asked.suite.version, asked.suite.content,
-        means.versions, asked.settings, asked.seed, given["bank_hash"],
+        " ".join(["sumo-adv", *sys.argv[1:]]), request.suite.name, request.suite.version, request.suite.content,
+        means.versions, request.settings, request.seed, given["bank_hash"],
     )  # fmt: skip

@@ -36,9 +36,9 @@ def doctor(
     if as_json:
         typer.echo(json.dumps({"ok": not failed, "failed": failed, "checks": [asdict(f) for f in findings]}))
     else:
-        for found in findings:
-            mend = f". To mend it: {found.mend}" if found.mend else ""
-            typer.echo(f"{found.level:<5} {found.name}: {found.found.rstrip('.')}{mend}.")
+        for finding in findings:
+            mend = f". To mend it: {finding.mend}" if finding.mend else ""
+            typer.echo(f"{finding.level:<5} {finding.name}: {finding.found.rstrip('.')}{mend}.")
         typer.echo("All that a run needs is here." if not failed else "A run cannot work: mend what says fail.")
     if failed:
         raise typer.Exit(1)

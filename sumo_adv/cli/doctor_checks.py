@@ -86,18 +86,18 @@ def interpreter() -> Iterator[Finding]:
 
 def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
     """Those that every run needs, imported."""
-    found, missing = [], []
+    present, missing = [], []
     for name in names:
         try:
             importlib.import_module(name)
-            found.append(f"{name} {version(name.replace('_', '-'))}")
+            present.append(f"{name} {version(name.replace('_', '-'))}")
         except Exception as error:  # a broken binary may raise anything
             missing.append(f"{name} ({reason(error)})")
     if missing:
         mend = "install the package again: pip install --force-reinstall sumo-adv"
         yield Finding("libraries", Level.FAIL, f"cannot be imported: {', '.join(missing)}", mend)
     else:
-        yield Finding("libraries", Level.OK, ", ".join(found))
+        yield Finding("libraries", Level.OK, ", ".join(present))
 
 
 def extras(there: Callable[[str], bool] | None = None) -> Iterator[Finding]:
@@ -195,7 +195,7 @@ def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding
     from sumo_adv.planners.trial import trial
 
     try:
-        with Sandbox(bubblewrap=None if bubblewrap else False) as box:
+        with Sandbox(bubblewrap=bubblewrap) as box:
             wrong = trial(box, make_planner("Trial", "trial", TRIED, "person"), ("neighbour",))
             isolation, note = box.isolation, box.note
     except SumoAdvError as error:

@@ -29,8 +29,8 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
     given = [name for name in environment if name.upper().startswith(PREFIX)]
     unknown = sorted(n for n in given if n.upper().removeprefix(PREFIX).split("__")[0].lower() not in known)
     if unknown:
-        found = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
-        yield Finding("variables", Level.WARN, found, "see docs/settings.md for the names")
+        state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
+        yield Finding("variables", Level.WARN, state, "see docs/settings.md for the names")
 
 
 def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
@@ -45,8 +45,8 @@ def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> It
     for name in names:
         if name.startswith(REPLAY):
             there = Path(name.removeprefix(REPLAY)).is_file()
-            found = "a recording, asked instead of a model" if there else "a recording that is not there"
-            yield Finding(f"model {name}", Level.OK if there else level, found, "" if there else "give its path")
+            state = "a recording, asked instead of a model" if there else "a recording that is not there"
+            yield Finding(f"model {name}", Level.OK if there else level, state, "" if there else "give its path")
             continue
         try:
             server = find_server(name, settings, environment)
@@ -89,11 +89,11 @@ def bank(path: Path | None) -> Iterator[Finding]:
                 )
             yield _made_later(used, says)
             return
-        with MemoryBank.open(used) as found:
+        with MemoryBank.open(used) as bank:
             says = (
-                f"{used}: {len(found.intents())} intents, schema {len(MIGRATIONS)}, content {found.content_hash()[:12]}"
+                f"{used}: {len(bank.intents())} intents, schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
             )
-            writable = found.writable
+            writable = bank.writable
     except SumoAdvError as error:
         yield Finding("memory bank", Level.FAIL, reason(error), "give another --memory, or move the file away")
         return
@@ -128,8 +128,8 @@ def output(folder: Path) -> Iterator[Finding]:
         return
     free = shutil.disk_usage(place).free
     if free < LITTLE_SPACE:
-        found = f"{place} can be written, but only {free / 1e6:.0f} MB are free"
-        yield Finding("output", Level.WARN, found, "free some space: a run takes 0.1 MB, a campaign gigabytes")
+        shortage = f"{place} can be written, but only {free / 1e6:.0f} MB are free"
+        yield Finding("output", Level.WARN, shortage, "free some space: a run takes 0.1 MB, a campaign gigabytes")
     else:
         yield Finding("output", Level.OK, f"{place} can be written; {free / 1e9:.0f} GB are free")
 

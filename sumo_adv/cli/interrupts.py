@@ -32,11 +32,11 @@ class Interrupts:
     def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
         """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
 
-        def told(what: str, value: Any) -> None:
+        def report_then_check(what: str, value: Any) -> None:
             tell(what, value)
             self.check()
 
-        return told
+        return report_then_check
 
     def hold(self) -> None:
         """From here on Ctrl-C is ignored: the rest takes a second or two."""

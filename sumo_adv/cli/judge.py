@@ -53,24 +53,24 @@ def judge(
 def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, workers: int, *, as_json: bool) -> None:
     from sumo_adv.report.judging import counts, run_folders
 
-    found: list[Judgement] = []
+    judgements: list[Judgement] = []
     failed: list[str] = []
     with ThreadPoolExecutor(workers) as pool:
         todo = [(folder, pool.submit(_judged, folder, replay, ego)) for folder in run_folders(folders)]
         for folder, future in todo:
             try:
-                found.append(future.result())
+                judgements.append(future.result())
             except SumoAdvError as error:
                 failed.append(f"{folder}: {error}")
-    rows = [j.row() for j in found]
+    rows = [j.row() for j in judgements]
     if out is not None:
         _write(out, rows)
     if as_json:
-        typer.echo(json.dumps({"runs": rows, "counts": counts(found), "failed": failed}))
+        typer.echo(json.dumps({"runs": rows, "counts": counts(judgements), "failed": failed}))
     else:
         for row in rows if len(rows) <= 30 or out is None else ():
             typer.echo(_line(row))
-        for name, row in counts(found).items():
+        for name, row in counts(judgements).items():
             typer.echo(f"{name}: " + ", ".join(f"{key} {value}" for key, value in row.items()))
     for sentence in failed:
         typer.echo(f"sumo-adv: {sentence}", err=True)

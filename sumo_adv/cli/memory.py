@@ -66,12 +66,12 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 def find(text: str, metric: Metric = None, memory: Bank = None, as_json: Json = False) -> None:
     """The nearest intents to a description, their distance, the epsilon in force, and whether it is a hit."""
     with open_bank(memory, similarity=chosen_similarity(metric)) as bank:
-        found = bank.retrieve(text, text)
-    nearest = [{"label": label, "distance": round(d, 4)} for label, d in found.nearest]
-    value = {"hit": found.hit, "epsilon": found.epsilon, "band": found.band, "nearest": nearest}
-    said = f"{'Hit: ' + found.hit if found.hit else 'No hit'} (epsilon {found.epsilon:.2f})"
+        retrieval = bank.retrieve(text, text)
+    nearest = [{"label": label, "distance": round(d, 4)} for label, d in retrieval.nearest]
+    value = {"hit": retrieval.hit, "epsilon": retrieval.epsilon, "band": retrieval.band, "nearest": nearest}
+    said = f"{'Hit: ' + retrieval.hit if retrieval.hit else 'No hit'} (epsilon {retrieval.epsilon:.2f})"
     answer(value, as_json, lambda: [
-        said + (", and near epsilon: look at the first three" if found.band else ""),
+        said + (", and near epsilon: look at the first three" if retrieval.band else ""),
         *(f"  {n['distance']:.3f}  {n['label']}" for n in nearest),
     ])  # fmt: skip
 

@@ -83,9 +83,9 @@ def _again(
     held = successes_on(source, planner, load_input(scenario).name)
     if not held:
         return None, None
-    found = rerun(sandbox, source, planner, held[0], scenario, attempts)
-    failure = None if found.ok else f"It succeeded in {scenario} once and in {found.attempts} attempts did not again."
-    return asdict(found), failure
+    result = rerun(sandbox, source, planner, held[0], scenario, attempts)
+    failure = None if result.ok else f"It succeeded in {scenario} once and in {result.attempts} attempts did not again."
+    return asdict(result), failure
 
 
 def calibrate(
@@ -106,7 +106,7 @@ def calibrate(
     with open_bank(memory, make=store, similarity=similarity) as bank:
         tuning, reporting = (_as_known(bank, half) for half in read_paraphrases(file))
         active = [record for record in bank.intents() if record.status == "active"]
-        found = measure(similarity, active, tuning, reporting)
+        calibration = measure(similarity, active, tuning, reporting)
         known = sum(p.intent is not None for p in tuning)
         on = (
             f"{file.name}, tuning half: {known} paraphrases and {len(tuning) - known} novel behaviours,"
@@ -114,14 +114,15 @@ def calibrate(
         )
         before = _epsilon(bank)
         if store:
-            bank.set_epsilon(found.epsilon, on)
-    figures = {"top-1": found.top1, "AUC": found.auc, "balanced accuracy": found.balanced_accuracy}
-    value = {**asdict(found), "calibrated_on": on, "before": before, "stored": store}
+            bank.set_epsilon(calibration.epsilon, on)
+    figures = {"top-1": calibration.top1, "AUC": calibration.auc, "balanced accuracy": calibration.balanced_accuracy}
+    value = {**asdict(calibration), "calibrated_on": on, "before": before, "stored": store}
     before_said = "there was none" if before is None else f"was {before:.3f}"
     answer(value, as_json, lambda: [
-        f"Metric {found.metric}: epsilon {found.epsilon:.3f}, {'stored' if store else 'not stored'} ({before_said})",
+        f"Metric {calibration.metric}: epsilon {calibration.epsilon:.3f}, "
+        f"{'stored' if store else 'not stored'} ({before_said})",
         f"Calibrated on {on}.",
-        f"On the other half ({found.known} known, {found.novel} novel):",
+        f"On the other half ({calibration.known} known, {calibration.novel} novel):",
         *(f"  {name:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for name, f in figures.items()),
     ])  # fmt: skip
 

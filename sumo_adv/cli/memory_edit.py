@@ -103,17 +103,19 @@ def merge(
         raise UsageError("Say which: memory merge 'A' into 'B', or memory merge --propose.")
     with open_bank(memory) as bank:
         if propose:
-            found = near_duplicates(bank)
-            answer({"merge": [asdict(each) for each in found]}, as_json, lambda: [
-                f"{p.distance:.3f}  {p.label} into {p.into}: {p.reason}" for p in found
+            duplicates = near_duplicates(bank)
+            answer({"merge": [asdict(each) for each in duplicates]}, as_json, lambda: [
+                f"{p.distance:.3f}  {p.label} into {p.into}: {p.reason}" for p in duplicates
             ] or ["Nothing looks alike."])  # fmt: skip
             return
         assert label is not None and into is not None
-        one, other = known_intent(bank, label), known_intent(bank, into)
-        bank.merge(one.label, other.label)
+        merged, other = known_intent(bank, label), known_intent(bank, into)
+        bank.merge(merged.label, other.label)
         modes = [planner.mode for planner in bank.planners(other.label)]
-    value = {"merged": one.label, "into": other.label, "modes": modes}
-    answer(value, as_json, lambda: [f"Merged {one.label} into {other.label}, which has the modes {', '.join(modes)}."])
+    value = {"merged": merged.label, "into": other.label, "modes": modes}
+    answer(
+        value, as_json, lambda: [f"Merged {merged.label} into {other.label}, which has the modes {', '.join(modes)}."]
+    )
 
 
 def retire(

@@ -25,8 +25,8 @@ def show(given: RunInput, settings: Settings, *, as_json: bool) -> None:
     attempt of the search's."""
     prompts = _prompts(given, settings)
     if as_json:
-        told = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
-        typer.echo(json.dumps({"prompts": told}))
+        entries = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
+        typer.echo(json.dumps({"prompts": entries}))
         return
     for p in prompts:
         typer.echo(f"==== {p.agent}: system\n{p.system}\n\n==== {p.agent}: user\n{p.user}\n")
@@ -47,44 +47,44 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
             new_sandbox(settings) as sandbox,
             new_engine() as engine,
         ):
-            met = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
-            if met is None or not met.search.pool:
+            planned = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
+            if planned is None or not planned.search.pool:
                 raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
-            return [_analyzer(episode, met, bank), *_writers(met, settings, Agents(settings, sandbox), engine)]
+            return [_analyzer(episode, planned, bank), *_writers(planned, settings, Agents(settings, sandbox), engine)]
 
 
-def _analyzer(episode: Any, met: PlannedEncounter, bank: Any) -> Prompt:
+def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.evidence import evidence_words
     from sumo_adv.episode.memory_access import remembered
 
     settings, allowed = episode.settings, episode.source.intents
-    known = remembered(bank, met.library, met.scene)
-    evidence = partial(evidence_words, met.search.pool, library=met.library, remembered=known)
-    library = [e for e in met.library if not allowed or e.label in allowed]
+    known = remembered(bank, planned.library, planned.scene)
+    evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=known)
+    library = [e for e in planned.library if not allowed or e.label in allowed]
     return analyzer_prompt(
-        shipped_prompts(), met.found.first, library, settings.limits.limits(),
+        shipped_prompts(), planned.found.first, library, settings.limits.limits(),
         evidence if settings.evidence == "on" else None,
     )  # fmt: skip
 
 
-def _writers(met: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
+def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
     from sumo_adv.episode.attempt_runner import AttemptRunner
     from sumo_adv.episode.refinement import Refinement, Refiner
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
-    intent = met.search.ranking(met.library)[0]
-    near = sorted(met.library, key=lambda e: e.label != intent.label)
-    generator = generator_prompt(prompts, intent, met.found.first, near, limits, settings.instruction)
+    intent = planned.search.ranking(planned.library)[0]
+    near = sorted(planned.library, key=lambda e: e.label != intent.label)
+    generator = generator_prompt(prompts, intent, planned.found.first, near, limits, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
-    brain = AttemptRunner(engine, agents.sandbox, met.found, settings.seed)
-    Refiner(brain, met.found, met.search, agents, met.library, once, lambda _: None).run([intent], found)
+    runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
+    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda _: None).run([intent], found)
     if not found.attempts:
         return [generator]
     planner = found.attempts[0].proposal.planner
-    described = {e.label: e.description for e in met.library}
+    described = {e.label: e.description for e in planned.library}
     modifier = modifier_prompt(prompts, planner, described.get(planner.label, ""), found.attempts, limits, settings.ttc)
     return [generator, modifier]

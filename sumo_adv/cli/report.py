@@ -72,12 +72,12 @@ def _batch(
         raise UsageError(f"{target} is a file; give a folder as --out.")
     table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
     runs = folder / "runs" if (folder / RESULTS).is_file() else folder
-    told = _Counter(quiet=quiet)
+    counter = _Counter(quiet=quiet)
     made = write_report(
         runs, target, folder.resolve().name, table, _packs(folder), most=pages, workers=workers, again=force,
-        tell=told.tell,
+        tell=counter.tell,
     )  # fmt: skip
-    told.close()
+    counter.close()
     return {
         "index": str(made.index), "episodes": made.episodes, "pages": made.pages, "made": made.made,
         "damaged": list(made.damaged), "words": _words(made),

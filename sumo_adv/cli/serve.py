@@ -23,9 +23,9 @@ from sumo_adv.serve.options import Mode, OnLoss, Options
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
-    from sumo_adv.serve.clerk import ResultWriter
     from sumo_adv.serve.events import Events
     from sumo_adv.serve.gate_events import GateEvent
+    from sumo_adv.serve.result_writer import ResultWriter
 
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
@@ -121,10 +121,10 @@ def _serve(
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.serve_progress import make_terminal
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.serve.clerk import ResultWriter
     from sumo_adv.serve.events import EventFile, Events, Status
     from sumo_adv.serve.gate import Gate
     from sumo_adv.serve.policy import Rules
+    from sumo_adv.serve.result_writer import ResultWriter
     from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.serve.status import StatusPage
     from sumo_adv.simulation.network import read_network
@@ -157,10 +157,10 @@ def _serve(
         _claim(target, force=force)
         agents = stack.enter_context(app.open_agents(settings, sandbox, target / MODEL_FILE))
         _note(target, given, settings, options, None)
-        clerk = ResultWriter(_writer(target), events)
+        writer = ResultWriter(_writer(target), events)
         stack.enter_context(terminal)
-        house = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, clerk, interrupts.check)
-        server = Server(house)
+        parts = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, writer, interrupts.check)
+        server = Server(parts)
         if status_port is not None:
             page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
             events.tell("status_page", port=page.port)
@@ -172,11 +172,11 @@ def _serve(
             ending = server.run()
         finally:
             interrupts.hold()
-            clerk.close()
-        summary = _summary(ending, server.reason, clerk, target)
+            writer.close()
+        summary = _summary(ending, server.reason, writer, target)
         events.tell("stopped", **summary)
         _note(target, given, settings, options, summary)
-    _finish(ending, summary, clerk, options, as_json=as_json)
+    _finish(ending, summary, writer, options, as_json=as_json)
 
 
 def _teller(events: Events) -> Callable[[GateEvent], None]:
@@ -185,13 +185,13 @@ def _teller(events: Events) -> Callable[[GateEvent], None]:
 
     before = EventKind.CLOSED
 
-    def told(event: GateEvent) -> None:
+    def print_event(event: GateEvent) -> None:
         nonlocal before
         again = event.kind is EventKind.CONNECTED and before is EventKind.RESTARTED
         before = event.kind
         events.tell("client", state=str(event.kind), sentence=event.sentence, again=again)
 
-    return told
+    return print_event
 
 
 def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Task]:
@@ -269,15 +269,15 @@ def _share(inputs: Path, shared: Path) -> None:
             return
 
 
-def _summary(ending: Ending | None, reason: str, clerk: ResultWriter, target: Path) -> dict[str, Any]:
+def _summary(ending: Ending | None, reason: str, writer: ResultWriter, target: Path) -> dict[str, Any]:
     return {
-        "ending": None if ending is None else str(ending), "reason": reason, "encounters": clerk.written,
-        "critical": clerk.critical, "collisions": clerk.collided, "folder": str(target),
+        "ending": None if ending is None else str(ending), "reason": reason, "encounters": writer.written,
+        "critical": writer.critical, "collisions": writer.collided, "folder": str(target),
     }  # fmt: skip
 
 
 def _finish(
-    ending: Ending | None, summary: Mapping[str, Any], clerk: ResultWriter, options: Options, *, as_json: bool
+    ending: Ending | None, summary: Mapping[str, Any], writer: ResultWriter, options: Options, *, as_json: bool
 ) -> None:
     if as_json:
         typer.echo(json.dumps(summary, ensure_ascii=False))
@@ -288,8 +288,8 @@ def _finish(
         )
         if ending is None and summary["reason"]:
             typer.echo(summary["reason"])
-    if clerk.failure is not None:
-        raise SumoAdvError(str(clerk.failure))
-    asked = ending is Ending.INTERRUPTED and options.encounters is None  # Ctrl-C is how such a server ends
-    if ending is not None and not asked:
+    if writer.failure is not None:
+        raise SumoAdvError(str(writer.failure))
+    interrupted = ending is Ending.INTERRUPTED and options.encounters is None  # Ctrl-C is how such a server ends
+    if ending is not None and not interrupted:
         raise SumoAdvError(summary["reason"])

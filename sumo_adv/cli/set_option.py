@@ -11,13 +11,13 @@ from sumo_adv.errors import UsageError
 
 def set_values(given: Sequence[str], example: str) -> dict[str, Any]:
     """``--set`` as data: a value is what TOML makes of it, else text. Raises UsageError, with the ``example``."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for each in given:
         name, equals, value = (word.strip() for word in each.partition("="))
         if not equals or not name:
             raise UsageError(f"--set takes NAME=VALUE, such as {example}, not '{each}'.")
         try:
-            found[name] = tomllib.loads(f"value = {value}")["value"]
+            values[name] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
-            found[name] = value
-    return found
+            values[name] = value
+    return values

@@ -19,13 +19,15 @@ from dataclasses import replace
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers.protocol import Steer
+from sumo_adv.geometry import wrap
 
+WHEELBASE = 2.8  # m
 MAX_STEERING = 0.6  # rad, front wheel angle to either side
 MAX_BRAKING = 9.0  # m/s2, as SUMO's emergency deceleration
 MAX_ACCELERATION = 4.0  # m/s2
 
 
-def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float = 2.8) -> VehicleState:
+def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float = WHEELBASE) -> VehicleState:
     """``state`` after ``dt`` [s] of ``steer``, which is limited to 0.6 rad and -9 to 4 m/s2; ``wheelbase`` [m].
 
     The speed is that of the box centre; ``acceleration`` of the answer is the mean over the step.
@@ -44,12 +46,7 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, wheelbase: float =
         state,
         x=state.x + chord * math.cos(direction),
         y=state.y + chord * math.sin(direction),
-        heading=_wrap(state.heading + turned),
+        heading=wrap(state.heading + turned),
         speed=speed,
         acceleration=(speed - state.speed) / dt,
     )
-
-
-def _wrap(angle: float) -> float:
-    """``angle`` [rad] in (-pi, pi]."""
-    return math.pi - (math.pi - angle) % math.tau

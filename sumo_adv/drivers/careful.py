@@ -25,7 +25,7 @@ from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation
 from sumo_adv.drivers.sumo_driven import MODELS, known_model, sumo_type
 from sumo_adv.errors import UsageError
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference.cc_human import PERCEPTION, REACTION, CcHuman
 from sumo_adv.metrics.reference.view import HISTORY, View
@@ -174,8 +174,8 @@ class CarefulEgo:
         station, offset, direction = path.locate(x, y)
         sideways = ((y - y_before) * np.cos(direction) - (x - x_before) * np.sin(direction)) / dt
         return Others(
-            station, offset, wrap(heading - direction), speed, sideways, acceleration,
-            wrap(heading - first_heading) / span, length, width,
+            station, offset, wrap_below_pi(heading - direction), speed, sideways, acceleration,
+            wrap_below_pi(heading - first_heading) / span, length, width,
         )  # fmt: skip
 
 
@@ -208,7 +208,7 @@ class CarefulDrivers:
         self._past = [*self._past, (offset, heading, v)][-self._history :]
         others = Others(
             station, offset, heading, v, (offset - offset_before) / self._dt, (v - v_before) / self._dt,
-            wrap(heading - first_heading) / span, self._length, self._width,
+            wrap_below_pi(heading - first_heading) / span, self._length, self._width,
         )  # fmt: skip
         ego_station, ego_speed, ego_acceleration = (values[:, None] for values in ego)
         egos = Egos(ego_station, ego_speed, ego_acceleration, *self._ego)

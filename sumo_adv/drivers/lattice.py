@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.bicycle import MAX_STEERING
+from sumo_adv.drivers.bicycle import MAX_STEERING, WHEELBASE
 from sumo_adv.drivers.sumo_driven import Idm
 
-WHEELBASE = 2.8  # m, as ``bicycle.py``
 STEP = 0.2  # s between the compared times
 EASING, EASED = 3.0, -2.0  # m/s3, m/s2: how fast it releases the brake, and from which acceleration on
 SETTING_OFF = 1.0  # m/s, below it the brake is released at once

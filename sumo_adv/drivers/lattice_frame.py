@@ -16,7 +16,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers.lattice import Egos, Expected, Size
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
+from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
 
 COARSE = 2  # samples of the path between those that points are compared with
@@ -60,7 +60,7 @@ class RoadFrame:
         dx, dy = x - p.x[i], y - p.y[i]
         s = PATH_STEP * i + cos * dx + sin * dy
         there = np.interp(s, self._grid, p.heading)
-        return s, cos * dy - sin * dx, wrap_all(heading - there)
+        return s, cos * dy - sin * dx, wrap(heading - there)
 
     def locate(self, state: VehicleState) -> tuple[float, float, float]:
         """Station, offset and relative heading of one vehicle."""
@@ -129,7 +129,7 @@ def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState
 
 def smoothed(rate: Floats | float, turned: Floats | float, dt: float) -> Floats:
     """The yaw rate [rad/s] after ``rate``, for a vehicle that ``turned`` [rad] within ``dt`` [s]."""
-    return np.asarray(rate + SMOOTHING * (wrap_all(np.asarray(turned)) / dt - rate))
+    return np.asarray(rate + SMOOTHING * (wrap(np.asarray(turned)) / dt - rate))
 
 
 def kept_drift(drift: Floats, bend: Floats | float = 0.0) -> Floats:

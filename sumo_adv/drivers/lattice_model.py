@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, Floats
+from sumo_adv.drivers.bicycle import WHEELBASE
 from sumo_adv.drivers.lattice import (
     STEP,
-    WHEELBASE,
     Cruise,
     Egos,
     Expected,

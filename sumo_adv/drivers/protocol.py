@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
 from sumo_adv.datatypes import DriverModel, VehicleState
+from sumo_adv.geometry import Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,18 +77,8 @@ class LaneSpeed:
     speed: float
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """After the step: box centre [m], heading [rad], speed [m/s]."""
-
-    x: float
-    y: float
-    heading: float
-    speed: float
-
-
 Action: TypeAlias = Steer | LaneSpeed | Pose | None
-"""What ``act`` returns; None leaves this step to SUMO."""
+"""What ``act`` returns: the ego's motion, or its ``Pose`` after the step. None leaves this step to SUMO."""
 
 
 class EgoController(Protocol):

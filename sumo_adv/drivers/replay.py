@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ from sumo_adv.datatypes import DriverModel, Floats, Track
 from sumo_adv.drivers.protocol import Action, Observation, Pose
 from sumo_adv.drivers.sumo_driven import known_model, sumo_type
 from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap
 
 
 class ReplayEgo:
@@ -50,6 +50,6 @@ class ReplayEgo:
         return Pose(
             x=float(np.interp(now, track.time, track.x)),
             y=float(np.interp(now, track.time, track.y)),
-            heading=math.pi - (math.pi - heading) % math.tau,
+            heading=wrap(heading),
             speed=float(np.interp(now, track.time, track.speed)) if now <= track.time[-1] else 0.0,
         )

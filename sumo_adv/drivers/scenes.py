@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.geometry import Paths, wrap_all
+from sumo_adv.geometry import Paths, wrap
 from sumo_adv.situation import SHIFT_STEP, Situation
 
 
@@ -90,7 +90,7 @@ class Scenes:
         """World poses, ``(n,)`` or ``(n, k)``, in the frames of the egos at their triggers."""
         x0, y0, c, s, h = (_fit(q, x) for q in self._frame[self._row].T)
         dx, dy = x - x0, y - y0
-        return c * dx + s * dy, -s * dx + c * dy, wrap_all(heading - h)
+        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - h)
 
 
 def _fit(values: Any, like: Floats) -> Any:

@@ -17,8 +17,8 @@ from sumo_adv.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
-class Krauss:
-    """Parameters of SUMO's Krauss model, named as in SUMO's vType."""
+class FollowingParameters:
+    """Parameters that all of SUMO's models here have, named as in SUMO's vType."""
 
     tau: float = 1.0  # s, time headway
     accel: float = 2.6  # m/s2
@@ -27,37 +27,27 @@ class Krauss:
     minGap: float = 2.5  # m, at standstill
     speedFactor: float = 1.0  # -, times the speed limit
     speedDev: float = 0.0  # -, spread of the speed factor
+
+
+@dataclass(frozen=True, slots=True)
+class Krauss(FollowingParameters):
+    """Parameters of SUMO's Krauss model."""
+
     sigma: float = 0.0  # -, dawdling (SUMO's own default is 0.5)
 
 
 @dataclass(frozen=True, slots=True)
-class Idm:
-    """Parameters of SUMO's IDM, named as in SUMO's vType."""
+class Idm(FollowingParameters):
+    """Parameters of SUMO's IDM."""
 
-    tau: float = 1.0  # s, time headway
-    accel: float = 2.6  # m/s2
-    decel: float = 4.5  # m/s2, comfortable braking
-    emergencyDecel: float = 9.0  # m/s2, the most it can brake
-    minGap: float = 2.5  # m, at standstill
-    speedFactor: float = 1.0  # -, times the speed limit
-    speedDev: float = 0.0  # -, spread of the speed factor
     delta: float = 4.0  # -, exponent of the free-road term
     stepping: float = 0.25  # s, inner integration step
 
 
 @dataclass(frozen=True, slots=True)
-class Eidm:
-    """Parameters of SUMO's EIDM, named as in SUMO's vType; its driver errors are off."""
+class Eidm(Idm):
+    """Parameters of SUMO's EIDM, which has those of IDM and more; its driver errors are off."""
 
-    tau: float = 1.0  # s, time headway
-    accel: float = 2.6  # m/s2
-    decel: float = 4.5  # m/s2, comfortable braking
-    emergencyDecel: float = 9.0  # m/s2, the most it can brake
-    minGap: float = 2.5  # m, at standstill
-    speedFactor: float = 1.0  # -, times the speed limit
-    speedDev: float = 0.0  # -, spread of the speed factor
-    delta: float = 4.0  # -, exponent of the free-road term
-    stepping: float = 0.25  # s, inner integration step
     tpreview: float = 4.0  # s, look-ahead
     treaction: float = 0.5  # s, reaction time
     sigmaleader: float = 0.0  # -, error in the leader's speed (SUMO: 0.02)
@@ -65,7 +55,7 @@ class Eidm:
     sigmaerror: float = 0.0  # -, driving error (SUMO: 0.04)
 
 
-MODELS: Mapping[str, tuple[str, type[Krauss | Idm | Eidm]]] = {
+MODELS: Mapping[str, tuple[str, type[FollowingParameters]]] = {
     "krauss": ("Krauss", Krauss),
     "idm": ("IDM", Idm),
     "eidm": ("EIDM", Eidm),

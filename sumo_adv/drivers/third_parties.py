@@ -13,7 +13,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats
 from sumo_adv.drivers.car_following import DEFAULT_DRIVER, EMERGENCY, CarFollowing
 from sumo_adv.drivers.prediction import ACROSS
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 
 COARSE = 6  # steps between the samples of a motion that are compared first; then those around the best are
 SLOWER = 0.05  # m/s below the unattacked speed, from which on the third party follows the adversary
@@ -64,7 +64,7 @@ def _located(adversary: Boxes, x: Floats, y: Floats, heading: Floats, way: Float
     i = np.take_along_axis(near, k[:, :, None], axis=2)[:, :, 0]
     dx, dy, h = adversary.x - x[rows, i], adversary.y - y[rows, i], heading[rows, i]
     c, s = np.cos(h), np.sin(h)
-    return way[rows, i] + c * dx + s * dy, c * dy - s * dx, wrap_all(adversary.heading - h)
+    return way[rows, i] + c * dx + s * dy, c * dy - s * dx, wrap(adversary.heading - h)
 
 
 def _nearest(adversary: Boxes, x: Floats, y: Floats) -> Any:

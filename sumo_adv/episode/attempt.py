@@ -17,12 +17,12 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, Limits, PrescribedMotion, Proposal, Role, Track, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import PlannerResultError
+from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, AskOne, local_endpoint
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Goal, Motion, PathRow, Scalar, advance, one_of, pose, release, steer
-from sumo_adv.simulation.simulation import Pose
 from sumo_adv.situation import Situation
 
 PARTED = 90.0  # m between centres: further apart, and still parting, the two will not meet any more

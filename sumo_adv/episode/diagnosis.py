@@ -8,7 +8,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Diagnosis, Floats, Limits, Track
 from sumo_adv.episode.task import AttemptResult
-from sumo_adv.geometry import Frame, Path, wrap_all
+from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.simulation.recording import tracks_of
 
 TOGETHER = 2.0  # m: centres of two tracks at a smaller distance are at the same place
@@ -73,7 +73,7 @@ def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
     if len(bv.time) < 4:
         return ()
     a = bv.acceleration[1:]
-    turn: Floats = wrap_all(np.diff(bv.heading)) / dt
+    turn: Floats = wrap(np.diff(bv.heading)) / dt
     most = {
         "braking": -float(a.min()) / limits.braking, "acceleration": float(a.max()) / limits.acceleration,
         "lateral": float(np.abs(turn * bv.speed[1:]).max()) / limits.lateral,

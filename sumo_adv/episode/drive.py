@@ -8,11 +8,11 @@ from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Road, Steer, apply_steer
-from sumo_adv.drivers import Pose as EgoPose
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import Pose, Simulation, SimulationSpec, Snapshot, pose_of
+from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, pose_of
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
@@ -202,8 +202,8 @@ class Drive:
         if isinstance(action, Steer):
             after = apply_steer(observation.ego, action, observation.dt)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
-        elif isinstance(action, EgoPose):
-            driven[self.ego] = Pose(action.x, action.y, action.heading, action.speed)
+        elif isinstance(action, Pose):
+            driven[self.ego] = action
         elif isinstance(action, LaneSpeed):
             self.simulation.set_speed(self.ego, action.speed)
             if action.lane is not None:

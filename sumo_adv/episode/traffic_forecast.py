@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap_all
+from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.simulation.network import RoadMap
 
 SEEN = 250.0  # m around the ego within which vehicles are foreseen
@@ -135,10 +135,10 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
     for k, c in enumerate(courses):
         forth = np.cos(c.state.heading) * (x - c.state.x) + np.sin(c.state.heading) * (y - c.state.y)
         near = (forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < AHEAD)
-        for j in np.flatnonzero(near & (np.abs(wrap_all(h - c.state.heading)) < TURNED)):
+        for j in np.flatnonzero(near & (np.abs(wrap(h - c.state.heading)) < TURNED)):
             s, d = c.path.project(float(x[j]), float(y[j]))
             free = s - c.station - half[k] - half[j] - MIN_GAP
-            turned = abs(wrap_all(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
+            turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
             if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k]:
                 leader[k], room[k] = j, free
     return leader, room
@@ -156,7 +156,7 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
 
     return Track(
         recorded.id, recorded.role, both("time", recorded.time[-1] + after), both("x", x), both("y", y),
-        both("heading", wrap_all(heading)), both("speed", speed[1:]), both("acceleration", np.diff(speed) / dt),
+        both("heading", wrap(heading)), both("speed", speed[1:]), both("acceleration", np.diff(speed) / dt),
         recorded.length, recorded.width, (*recorded.lane, *(c.lanes[i] for i in lanes)),
     )  # fmt: skip
 

@@ -1,7 +1,8 @@
-"""An engine for many episodes. Each runs in a fork of a process that has imported all modules and run nothing.
+"""An engine and sandboxes for many episodes.
 
-An episode has the same surroundings as in a new process, and starts in milliseconds. The fork answers the front itself.
-Its parent waits, and answers instead if the fork dies. Without forks each episode gets a new process.
+Each episode runs in a fork of a process that has imported all modules and run nothing. It has the same surroundings as
+in a new process, and starts in milliseconds. The fork answers the front itself. Its parent waits, and answers instead
+if the fork dies. Without forks each episode gets a new process.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any, Self
 
+from sumo_adv.config import Settings
 from sumo_adv.errors import SimulationError
+from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine, can_fork
 from sumo_adv.simulation.library import load_libsumo
 
@@ -60,6 +63,25 @@ class WarmEngine:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class WarmSandboxes:
+    """Sandboxes for many episodes: one for each value of the setting ``bubblewrap``, opened when first needed."""
+
+    def __init__(self) -> None:
+        self._by_bubblewrap: dict[bool, Sandbox] = {}
+
+    def of(self, settings: Settings) -> Sandbox:
+        """The sandbox of an episode with these settings."""
+        wanted = settings.bubblewrap
+        if wanted not in self._by_bubblewrap:
+            self._by_bubblewrap[wanted] = Sandbox(bubblewrap=wanted)
+        return self._by_bubblewrap[wanted]
+
+    def close(self) -> None:
+        """End the processes of all of them."""
+        for sandbox in self._by_bubblewrap.values():
+            sandbox.close()
 
 
 class _Nursery:

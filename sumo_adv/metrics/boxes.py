@@ -15,16 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
+from sumo_adv.geometry import wrap_below_pi as wrap  # hazard.py and levels.py import it from here
 
 LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
 TOUCH = 1e-9  # m, below this two boxes touch
 Half = tuple[Floats | float, Floats | float]
 """Half the length and half the width [m]."""
-
-
-def wrap(angle: Floats) -> Floats:
-    """The angle [rad] in [-pi, pi)."""
-    return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def half(b: Boxes) -> Half:

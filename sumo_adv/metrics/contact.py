@@ -12,10 +12,12 @@ from enum import StrEnum
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
-from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps, wrap
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps
 
 STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
-SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles go the same way
+SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
+OPPOSITE_DIRECTION = 3 * np.pi / 4  # rad, heading difference from which they go opposite ways
 BEHIND = np.deg2rad(150.0)  # rad, nuPlan's angle from the rear axle beyond which an agent is behind
 BUMPER = 0.02  # m ahead of the front edge; its ends are drawn in by this, so that a touch of a corner alone is lateral
 REAR_AXLE = 0.3  # of the length, how far the rear axle is behind the box centre
@@ -46,7 +48,7 @@ FRONT, REAR, LEFT, RIGHT = range(4)  # indices into SIDES
 
 def heading_difference(a: Boxes, b: Boxes) -> Floats:
     """|heading of b - heading of a| in [0, pi] [rad]."""
-    return np.abs(wrap(np.asarray(b.heading - a.heading)))
+    return np.abs(wrap_below_pi(np.asarray(b.heading - a.heading)))
 
 
 def contact_sides(a: Boxes, b: Boxes) -> tuple[Side, Side]:
@@ -119,7 +121,7 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
     axle_x = a.x - REAR_AXLE * a.length * np.cos(a.heading)
     axle_y = a.y - REAR_AXLE * a.length * np.sin(a.heading)
     bearing = np.arctan2(b.y - axle_y, b.x - axle_x) - a.heading
-    if abs(float(wrap(np.asarray(bearing)))) > BEHIND:
+    if abs(float(wrap_below_pi(np.asarray(bearing)))) > BEHIND:
         return CollisionClass.ACTIVE_REAR
     front = a.length / 2 * np.cos(a.heading), a.length / 2 * np.sin(a.heading)
     bumper = Boxes(a.x + front[0], a.y + front[1], a.heading, a.speed, 2 * BUMPER, a.width - 2 * BUMPER)
@@ -156,5 +158,5 @@ def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
     sides = contact_sides(a, b)
     return Impact(
         contact_time, closing, float(a.speed), float(b.speed), closing * mass_b / (mass_a + mass_b),
-        float(wrap(np.asarray(b.heading - a.heading))), in_frame(a, point), in_frame(b, point), *sides,
+        float(wrap_below_pi(np.asarray(b.heading - a.heading))), in_frame(a, point), in_frame(b, point), *sides,
     )  # fmt: skip

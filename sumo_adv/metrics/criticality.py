@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Boxes, Floats, Track
-from sumo_adv.metrics.boxes import corners, first_contact, half, overlaps, wrap
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.boxes import corners, first_contact, half, overlaps
 
 TURNING_HORIZON = 10.0  # s, how far a TTC with turn rates looks
 TURNING_STEP = 0.05  # s
@@ -193,6 +194,6 @@ def _refined(a: Track, b: Track, i: int, j: int) -> float:
 
 def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Time, x, y, heading, speed between two steps of a track, at the given parts of the way."""
-    turn = wrap(np.asarray(track.heading[stop] - track.heading[start]))
+    turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
     return time, x, y, track.heading[start] + part * turn, speed

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Track
-from sumo_adv.metrics.boxes import row_of, wrap
-from sumo_adv.metrics.contact import SAME_DIRECTION, CollisionClass, collision_class
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.boxes import row_of
+from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION, CollisionClass, collision_class
 from sumo_adv.metrics.paths import EgoPaths
 
 EGO, ADVERSARY = "ego", "adversary"
-HEAD_ON = 3 * np.pi / 4  # rad between the headings
 OVER = 3.0  # s before the contact
 
 
@@ -51,7 +51,8 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
     the vehicle is at fault that came further over towards the other's way in the last ``OVER`` seconds.
     """
     a, b = (t.between(contact_time - OVER, contact_time) for t in (ego, adversary))
-    if len(a.time) < 2 or len(b.time) < 2 or abs(float(wrap(b.heading[-1:] - a.heading[-1:])[0])) < HEAD_ON:
+    turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))
+    if len(a.time) < 2 or len(b.time) < 2 or turn[0] < OPPOSITE_DIRECTION:
         return nuplan_fault(ego, adversary, contact_time)
     return ADVERSARY if _came_over(b, ego) > _came_over(a, adversary) else EGO
 
@@ -98,7 +99,7 @@ def rss_opinion(ego: Track, adversary: Track, contact_time: float, rss: Rss = DE
     """
     start = max(ego.time[0], adversary.time[0])
     a, b = ego.between(start, contact_time), adversary.between(start, contact_time)
-    if not len(a.time) or abs(float(wrap(b.heading[-1:] - a.heading[-1:])[0])) > SAME_DIRECTION:
+    if not len(a.time) or abs(float(wrap_below_pi(b.heading[-1:] - a.heading[-1:])[0])) > SAME_DIRECTION:
         return None
     across, behind, unsafe_along, unsafe_across = _unsafe(a, b, rss)
     spell = _spell(unsafe_along & unsafe_across)

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Limits, Track
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of, wrap
+from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of
 
 ACCELERATION_SLACK = 0.1  # m/s2: a speed rounded to 5 mm/s over 0.1 s
 LATERAL_SLACK = 0.1  # m/s2: a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
@@ -98,7 +99,7 @@ def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
     """
     dt = np.diff(time)
     dx, dy = np.diff(b.x, axis=-1), np.diff(b.y, axis=-1)
-    middle = b.heading[..., :-1] + wrap(np.diff(b.heading, axis=-1)) / 2
+    middle = b.heading[..., :-1] + wrap_below_pi(np.diff(b.heading, axis=-1)) / 2
     speed = (b.speed[..., 1:] + b.speed[..., :-1]) / 2
     c, s = np.cos(middle), np.sin(middle)
     along, across = dx * c + dy * s, np.abs(dy * c - dx * s)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Floats, Track
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION
 
-SAME, OPPOSITE = np.pi / 4, 3 * np.pi / 4  # rad between two lanes' directions
 END = 1e-6  # m: a point nearest to a lane's very end lies before or past it
 
 
@@ -67,9 +67,9 @@ def markings_crossed(
             held = -1 if inside[k] else held
             continue
         if held >= 0 and now != held and abreast[held, k]:
-            turn = abs(float(wrap(heading[now, k] - heading[held, k])))
-            if turn < SAME or turn > OPPOSITE:
-                found.append(Crossing(time, Marking.LANE_LINE if turn < SAME else Marking.CENTRE_LINE))
+            turn = abs(float(wrap_below_pi(heading[now, k] - heading[held, k])))
+            if turn < SAME_DIRECTION or turn > OPPOSITE_DIRECTION:
+                found.append(Crossing(time, Marking.LANE_LINE if turn < SAME_DIRECTION else Marking.CENTRE_LINE))
         held = now
     return found
 

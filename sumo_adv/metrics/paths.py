@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, Ints
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.geometry import wrap_below_pi
 
 LEAST_STEP = 1e-6  # m, below it two points of a path are one
 BLOCK = 2_000_000  # pairs of points and path samples that are compared at once
@@ -71,7 +71,7 @@ class EgoPaths:
             under, over = np.minimum(wanted - s[0], 0.0), np.maximum(wanted - s[-1], 0.0)
             found[0, row] += under * np.cos(first) + over * np.cos(last)
             found[1, row] += under * np.sin(first) + over * np.sin(last)
-        return found[0], found[1], wrap(found[2])
+        return found[0], found[1], wrap_below_pi(found[2])
 
 
 def _moving(step: Floats) -> tuple[Ints, Ints]:

@@ -23,6 +23,7 @@ from enum import StrEnum
 import numpy as np
 
 from sumo_adv.datatypes import Boxes, Track
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations
 from sumo_adv.metrics.contact import Side, contact_point, contact_sides
 
@@ -129,5 +130,5 @@ def _yaw_rate(track: Track, time: float) -> float:
     k = int(np.clip(np.searchsorted(track.time, time - 1e-9) - 1, 0, max(len(track.time) - 2, 0)))
     if len(track.time) < 2:
         return 0.0
-    turn = (track.heading[k + 1] - track.heading[k] + np.pi) % (2 * np.pi) - np.pi
+    turn = wrap_below_pi(track.heading[k + 1] - track.heading[k])
     return float(turn / (track.time[k + 1] - track.time[k]))

@@ -9,6 +9,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap_below_pi
 
 NEEDED = ("time", "x", "y", "heading", "speed")
 LENGTH, WIDTH = 4.8, 1.8  # m, where a table does not say
@@ -38,7 +39,7 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     width = _size(name, "width", columns, WIDTH)
     acceleration = np.diff(values["speed"], prepend=values["speed"][:1]) / dt
     lane = tuple(str(v) for v in columns["lane"]) if "lane" in columns else ()
-    heading = np.asarray((values["heading"] + np.pi) % (2 * np.pi) - np.pi)
+    heading = wrap_below_pi(values["heading"])
     return Track(
         name, role, np.round(time, 6), values["x"], values["y"], heading, values["speed"], acceleration, length, width,
         lane,

@@ -17,7 +17,7 @@ import numpy as np
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.drivers.junctions import AtJunction
 from sumo_adv.drivers.scenes import Scenes
-from sumo_adv.geometry import PATH_STEP, wrap_all
+from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.planners.answers import PlannerObservation
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.forecast import LOOK, arrivals, stations
@@ -89,7 +89,7 @@ class AdversaryBatch:
         h = h0 + np.arcsin(motion.slope)
         near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
-        return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap_all(h)
+        return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap(h)
 
     def at_junction(self, motion: Motion) -> AtJunction | None:
         """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.
@@ -142,7 +142,7 @@ class AdversaryBatch:
             square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
             at = square.argmin(axis=1)
             each = np.arange(len(rows))
-            turned = np.abs(wrap_all(h - ph[each, at]))
+            turned = np.abs(wrap(h - ph[each, at]))
             cost = np.sqrt(square[each, at]) + SUMO_TURN_COST * turned - SUMO_LOYALTY * (way == self._sumo_way[rows])
             better = has_way & (cost < least - 1e-6)
             least, nearest = np.where(better, cost, least), np.where(better, way, nearest)
@@ -199,7 +199,7 @@ class AdversaryBatch:
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
         along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
-        return i * PATH_STEP + along, aside, np.abs(wrap_all(h - heading))
+        return i * PATH_STEP + along, aside, np.abs(wrap(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
         """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way.
@@ -236,7 +236,7 @@ class AdversaryBatch:
         table = np.empty((*px.shape, 5))
         for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
             table[:, :, column] = values
-        road_h = wrap_all(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
+        road_h = wrap(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
         meet = self._arrivals(now, es, ev, ea)
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)

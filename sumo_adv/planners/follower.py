@@ -13,9 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats, Limits
+from sumo_adv.datatypes import Bools, Boxes, Floats, Limits
 from sumo_adv.errors import PlannerResultError
-from sumo_adv.geometry import Path, wrap, wrap_all
+from sumo_adv.geometry import Path, wrap
+from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
 
 LEAST_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
@@ -28,7 +29,6 @@ LATERAL_JERK = 10.0  # m/s3
 MAX_TURN, MIN_STRETCH = 0.7, 0.3  # rad, 1 - curvature * offset: beyond these, a line has no place beside the way
 CRAWL, SLOW = 0.3, 2.0  # m/s: below the first, headings are the planner's; below the second, curvature is not checked
 ROAD_AHEAD = 3.0  # s of a trajectory that must be on the road
-CORNER = 0.3  # m by which the box is reduced for that check
 
 
 class Line:
@@ -87,16 +87,12 @@ def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Fl
     return states
 
 
-def off_road(
+def leaves_road(
     states: Floats, length: float, width: float, dt: float, on_road: Callable[[Floats, Floats], Bools]
 ) -> float | None:
-    """Seconds from now at which a corner of the box leaves the road; None if it stays on it for ``ROAD_AHEAD`` s."""
-    x, y, h, _ = states[: round(ROAD_AHEAD / dt)].T
-    out = np.zeros(len(x), bool)
-    for a, b in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
-        along, aside = a * (length - CORNER), b * (width - CORNER)
-        c, s = np.cos(h), np.sin(h)
-        out |= ~on_road(x + along * c - aside * s, y + along * s + aside * c)
+    """Seconds from now at which the box leaves the road, as the gate sees it; None if it stays for ``ROAD_AHEAD`` s."""
+    x, y, heading, speed = states[: round(ROAD_AHEAD / dt)].T
+    out = off_road(Boxes(x, y, heading, speed, length, width), np.ones(len(x), bool), on_road)
     return float((np.argmax(out) + 1) * dt) if out.any() else None
 
 
@@ -218,4 +214,4 @@ def _beside(line: Line, way: Path) -> tuple[Floats, Floats, Floats]:
     i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
     h = way.heading[i]
     d = -np.sin(h) * (line.x - way.x[i]) + np.cos(h) * (line.y - way.y[i])
-    return d, np.abs(wrap_all(line.heading - h)), way.curvature[i]
+    return d, np.abs(wrap(line.heading - h)), way.curvature[i]

@@ -33,19 +33,17 @@ class Jail:
     note: str
 
 
-def make_jail(bubblewrap: bool | None = None) -> Jail:
+def make_jail(bubblewrap: bool = True) -> Jail:
     """Find the worker and the strongest way to start it here.
 
     Args:
-        bubblewrap: False turns it off; None reads the variable ``SUMO_ADV_BUBBLEWRAP`` (``off`` turns it off).
+        bubblewrap: False turns it off, and so does ``off`` in the variable ``SUMO_ADV_BUBBLEWRAP``.
 
     Raises:
         SandboxError: monty's worker is not installed.
     """
     worker = _find_worker()
-    if bubblewrap is None:
-        bubblewrap = os.environ.get(SWITCH, "on").strip().lower() not in ("off", "0", "false", "no")
-    if not bubblewrap:
+    if not bubblewrap or os.environ.get(SWITCH, "on").strip().lower() in ("off", "0", "false", "no"):
         return _plain(worker, "bubblewrap is turned off")
     if not sys.platform.startswith("linux"):
         return _plain(worker, "bubblewrap exists on Linux alone")

@@ -46,13 +46,11 @@ class Sandbox:
 
     Args:
         limits: what planner code may use.
-        bubblewrap: False turns bubblewrap off, None reads the variable ``SUMO_ADV_BUBBLEWRAP``.
+        bubblewrap: False turns bubblewrap off, and so does ``off`` in the variable ``SUMO_ADV_BUBBLEWRAP``.
         workers: maximum number of open sessions.
     """
 
-    def __init__(
-        self, limits: SandboxLimits | None = None, *, bubblewrap: bool | None = None, workers: int = 16
-    ) -> None:
+    def __init__(self, limits: SandboxLimits | None = None, *, bubblewrap: bool = True, workers: int = 16) -> None:
         self.limits = limits or SandboxLimits()
         self._bubblewrap = bubblewrap
         self._workers = workers

@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Proposal
 from sumo_adv.errors import PlannerLimitError, SandboxError
 from sumo_adv.planners.answers import Answer, PlannerObservation, call_of, world_endpoint
-from sumo_adv.planners.follower import off_road
+from sumo_adv.planners.follower import leaves_road
 from sumo_adv.planners.results import subject_of
 from sumo_adv.planners.road import road_of
 from sumo_adv.planners.sandbox import Sandbox
@@ -162,7 +162,7 @@ class Sessions:
         states = np.array([(*situation.frame.to_world(x, y, h), v) for x, y, h, v in local])
         bv = situation.targets[proposal.bv].state
         if self._drivable is not None:
-            leaves = off_road(states, bv.length, bv.width, situation.dt, self._drivable)
+            leaves = leaves_road(states, bv.length, bv.width, situation.dt, self._drivable)
             if leaves is not None:
                 remark = f"trajectory() leaves the road {leaves:.1f} s later, and the built-in one was driven"
                 return Answer(endpoint, None, remark)

@@ -84,7 +84,7 @@ def split(message: bytes) -> list[Command]:
         FramingError: the lengths do not add up.
     """
     at, end = 4, len(message)
-    found = []
+    commands = []
     while at < end:
         head, length = 1, message[at]
         if length == 0:
@@ -94,9 +94,9 @@ def split(message: bytes) -> list[Command]:
         if length <= head or at + length > end:
             raise FramingError(f"A command announces {length} bytes where {end - at} are left.")
         raw = message[at : at + length]
-        found.append(Command(raw[head], raw[head + 1 :], raw))
+        commands.append(Command(raw[head], raw[head + 1 :], raw))
         at += length
-    return found
+    return commands
 
 
 def without(answer: bytes, hidden: Collection[bytes]) -> bytes:
@@ -218,8 +218,8 @@ class Line:
         with contextlib.suppress(OSError, ValueError), selectors.DefaultSelector() as selector:
             for connection in watched:
                 selector.register(connection, selectors.EVENT_READ)
-            found = {key.fileobj for key, _ in selector.select(0.0 if held else seconds)}
-            return watched[0] in found, held or (watched[-1] in found and other is not None)
+            ready = {key.fileobj for key, _ in selector.select(0.0 if held else seconds)}
+            return watched[0] in ready, held or (watched[-1] in ready and other is not None)
         return True, other is not None
 
     def unread(self, message: bytes) -> None:

@@ -20,11 +20,11 @@ from sumo_adv.episode.planned_encounter import PlannedEncounter, with_prediction
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.serve.clerk import ResultWriter
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Mode, OnLoss, Options
+from sumo_adv.serve.result_writer import ResultWriter
 from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
 from sumo_adv.serve.watch import EncounterMonitor
 from sumo_adv.simulation.demand import journeys
@@ -52,16 +52,16 @@ class ServerDependencies:
     bank: MemoryBank
     gate: Gate
     events: Events
-    clerk: ResultWriter
+    writer: ResultWriter
     check: Callable[[], None]  # called every step; raises KeyboardInterrupt
 
 
 class Server:
     """Runs until ``encounters`` are done, the input has no more, the client is gone for good, or Ctrl-C."""
 
-    def __init__(self, house: ServerDependencies) -> None:
-        self._house = house
-        self._task = house.task_for(0)
+    def __init__(self, parts: ServerDependencies) -> None:
+        self._parts = parts
+        self._task = parts.task_for(0)
         self._settings = self._task.settings
         self._session: Session | None = None
         self._number = 0  # of the encounter at hand, from 1
@@ -81,14 +81,14 @@ class Server:
 
     def run(self) -> Ending | None:
         """Serve. An Ending where something failed (``reason`` says what), else None."""
-        house = self._house
+        parts = self._parts
         try:
             round_ = 0
             while self._wanted():
                 self._simulate(round_)
                 round_ += 1
         except ClientGone:
-            self.reason = f"No client came to port {house.gate.port} within {house.options.patience:g} s."
+            self.reason = f"No client came to port {parts.gate.port} within {parts.options.patience:g} s."
             return Ending.EGO_LOST
         except EgoLost:
             self.reason = "The ego's client was lost or late, and --on-loss is end."
@@ -113,7 +113,7 @@ class Server:
 
     def _wanted(self) -> bool:
         """Whether another encounter is to come."""
-        most = self._house.options.encounters
+        most = self._parts.options.encounters
         if self._fruitless >= FRUITLESS and not self.reason:
             self.reason = f"The last {FRUITLESS} simulations had no encounter."
         return not self.reason and (most is None or self._number < most)
@@ -122,7 +122,7 @@ class Server:
 
     def _simulate(self, round_: int) -> None:
         """One simulation from its begin: all its encounters in continuous mode, one of them else."""
-        self._task = self._house.task_for(round_)
+        self._task = self._parts.task_for(round_)
         self._settings = self._task.settings
         session, watch = self._start()
         before, quiet, passed = self._number, 0.0, list[str]()
@@ -131,12 +131,12 @@ class Server:
             if not ranking and (session.now >= self._task.end - 1e-6 or session.deserted()):
                 break
             quiet = PASSED_OVER
-            scene = describe(session, self._house.road, self._settings, ranking, passed)
+            scene = describe(session, self._parts.road, self._settings, ranking, passed)
             if isinstance(scene, str):
                 self._pass_over(session, scene, passed)
             elif self._encounter(session, watch, scene, passed):
                 passed, quiet = [], COOL_DOWN
-                if self._house.options.mode is Mode.EPISODES:
+                if self._parts.options.mode is Mode.EPISODES:
                     break
                 assert self._session is session
             if self._task.trigger is not None:
@@ -148,18 +148,18 @@ class Server:
 
     def _start(self) -> tuple[Session, EncounterMonitor]:
         """A new simulation, and its client."""
-        house, task = self._house, self._task
+        parts, task = self._parts, self._task
         self._session = session = Session(
-            task.spec, house.gate, house.options, self._ego(task), house.events, house.check
+            task.spec, parts.gate, parts.options, self._ego(task), parts.events, parts.check
         )
         only = tuple(n for n in task.only)
         return session, EncounterMonitor(
-            session, house.road, self._settings, only, task.warm_up if task.ego is not None else 0.0
+            session, parts.road, self._settings, only, task.warm_up if task.ego is not None else 0.0
         )
 
     def _ego(self, task: Task) -> EgoPlan:
         """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
-        kind = self._house.options.ego_type or task.ego_base_type or DEFAULT_TYPE
+        kind = self._parts.options.ego_type or task.ego_base_type or DEFAULT_TYPE
         if isinstance(task.ego, str):
             return EgoPlan(task.ego, kind, added=not self._in_demand(task, task.ego))
         if isinstance(task.ego, EgoRoute):
@@ -185,14 +185,14 @@ class Server:
 
     def _pass_over(self, session: Session, why: str, passed: list[str]) -> None:
         passed.append(f"{session.now:.1f} s ({why})")
-        self._house.events.tell("passed_over", time=session.now, reason=why)
+        self._parts.events.tell("passed_over", time=session.now, reason=why)
 
     # -- an encounter -------------------------------------------------------------------------------------------
 
     def _encounter(self, session: Session, watch: EncounterMonitor, scene: Scene, passed: list[str]) -> bool:
         """Decide and attack; False if it was passed over or dropped."""
-        house, found = self._house, scene.found
-        house.events.tell(
+        parts, found = self._parts, scene.found
+        parts.events.tell(
             "encounter", time=found.time, number=self._number + 1, ego=found.ego,
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
         )  # fmt: skip
@@ -202,9 +202,9 @@ class Server:
         except ModelError as error:
             self._number += 1
             episode.ending, episode.reason = model_ending(error), str(error)
-            house.clerk.keep(episode, self._number)
+            parts.writer.keep(episode, self._number)
             raise
-        if not decision.met.reaches and self._task.trigger is None:
+        if not decision.planned.reaches and self._task.trigger is None:
             self._pass_over(session, "no intent reaches the ego, by prediction", passed)
             return False
         if decision.entries is None:
@@ -212,32 +212,32 @@ class Server:
             return False
         stale = self._stale(session, watch, scene, {episode.intents[0].bv, decision.best.bv})
         if stale:
-            house.events.tell("dropped", time=session.now, reason=stale)
+            parts.events.tell("dropped", time=session.now, reason=stale)
             return False
         self._number += 1
         self._pursue(session, scene, episode, decision)
         return True
 
     def _episode(self, scene: Scene) -> Episode:
-        house, found = self._house, scene.found
+        parts, found = self._parts, scene.found
         episode = Episode(
-            house.source, self._settings, self._task, bank_hash=house.bank.content_hash(), agents=house.agents
+            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
         )
-        episode.found, episode.lanes = found, house.road.strips(*found.area)
+        episode.found, episode.lanes = found, parts.road.strips(*found.area)
         return episode
 
     def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
-        house, settings = self._house, self._settings
-        episodes = house.options.mode is Mode.EPISODES
+        parts, settings = self._parts, self._settings
+        episodes = parts.options.mode is Mode.EPISODES
         settings = settings if episodes else settings.model_copy(update={"attempts": 1})
         episode.settings = settings
         live = LiveAttempts(
-            session, scene, house.road, settings, house.agents.sandbox, house.events,
+            session, scene, parts.road, settings, parts.agents.sandbox, parts.events,
             (lambda: self._again(scene.found.time)) if episodes else None,
         )  # fmt: skip
         assert decision.entries is not None
         try:
-            pursue(episode, decision.met, decision.entries, live, house.agents, house.bank, self._tell_attempt)
+            pursue(episode, decision.planned, decision.entries, live, parts.agents, parts.bank, self._tell_attempt)
             if live.lost and episode.ending is not Ending.CRITICAL:
                 episode.ending, episode.reason = Ending.EGO_LOST, ""
         except KeyboardInterrupt:
@@ -253,14 +253,14 @@ class Server:
             best = episode.refinement.best or 0
             before = live.prefixes[best] if best < len(live.prefixes) else ()
             episode.prefix = Prefix(before, dict(scene.found.sizes))
-            house.clerk.keep(episode, self._number)
-        if live.lost and house.options.on_loss is OnLoss.END:
+            parts.writer.keep(episode, self._number)
+        if live.lost and parts.options.on_loss is OnLoss.END:
             raise EgoLost
 
     def _again(self, time: float) -> Session | None:
         """The same simulation anew, up to ``time`` [s]; None if the ego or its client is not there then."""
         self._end_session(clean=True)
-        self._house.events.tell("again", number=self._number, time=time)
+        self._parts.events.tell("again", number=self._number, time=time)
         session, watch = self._start()
         return session if watch.until(time) else None
 
@@ -269,7 +269,7 @@ class Server:
             return
         a: Attempt = value
         v = a.verdict
-        self._house.events.tell(
+        self._parts.events.tell(
             "attempt", number=self._number, index=a.index, adversary=a.proposal.bv, intent=a.proposal.label,
             mode=a.proposal.planner.mode, by=a.proposal.by, time=a.trigger_time, ending=a.ending,
             min_ttc=v.min_ttc if v.min_ttc < 1e6 else None, collided=v.collided, critical=v.critical,
@@ -287,12 +287,12 @@ class Server:
         began = time.perf_counter()
 
         def work() -> Decision:
-            met = with_predictions(episode, scene.found, self._house.agents.sandbox, self._house.bank)
-            entries = decide(episode, met, self._house.agents, self._house.bank) if met.reaches else None
-            return Decision(met, entries)
+            planned = with_predictions(episode, scene.found, self._parts.agents.sandbox, self._parts.bank)
+            entries = decide(episode, planned, self._parts.agents, self._parts.bank) if planned.reaches else None
+            return Decision(planned, entries)
 
         decision = work() if session.pace is None else _meanwhile(work, session.tick)
-        self._house.events.tell(
+        self._parts.events.tell(
             "decided", time=session.now, seconds=round(time.perf_counter() - began, 3),
             age=round(session.now - scene.found.time, 2),
             intents=[{"bv": i.bv, "label": i.label, "risk": i.risk} for i in list(episode.intents)[:3]],
@@ -315,13 +315,13 @@ class Server:
 class Decision:
     """The predictions of an encounter, and the library to try from; None if nothing is to be tried."""
 
-    met: PlannedEncounter
+    planned: PlannedEncounter
     entries: Sequence[LibraryEntry] | None
 
     @property
     def best(self) -> Proposal:
         """What is predicted to be most dangerous."""
-        return min(self.met.search.pool, key=lambda p: p.score)
+        return min(self.planned.search.pool, key=lambda p: p.score)
 
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:

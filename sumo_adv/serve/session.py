@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
 from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import Pose
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.gate_events import Stepper
@@ -23,7 +24,7 @@ from sumo_adv.serve.options import OnLoss, Options
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import Pose, SimulationSpec, Snapshot, pose_of
+from sumo_adv.simulation.simulation import SimulationSpec, Snapshot, pose_of
 
 if TYPE_CHECKING:
     from traci.connection import Connection

@@ -91,7 +91,6 @@ _TYPE: Mapping[int, Shapes] = {
 }  # fmt: skip
 _EFFORT = ("(s)", "(sd)", "(ddsd)")
 _SPAN = ("(d)", "(ddd)")
-_STOP = "(sdb[diddib])"
 ANY_SET: Mapping[int, Shapes] = {0x7E: ("(ss)",)}
 """Variable -> shapes, the same for all setters."""
 SET: Mapping[int, Mapping[int, Shapes]] = {
@@ -184,18 +183,18 @@ def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:
     if at >= len(payload):
         raise Misfit
     count, at = payload[at], at + 1
-    found = []
+    values = []
     for _ in range(count):
         if at >= len(payload) or (domain, payload[at]) in NOT_SUBSCRIBED:
             raise Misfit
         ends = [end for shape in get_shapes(domain, payload[at]) if (end := _ends(payload, at + 1, shape)) > 0]
         if not ends:
             raise Misfit
-        found.append(payload[at : ends[0]])
+        values.append(payload[at : ends[0]])
         at = ends[0]
     if at != len(payload):
         raise Misfit
-    return found
+    return values
 
 
 @dataclass(frozen=True, slots=True)

@@ -120,17 +120,17 @@ class Turns:
         """Wait until it is our turn; a client hears meanwhile what needs no SUMO."""
         if self._our_turn:
             return
-        asked: Client | None = None  # has asked what must wait for SUMO
+        waiting: Client | None = None  # has asked what must wait for SUMO
 
         def listen() -> Line | None:
             client = self._seat.client
-            return client.line if client is not None and client is not asked else None
+            return client.line if client is not None and client is not waiting else None
 
         def talk() -> None:
-            nonlocal asked
+            nonlocal waiting
             client = self._seat.client
             if client is not None and not self._small_talk(client):
-                asked = client
+                waiting = client
 
         self._link.await_turn(listen, talk)
         self._begin_turn()
@@ -218,8 +218,8 @@ class Turns:
         if len(wanted) < 2:
             return ""
         name = command.payload[16:end]
-        asked = (make_command(getter, one[:1] + name + one[1:]) for one in wanted)
-        said = [framing.complaint(self._link.ask(make_message(one))) for one in asked]
+        questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in wanted)
+        said = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
         whole = f"Could not add subscription. {' '.join(said).strip()}"
         return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
 

@@ -18,11 +18,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.props import Prop, Recorded
 from sumo_adv.simulation.signals import SignalLog, read_signals
-from sumo_adv.simulation.simulation import Pose, RawState, Simulation, heading_of, raw_of
+from sumo_adv.simulation.simulation import RawState, Simulation, heading_of, raw_of
 from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sumo_adv.simulation.simulation import Pose
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.tracks import LoggedTrack
 
 

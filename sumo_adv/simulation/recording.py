@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.simulation import Snapshot
 
@@ -64,7 +64,7 @@ def _track(
     times, states = zip(*rows, strict=True)
     *columns, lane = zip(*states, strict=True)
     time, x, y, angle_deg, speed = (np.array(c) for c in (times, *columns))
-    heading = wrap_all(np.radians(90.0 - angle_deg))
+    heading = wrap(np.radians(90.0 - angle_deg))
     back = size[0] / 2
     acceleration = np.zeros(len(time))
     acceleration[1:] = np.where(np.diff(time) < 1.5 * step_length, np.diff(speed) / step_length, 0.0)

@@ -15,6 +15,7 @@ from typing import Any
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import Pose, wrap
 from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.simulation.moved_speed import MovedSpeeds
 from sumo_adv.simulation.remote import RawState, Remote
@@ -34,8 +35,7 @@ INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**
 
 def heading_of(angle_deg: float) -> float:
     """SUMO's angle as a heading in (-pi, pi]."""
-    h = math.radians(90.0 - angle_deg)
-    return math.pi - (math.pi - h) % (2 * math.pi)
+    return wrap(math.radians(90.0 - angle_deg))
 
 
 def angle_deg_of(heading: float) -> float:
@@ -75,16 +75,6 @@ class SimulationSpec:
         if self.additional:
             args += ["-a", ",".join(map(str, self.additional))]
         return args
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """Where a driven vehicle is put: box centre [m], heading [rad], speed [m/s]."""
-
-    x: float
-    y: float
-    heading: float
-    speed: float
 
 
 @dataclass(frozen=True, slots=True)

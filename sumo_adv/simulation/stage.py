@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.simulation.simulation import SUMO_SPEED_MODE, Pose, Simulation
+from sumo_adv.geometry import Pose
+from sumo_adv.simulation.simulation import SUMO_SPEED_MODE, Simulation
 
 LOGGED_TYPE = "sumo_adv_logged"
 LOGGED_TYPE_XML = f'<vType id="{LOGGED_TYPE}" vClass="passenger" speedFactor="10" speedDev="0"/>'

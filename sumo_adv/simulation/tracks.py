@@ -21,6 +21,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap_below_pi
 
 COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
 KINDS = ("vehicle", "pedestrian", "cyclist", "other")
@@ -100,7 +101,7 @@ def _between(t: LoggedTrack, low: Floats, high: Floats, share: Floats, inside: B
     def linear(values: Floats) -> Floats:
         return np.asarray(np.where(share == 0.0, values[low], values[low] * (1 - share) + values[high] * share))
 
-    turn = (t.heading[high] - t.heading[low] + np.pi) % (2 * np.pi) - np.pi
+    turn = wrap_below_pi(t.heading[high] - t.heading[low])
     heading = np.where(share == 0.0, t.heading[low], t.heading[low] + share * turn)
     valid = t.valid[low] & t.valid[high] & inside
     return replace(t, valid=valid, x=linear(t.x), y=linear(t.y), heading=heading, speed=linear(t.speed))

@@ -21,6 +21,7 @@ from time import perf_counter
 from typing import Any
 
 from sumo_adv import __version__
+from sumo_adv.files import user_folder
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.scene import SCENARIO, write_scene
 
@@ -148,18 +149,5 @@ def _sources() -> str:
 def cache_folder(
     environ: Mapping[str, str] = os.environ, platform: str = sys.platform, home: Path | None = None
 ) -> Path:
-    """Where conversions are kept; nothing is created.
-
-    Linux and the rest: ``$XDG_CACHE_HOME`` (absolute, as the XDG base directory specification asks) or ``~/.cache``;
-    macOS: ``~/Library/Caches``; Windows: ``%LOCALAPPDATA%`` or ``~/AppData/Local``.
-    """
-    home = Path.home() if home is None else home
-    if platform == "win32":
-        named = environ.get("LOCALAPPDATA", "")
-        cache = Path(named) if named else home / "AppData" / "Local"
-    elif platform == "darwin":
-        cache = home / "Library" / "Caches"
-    else:
-        named = environ.get("XDG_CACHE_HOME", "")
-        cache = Path(named) if named and Path(named).is_absolute() else home / ".cache"
-    return cache / "sumo_adv" / "womd"
+    """Where conversions are kept, in the user's cache folder (:func:`~sumo_adv.files.user_folder`)."""
+    return user_folder("cache", environ, platform, home) / "womd"

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 from sumo_adv.simulation.tracks import KINDS, LoggedTrack, TrackLog, write_tracks
 from sumo_adv.womd.matching import Stretch
 from sumo_adv.womd.record import TRACK_KINDS, ObjectTrack, Record
@@ -91,7 +91,7 @@ def _logged(track: ObjectTrack) -> LoggedTrack:
     *_, length, width = pose(track)
     return LoggedTrack(
         id=str(track.id), kind=kind if kind in KINDS else "other", valid=track.valid, x=track.x, y=track.y,
-        heading=wrap_all(track.heading), speed=np.hypot(track.vx, track.vy), length=length, width=width,
+        heading=wrap(track.heading), speed=np.hypot(track.vx, track.vy), length=length, width=width,
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Floats
+from sumo_adv.geometry import wrap_below_pi
 
 Ints = NDArray[np.intp]
 
@@ -77,7 +78,7 @@ class Segments:
         turned = np.zeros(len(which))
         if headings is not None:
             difference = headings[which] - np.arctan2(along[:, 1], along[:, 0])
-            turned = np.abs((difference + np.pi) % (2 * np.pi) - np.pi)
+            turned = np.abs(wrap_below_pi(difference))
         return Hits(which, self._owner[segment], distance, self._start[segment] + share * np.sqrt(square), turned)
 
 

@@ -36,7 +36,7 @@ SHARES: Mapping[str, int] = {
 """How many encounters of each kind: 50 on straight roads, 31 at junctions."""
 
 MOST_TRIES = 60  # candidates for one place in the list
-Told = Callable[[str, str], None]  # name of the case, what was wrong with a candidate (empty: it is taken)
+Report = Callable[[str, str], None]  # name of the case, what was wrong with a candidate (empty: it is taken)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class _Count:
 
 
 def make_suite(
-    seed: int, folder: Path, *, name: str = "", shares: Mapping[str, int] = SHARES, told: Told | None = None
+    seed: int, folder: Path, *, name: str = "", shares: Mapping[str, int] = SHARES, report: Report | None = None
 ) -> Made:
     """Makes the suite of a seed in ``folder``, which must not exist or be empty; nothing is left if it fails.
 
@@ -91,7 +91,7 @@ def make_suite(
         work.mkdir()
         places = places_of(shares)
         for place in places:
-            _fill(place, seed, work, engine, count, told)
+            _fill(place, seed, work, engine, count, report)
         _write_list(work, name, seed, places, count)
         if folder.exists():
             folder.rmdir()
@@ -117,15 +117,15 @@ def candidate(place: Place, seed: int, attempt: int) -> Draft:
     return (draw_straight if place.kind in STRAIGHT else draw_junction)(place.kind, place.number, draw)
 
 
-def _fill(place: Place, seed: int, work: Path, engine: Engine, count: _Count, told: Told | None) -> None:
+def _fill(place: Place, seed: int, work: Path, engine: Engine, count: _Count, report: Report | None) -> None:
     """Candidates for one place until one is good."""
     for attempt in range(MOST_TRIES):
         draft = candidate(place, seed, attempt)
         count.drawn += 1
         _provide_network(draft.network, work)
         fault = _fault(draft, write_draft(draft, place.name, work), engine)
-        if told is not None:
-            told(place.name, fault)
+        if report is not None:
+            report(place.name, fault)
         if not fault:
             return
         count.rejected[fault] += 1

@@ -58,41 +58,44 @@ def trial(scenario: Path, ego: str, bv: str, kind: str, seed: int = 0) -> Trial:
     return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
 
 
-def tried(one: Trial) -> str:
+def tried(candidate: Trial) -> str:
     """What is wrong with an encounter, in words without figures; empty if it is good."""
     worker = Worker([])
-    worker.open(one.task)
+    worker.open(candidate.task)
     try:
-        found = worker.seek()
+        outcome = worker.seek()
     except UsageError:  # SUMO found no room for the ego in all the time given
         return "the ego is not inserted"
-    return _not_found(found) if isinstance(found, NoEncounter) else _fault(one, found)
+    return _not_found(outcome) if isinstance(outcome, NoEncounter) else _fault(candidate, outcome)
 
 
-def _not_found(found: NoEncounter) -> str:
-    words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", found.reason)
+def _not_found(outcome: NoEncounter) -> str:
+    words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", outcome.reason)
     return re.sub(r":.*", "", words).rstrip(".")
 
 
-def _fault(one: Trial, found: FoundEncounter) -> str:
-    present = {name: sum(name in snapshot.raw for snapshot in found.baseline) for name in (found.ego, one.bv)}
-    dt = one.task.settings.step_length
-    if present[found.ego] * dt < STAYS:
+def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
+    present = {
+        name: sum(name in snapshot.raw for snapshot in encounter.baseline) for name in (encounter.ego, candidate.bv)
+    }
+    dt = candidate.task.settings.step_length
+    if present[encounter.ego] * dt < STAYS:
         return "the ego stays too short"
-    if present[one.bv] * dt < BV_STAYS:
+    if present[candidate.bv] * dt < BV_STAYS:
         return "the vehicle meant stays too short"
-    relations = {name: relation for name, relation, _ in found.ranking}
-    target = found.first.targets.get(one.bv)
-    if one.bv not in relations or target is None:
+    relations = {name: relation for name, relation, _ in encounter.ranking}
+    target = encounter.first.targets.get(candidate.bv)
+    if candidate.bv not in relations or target is None:
         return "the vehicle meant is no candidate"
-    if one.first and found.ranking[0][0] != one.bv:
+    if candidate.first and encounter.ranking[0][0] != candidate.bv:
         return "another vehicle is more dangerous than the one meant"
-    if one.kind not in RELATIONS:
-        ok = relations[one.bv] in MEETING and in_time(target, found.first.ego.speed)
+    if candidate.kind not in RELATIONS:
+        ok = relations[candidate.bv] in MEETING and in_time(target, encounter.first.ego.speed)
         return "" if ok else "the vehicle meant cannot be at the conflict in time"
-    ahead = found.first.frame.to_local(target.state.x, target.state.y, target.state.heading)[0] > 0
-    sided = {"neighbour_ahead": ahead, "neighbour_behind": not ahead}.get(one.kind, True)
-    return "" if relations[one.bv] == RELATIONS[one.kind] and sided else "the vehicle meant stands otherwise by then"
+    ahead = encounter.first.frame.to_local(target.state.x, target.state.y, target.state.heading)[0] > 0
+    sided = {"neighbour_ahead": ahead, "neighbour_behind": not ahead}.get(candidate.kind, True)
+    as_meant = relations[candidate.bv] == RELATIONS[candidate.kind] and sided
+    return "" if as_meant else "the vehicle meant stands otherwise by then"
 
 
 def in_time(target: Target, ego_speed: float) -> bool:
@@ -109,7 +112,7 @@ def in_time(target: Target, ego_speed: float) -> bool:
 
 def _each(trials: Sequence[Trial]) -> list[str]:
     """What is wrong with each, all at the same time."""
-    return in_forks([partial(tried, one) for one in trials])
+    return in_forks([partial(tried, candidate) for candidate in trials])
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:

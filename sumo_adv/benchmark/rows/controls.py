@@ -20,7 +20,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Verdict
-from sumo_adv.drivers.bicycle import MAX_STEERING, apply_steer
+from sumo_adv.drivers.bicycle import MAX_STEERING, WHEELBASE, apply_steer
 from sumo_adv.drivers.protocol import Steer
 from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.metrics.gates import off_road
@@ -32,7 +32,6 @@ KNOTS = 6
 SIZE = 2 * KNOTS
 STEERING_UNIT, ACCELERATION_UNIT = 0.06, 0.4
 STEERING_RATE = 0.5  # rad/s at the front wheel
-WHEELBASE = 2.8  # m
 BACK, SLOWEST = 1.0, 3.0  # s, m: how fast it turns back after the horizon
 SHARE = 0.95  # of lateral acceleration and curvature that is used
 FARTHEST, LONGEST = 50.0, 10.0  # m, s: the objective knows no more
@@ -77,7 +76,7 @@ def drive(start: Start, vector: Sequence[float] | Floats, encounter: Encounter) 
         steering = _towards(steering, _wheel(_towards(0.0, curvature, tightest)), STEERING_RATE * dt)
         want, v = push * (limits.acceleration if push > 0 else limits.braking), state.speed
         _, a = faster(Scalar, v, a, want, v * v * abs(curvature), limits, start.target.fastest, dt)
-        state = apply_steer(state, Steer(a, steering), dt, WHEELBASE)
+        state = apply_steer(state, Steer(a, steering), dt)
         travelled += (v + state.speed) / 2 * dt
         poses[k] = state.x, state.y, state.heading, state.speed
     return _on_road(poses, start.target, encounter.drivable)

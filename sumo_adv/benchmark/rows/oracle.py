@@ -57,11 +57,11 @@ def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal
     by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
     for way in ways:
         by_label[way.entry.label].append(way)
-    endless = {label: _endless(label, mine, draw) for label, mine in by_label.items()}
+    endless = {label: _endless(label, templates, draw) for label, templates in by_label.items()}
     count: Counter[str] = Counter()
     plans: list[Proposal] = []
     while by_label and len(plans) < MOST:
-        first = [label for label, mine in by_label.items() if count[label] < len(mine)]
+        first = [label for label, templates in by_label.items() if count[label] < len(templates)]
         label = min(first or by_label, key=lambda name: count[name])
         plans.append(next(endless[label]))
         count[label] += 1
@@ -108,9 +108,9 @@ def split_half(cell: Cell, seed: int = 0) -> dict[str, float | None]:
             middle = (len(mixed) + draw.randrange(2)) // 2  # the odd one goes to either side
             halves[0][label], halves[1][label] = mixed[:middle], mixed[middle:]
         for criterion in CRITERIA:
-            one, two = (set(_most_dangerous(half, criterion)) for half in halves)
-            both = len(one & two)
-            total[criterion] += (both / len(one) + both / len(two)) / 2 if one and two else 0.0
+            first, second = (set(_most_dangerous(half, criterion)) for half in halves)
+            both = len(first & second)
+            total[criterion] += (both / len(first) + both / len(second)) / 2 if first and second else 0.0
     return {criterion: total[criterion] / SPLITS for criterion in CRITERIA}
 
 

@@ -40,10 +40,10 @@ def make_row(text: str) -> Opponent:
 
 def _label(text: str) -> str:
     wanted = _plain(text)
-    found = next((label for label in LABELS if _plain(label) == wanted), None)
-    if found is None:
+    behaviour = next((label for label in LABELS if _plain(label) == wanted), None)
+    if behaviour is None:
         raise UsageError(f"There is no behaviour '{text}' to fix; use one of {', '.join(LABELS)}.")
-    return found
+    return behaviour
 
 
 def _plain(text: str) -> str:

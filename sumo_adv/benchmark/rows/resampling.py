@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 from sumo_adv.benchmark.nouns import Encounter, course_proposal
 from sumo_adv.datatypes import Attempt, Bools, Boxes, Floats, Limits, PrescribedMotion, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 from sumo_adv.metrics.boxes import on_grid, pick, touching
+from sumo_adv.metrics.contact import SAME_DIRECTION
+from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, pose, steer
 from sumo_adv.situation import Situation, Target
@@ -96,8 +98,8 @@ class Resampling:
         """Of the futures, by what the attempts came to."""
         weights = np.array(list(FUTURES.values()))
         for attempt, (i, k) in zip(tried, self._places, strict=False):
-            told = self._drawn[i].hits[:, k] > 0.0
-            weights = weights * np.where(told == _counts(attempt), RIGHT, WRONG)
+            predicted = self._drawn[i].hits[:, k] > 0.0
+            weights = weights * np.where(predicted == _counts(attempt), RIGHT, WRONG)
         return np.asarray(weights / weights.sum())
 
 
@@ -199,15 +201,15 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
     """The step until which each motion matters (the first contact under any future, else the end), and its chance of
     a collision that counts under each future."""
     n, steps = adversary.x.shape
-    last, found = np.full(n, steps - 1), np.zeros((len(futures), n))
+    last, chance = np.full(n, steps - 1), np.zeros((len(futures), n))
     for f, future in enumerate(futures):
         ego = _spread(future, (n, steps), situation.ego.length, situation.ego.width)
         touches = touching(ego, adversary)
         hit, first = touches.any(axis=1), touches.argmax(axis=1)
         counts = hit & (first > 2) & (first <= situation.left) & ~_from_behind(ego, adversary, first)
-        found[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
+        chance[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
         last = np.where(hit, np.minimum(last, first), last)
-    return last, found
+    return last, chance
 
 
 def _spread(columns: Sequence[Floats] | Floats, shape: tuple[int, int], length: float, width: float) -> Boxes:
@@ -220,29 +222,25 @@ def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
     k = (np.arange(len(at)), np.maximum(at - 1, 0))
     a, b = pick(ego, k), pick(adversary, k)
     ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
-    alike = np.abs(wrap_all(b.heading - a.heading)) < np.pi / 4
+    alike = np.abs(wrap(b.heading - a.heading)) < SAME_DIRECTION
     return np.asarray(alike & (ahead < SLACK - (np.asarray(a.length) + b.length) / 2))
 
 
 def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:
     """Whether a corner leaves the road before ``last``, every fourth step."""
-    k = np.arange(0, adversary.x.shape[1], 4)
-    x, y, h = adversary.x[:, k], adversary.y[:, k], adversary.heading[:, k]
-    out = np.zeros(x.shape, bool)
-    for ahead, left in ((0.5, 0.5), (0.5, -0.5), (-0.5, 0.5), (-0.5, -0.5)):
-        a, b = ahead * (np.asarray(adversary.length) - 0.3), left * (np.asarray(adversary.width) - 0.3)
-        out |= ~encounter.drivable(x + a * np.cos(h) - b * np.sin(h), y + a * np.sin(h) + b * np.cos(h))
-    return np.asarray((out & (k[None, :] <= last[:, None])).any(axis=1))
+    k = np.arange(adversary.x.shape[1])
+    judged = (k % 4 == 0) & (k <= last[:, None])
+    return np.asarray(off_road(adversary, judged, encounter.drivable).any(axis=1))
 
 
 def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, last: Places) -> Bools:
     """Whether the motion touches a vehicle in its unattacked motion before ``last``."""
     n, steps = adversary.x.shape
-    found, mine = np.zeros(n, bool), np.array(names)
+    touched, ids = np.zeros(n, bool), np.array(names)
     before = np.arange(steps)[None, :] <= last[:, None]
     time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
     for track in situation.traffic.others:
-        one = on_grid([track], time)
-        other = _spread((one.x, one.y, one.heading, one.speed), (n, steps), track.length, track.width)
-        found |= (touching(other, adversary) & before).any(axis=1) & (mine != track.id)
-    return found
+        b = on_grid([track], time)
+        other = _spread((b.x, b.y, b.heading, b.speed), (n, steps), track.length, track.width)
+        touched |= (touching(other, adversary) & before).any(axis=1) & (ids != track.id)
+    return touched

@@ -85,16 +85,16 @@ def analyze(
     reference = reference or next(iter(rows), None)
     parts, notes = [], []
     for ego in names(cells, "ego"):
-        mine = [c for c in cells if c["ego"] == ego]
-        oracle = {key(c): c for c in mine if c["row"] == ORACLE and c.get("attempts")}
+        own_cells = [c for c in cells if c["ego"] == ego]
+        oracle = {key(c): c for c in own_cells if c["row"] == ORACLE and c.get("attempts")}
         if not oracle:
             notes.append(f"There is no row oracle against {ego}: chance, the ceiling and calibration are not known.")
         for criterion in (*CRITERIA, ANNOTATED):
-            truth = _truth(mine, cases, ego, criterion, oracle)
+            truth = _truth(own_cells, cases, ego, criterion, oracle)
             if criterion in CRITERIA:
                 notes.append(_agreement(truth, oracle, _given(cases, ego, criterion), ego, criterion))
             if truth:
-                parts.append(_part(mine, rows, ego, criterion, truth, oracle, reference))
+                parts.append(_part(own_cells, rows, ego, criterion, truth, oracle, reference))
         if ego not in {part.ego for part in parts}:
             notes.append(f"Nothing is labelled for {ego}: add the row oracle.")
     return Analysis(title, reference, tuple(parts), tuple(note for note in notes if note))
@@ -104,14 +104,14 @@ def _truth(
     cells: Sequence[Cell], cases: Sequence[Case], ego: str, criterion: str, oracle: Mapping[Key, Cell]
 ) -> dict[Key, frozenset[str]]:
     """The labels of every encounter that has any."""
-    found: dict[Key, frozenset[str]] = {}
+    known: dict[Key, frozenset[str]] = {}
     given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
         simulated = name in oracle and criterion in CRITERIA
         labels = oracle_labels(oracle[name])[criterion] if simulated else given.get(name[0], ())
         if labels:
-            found[name] = frozenset(labels)
-    return found
+            known[name] = frozenset(labels)
+    return known
 
 
 def _given(cases: Sequence[Case], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
@@ -125,7 +125,7 @@ def _agreement(
 ) -> str:
     """How many of the suite's own labels have something in common with those that count, in a sentence."""
     both = [(truth[name], given[name[0]]) for name in truth if name in oracle and given.get(name[0])]
-    alike = sum(bool(one.intersection(two)) for one, two in both)
+    alike = sum(bool(first.intersection(second)) for first, second in both)
     if alike == len(both):
         return ""
     return (
@@ -142,14 +142,14 @@ def _part(
     applies = {name: sorted({a["intent"] for a in cell["attempts"]}) for name, cell in oracle.items() if name in truth}
     every = {key(c) for c in cells}
     by_row = {row: {key(c): c for c in cells if c["row"] == row and key(c) in truth} for row in rows}
-    scores = [_score(row, mine, truth, applies) for row, mine in by_row.items() if mine]
+    scores = [_score(row, own, truth, applies) for row, own in by_row.items() if own]
     scores = [_compared(s, by_row, truth, reference) for s in scores]
     scores.append(_constant(truth, applies))
     if applies:
         scores += _references(criterion, truth, applies, oracle)
     return Part(
-        ego, criterion, tuple(scores), {row: _confusion(mine, truth) for row, mine in by_row.items() if mine},
-        {row: _calibration(mine, simulated, criterion) for row, mine in by_row.items() if simulated and mine},
+        ego, criterion, tuple(scores), {row: _confusion(own, truth) for row, own in by_row.items() if own},
+        {row: _calibration(own, simulated, criterion) for row, own in by_row.items() if simulated and own},
         len(every - truth.keys()),
         sum(not any(succeeds(a, criterion) for a in simulated[n]["attempts"]) for n in truth if n in simulated),
     )  # fmt: skip
@@ -176,12 +176,12 @@ def _score(who: str, cells: Mapping[Key, Cell], truth: Truth, applies: Mapping[K
 
 
 def _compared(score: Score, by_row: Mapping[str, Mapping[Key, Cell]], truth: Truth, reference: str | None) -> Score:
-    mine, theirs = by_row[score.who], by_row.get(reference or "", {})
-    common = [name for name in mine if name in theirs]
+    own, theirs = by_row[score.who], by_row.get(reference or "", {})
+    common = [name for name in own if name in theirs]
     if score.who == reference or not common:
         return score
-    one, two = ([float(_right(cells[name], truth)) for name in common] for cells in (mine, theirs))
-    return replace(score, difference=paired(one, two, rate=True))
+    left, right = ([float(_right(cells[name], truth)) for name in common] for cells in (own, theirs))
+    return replace(score, difference=paired(left, right, rate=True))
 
 
 def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | None:
@@ -196,12 +196,12 @@ def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | 
     n = len(given)
     drawn = np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
     weights = np.array([np.bincount(row, minlength=n) for row in drawn], dtype=float) / n
-    found = _kappas(np.vstack([np.full((1, n), 1 / n), weights]), right, answer, allowed)
-    known = found[1:][np.isfinite(found[1:])]
-    if not np.isfinite(found[0]) or not known.size:
+    kappas = _kappas(np.vstack([np.full((1, n), 1 / n), weights]), right, answer, allowed)
+    known = kappas[1:][np.isfinite(kappas[1:])]
+    if not np.isfinite(kappas[0]) or not known.size:
         return None
     low, high = np.quantile(known, [0.025, 0.975])
-    return Estimate(float(found[0]), float(low), float(high), n)
+    return Estimate(float(kappas[0]), float(low), float(high), n)
 
 
 def _kappas(weights: Floats, right: Floats, answer: Floats, allowed: Floats) -> Floats:
@@ -225,27 +225,27 @@ def _references(
     criterion: str, truth: Truth, applies: Mapping[Key, Sequence[str]], oracle: Mapping[Key, Cell]
 ) -> list[Score]:
     """Chance among what applies, and how well one half of the oracle's simulations answers for the other."""
-    chance = {name: len(truth[name].intersection(mine)) / len(mine) for name, mine in applies.items()}
+    chance = {name: len(truth[name].intersection(applicable)) / len(applicable) for name, applicable in applies.items()}
     several = [value for name, value in chance.items() if len(applies[name]) > 1]
-    found = [Score(CHANCE, bootstrap(list(chance.values())), bootstrap(several) if several else None)]
+    scores = [Score(CHANCE, bootstrap(list(chance.values())), bootstrap(several) if several else None)]
     if criterion in CRITERIA:
         halves = {name: split_half(oracle[name])[criterion] for name in applies}
         agreed = [value for value in halves.values() if value is not None]
         whole = [1.0 if value is None else value for value in halves.values()]  # one label: it agrees with itself
-        found.append(Score(CEILING, bootstrap(whole), bootstrap(agreed) if agreed else None))
-    return found
+        scores.append(Score(CEILING, bootstrap(whole), bootstrap(agreed) if agreed else None))
+    return scores
 
 
 def _confusion(cells: Mapping[Key, Cell], truth: Truth) -> dict[tuple[str, str], float]:
-    found: dict[tuple[str, str], float] = defaultdict(float)
+    counts: dict[tuple[str, str], float] = defaultdict(float)
     for name, cell in cells.items():
         first = next(iter(answers(cell)), NO_ANSWER)
         if first in truth[name]:
-            found[_known(first), _known(first)] += 1.0
+            counts[_known(first), _known(first)] += 1.0
             continue
         for label in truth[name]:
-            found[_known(label), _known(first)] += 1.0 / len(truth[name])
-    return dict(found)
+            counts[_known(label), _known(first)] += 1.0 / len(truth[name])
+    return dict(counts)
 
 
 def _known(label: str) -> str:
@@ -255,11 +255,11 @@ def _known(label: str) -> str:
 def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterion: str) -> dict[str, Estimate]:
     """By the risk that the analyzer gave what it ranked first: the share of the oracle's simulations with that vehicle
     and intent that succeed, over encounters that have any."""
-    found: dict[str, list[float]] = defaultdict(list)
+    rates: dict[str, list[float]] = defaultdict(list)
     for name, cell in cells.items():
         first = next(iter(cell.get("intents") or ()), None)
         tried = (oracle.get(name) or {}).get("attempts") or ()
         same = [a for a in tried if first and a["intent"] == first["label"] and first["bv"] in a["adversaries"]]
         if first and same:
-            found[str(first["risk"])].append(sum(succeeds(a, criterion) for a in same) / len(same))
-    return {risk: bootstrap(found[risk]) for risk in dict.fromkeys((*RISKS, *found)) if risk in found}
+            rates[str(first["risk"])].append(sum(succeeds(a, criterion) for a in same) / len(same))
+    return {risk: bootstrap(rates[risk]) for risk in dict.fromkeys((*RISKS, *rates)) if risk in rates}

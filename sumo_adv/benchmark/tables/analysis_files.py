@@ -69,8 +69,8 @@ def _part(part: Part, reference: str | None) -> list[str]:
     head = ["who", "n", "accuracy", "several", "kappa", "top-2", f"accuracy, difference to {reference}"]
     lines += grid(head, rows)
     if part.calibration:
-        risks = list(dict.fromkeys(risk for found in part.calibration.values() for risk in found))
-        rows = [[who, *(_shown(found.get(r)) for r in risks)] for who, found in part.calibration.items()]
+        risks = list(dict.fromkeys(risk for estimates in part.calibration.values() for risk in estimates))
+        rows = [[who, *(_shown(estimates.get(r)) for r in risks)] for who, estimates in part.calibration.items()]
         lines += ["Success in the oracle's simulations of what the analyzer ranked first, by the risk it gave:", ""]
         lines += grid(["who", *risks], rows)
     for who, matrix in part.confusion.items():
@@ -96,8 +96,8 @@ def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
 
 def _calibration_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
     for part in analysis.parts:
-        for who, found in part.calibration.items():
-            for risk, e in found.items():
+        for who, estimates in part.calibration.items():
+            for risk, e in estimates.items():
                 yield _figure_row(part, who, f"success at risk {risk}", e, None)
 
 

@@ -14,7 +14,6 @@ from sumo_adv.datatypes import Ending
 
 RAW, ORACLE = "raw", "oracle"
 CAP = 10.0  # s: a min TTC of never, and the most any counts
-NO_ATTACK = (Ending.NO_ENCOUNTER, Ending.EGO_LEFT)
 FAILED = frozenset(
     {
         Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
@@ -87,11 +86,11 @@ def remembered(cell: Cell) -> bool | None:
 def parts(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
     """The cells altogether (``all``), by group, and by kind; parts without a cell are left out."""
     every = list(cells)
-    found = {"all": every} | {group: [c for c in every if c["group"] == group] for group in GROUPS}
+    by_part = {"all": every} | {group: [c for c in every if c["group"] == group] for group in GROUPS}
     for kind in dict.fromkeys(str(c["kind"]) for c in every):
-        if kind not in found:
-            found[kind] = [c for c in every if c["kind"] == kind]
-    return {name: part for name, part in found.items() if part}
+        if kind not in by_part:
+            by_part[kind] = [c for c in every if c["kind"] == kind]
+    return {name: part for name, part in by_part.items() if part}
 
 
 def names(cells: Iterable[Cell], what: str) -> list[str]:

@@ -80,10 +80,10 @@ def make_table(
     sizes: dict[tuple[str, str, str], int] = {}
     drivers = list(egos or names(cells, "ego"))
     for ego in drivers:
-        for part, mine in parts(c for c in cells if c["ego"] == ego).items():
+        for part, part_cells in parts(c for c in cells if c["ego"] == ego).items():
             wanted = [q for q in columns if part == "all" or q.key in BY_PART]
-            by_row = {row: [c for c in mine if c["row"] == row] for row in shown}
-            sizes |= {(ego, part, row): len(found) for row, found in by_row.items() if found}
+            by_row = {row: [c for c in part_cells if c["row"] == row] for row in shown}
+            sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
     notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
@@ -97,7 +97,7 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
 
     Empty where there are not two such rows to choose from.
     """
-    found: list[Cell] = []
+    best_cells: list[Cell] = []
     notes = []
     for ego in names(cells, "ego"):
         fixed = [c for c in cells if c["ego"] == ego and str(c["row"]).startswith(FIXED)]
@@ -107,11 +107,11 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
         common = set.intersection(*({key(c) for c in fixed if c["row"] == row} for row in rows))
         won = [str(c["row"]) for c in fixed if key(c) in common and counted(c).get("valid") is True]
         best = max(rows, key=won.count)
-        found += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
+        best_cells += [{**c, "row": BEST_FIXED} for c in fixed if c["row"] == best]
         notes.append(
             f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} chosen in hindsight, which flatters it."
         )
-    return found, notes
+    return best_cells, notes
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
@@ -131,15 +131,15 @@ def _entries(
     ego: str, part: str, row: str, by_row: Mapping[str, Sequence[Cell]], columns: Sequence[Column],
     reference: str | None,
 ) -> list[Entry]:  # fmt: skip
-    found = []
+    entries = []
     for column in columns:
         estimate = column.estimate(by_row[row])
         if estimate is None:
             continue
         compared = column.paired and reference is not None and row not in (reference, RAW)
         difference = compare(column, by_row[row], by_row.get(reference or "", ())) if compared else None
-        found.append(Entry(ego, part, row, column.key, estimate, difference))
-    return found
+        entries.append(Entry(ego, part, row, column.key, estimate, difference))
+    return entries
 
 
 def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Paired | None:
@@ -147,20 +147,20 @@ def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Pa
 
     The interval resamples encounters; p is McNemar's for rates, the bootstrap's for means.
     """
-    one, two = column.values(first), column.values(second)
-    common = [name for name in one if name in two]
+    left, right = column.values(first), column.values(second)
+    common = [name for name in left if name in right]
     if not common:
         return None
-    return paired([one[name] for name in common], [two[name] for name in common], rate=column.summary == RATE)
+    return paired([left[name] for name in common], [right[name] for name in common], rate=column.summary == RATE)
 
 
-def paired(one: Sequence[float], two: Sequence[float], *, rate: bool) -> Paired:
+def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Paired:
     """The difference of two lists of the same encounters."""
-    found = paired_bootstrap(one, two)
+    interval = paired_bootstrap(left, right)
     if not rate:
-        return found
-    p = mcnemar([v > 0.5 for v in one], [v > 0.5 for v in two])
-    return Paired(found.difference, found.low, found.high, p, found.n)
+        return interval
+    p = mcnemar([v > 0.5 for v in left], [v > 0.5 for v in right])
+    return Paired(interval.difference, interval.low, interval.high, p, interval.n)
 
 
 def _missing(
@@ -170,11 +170,11 @@ def _missing(
     notes = []
     expected = list(dict.fromkeys(names(cells, "case") if cases is None else [case.name for case in cases]))
     for ego in egos:
-        mine = [c for c in cells if c["ego"] == ego]
-        seeds = sorted({int(c["seed"]) for c in mine}) or [0]
+        own_cells = [c for c in cells if c["ego"] == ego]
+        seeds = sorted({int(c["seed"]) for c in own_cells}) or [0]
         wanted: list[Key] = [(case, seed) for case in expected for seed in seeds]
         for row in rows:
-            there = {key(c) for c in mine if c["row"] == row}
+            there = {key(c) for c in own_cells if c["row"] == row}
             gone = [name for name in wanted if name not in there]
             if gone:
                 notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(wanted)))

@@ -51,13 +51,13 @@ def growth(cells: Sequence[Cell], cases: Sequence[Case]) -> list[Step]:
     for cell in cells:
         if cell["case"] in place:
             lines.setdefault((cell["row"], cell["ego"], cell["seed"]), []).append(cell)
-    found = []
-    for mine in lines.values():
+    steps = []
+    for own_cells in lines.values():
         hits: list[bool] = []
         seconds: list[float] = []
-        for cell in sorted(mine, key=lambda c: place[c["case"]]):
-            found.append(_step(cell, place[cell["case"]], hits, seconds))
-    return found
+        for cell in sorted(own_cells, key=lambda c: place[c["case"]]):
+            steps.append(_step(cell, place[cell["case"]], hits, seconds))
+    return steps
 
 
 def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Step:
@@ -86,22 +86,22 @@ def write_growth(
     return write_texts(folder, texts)
 
 
-def _plain(found: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    return [{k: asdict(v) if isinstance(v, Estimate) else v for k, v in third.items()} for third in found]
+def _plain(thirds: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{k: asdict(v) if isinstance(v, Estimate) else v for k, v in third.items()} for third in thirds]
 
 
 def thirds(steps: Sequence[Step]) -> list[dict[str, Any]]:
     """For each row, ego and seed each third of its sequence: ``n``, and ``hits``, ``seconds``, ``calls``, ``valid`` as
     estimates, None where there is nothing to estimate."""
-    found = []
+    rows = []
     for row, ego, seed in dict.fromkeys((s.row, s.ego, s.seed) for s in steps):
-        mine = [s for s in steps if (s.row, s.ego, s.seed) == (row, ego, seed)]
-        for name, third in zip(THIRDS, np.array_split(np.arange(len(mine)), 3), strict=True):
+        own_steps = [s for s in steps if (s.row, s.ego, s.seed) == (row, ego, seed)]
+        for name, third in zip(THIRDS, np.array_split(np.arange(len(own_steps)), 3), strict=True):
             if third.size:
-                found.append(
-                    {"row": row, "ego": ego, "seed": seed, "encounters": name, **_third([mine[k] for k in third])}
+                rows.append(
+                    {"row": row, "ego": ego, "seed": seed, "encounters": name, **_third([own_steps[k] for k in third])}
                 )
-    return found
+    return rows
 
 
 def _third(steps: Sequence[Step]) -> dict[str, Any]:

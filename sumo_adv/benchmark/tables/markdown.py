@@ -66,9 +66,9 @@ def _section(table: Table, ego: str, section: str) -> list[str]:
     rows = []
     for row in table.rows:
         size = table.sizes.get((ego, "all", row), 0)
-        found = [table.entry(ego, "all", row, c.key) for c in columns]
-        if any(found):
-            shown = [_figure(e, c, size) for e, c in zip(found, columns, strict=True)]
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(entries):
+            shown = [_figure(e, c, size) for e, c in zip(entries, columns, strict=True)]
             rows.append([f"`{row}`", str(size), *shown])
     if not rows:
         return []
@@ -94,10 +94,10 @@ def _differences(table: Table, ego: str) -> list[str]:
     columns = [c for c in table.columns if c.key in COMPARED and c.paired]
     rows = []
     for row in table.rows:
-        found = [table.entry(ego, "all", row, c.key) for c in columns]
-        if any(e is not None and e.difference is not None for e in found):
-            n = max(e.difference.n for e in found if e is not None and e.difference is not None)
-            shown = [signed(e.difference if e else None) for e in found]
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(e is not None and e.difference is not None for e in entries):
+            n = max(e.difference.n for e in entries if e is not None and e.difference is not None)
+            shown = [signed(e.difference if e else None) for e in entries]
             rows.append([f"`{row}`", str(n), *shown])
     if not rows:
         return []
@@ -116,8 +116,10 @@ def _beside_the_paper(table: Table, ego: str) -> list[str]:
     for reported in paper.TABLE_I:
         ours = [row for row in (*table.rows, *table.later) if paper.counterpart(row) == reported.row]
         for row in ours or [NONE]:
-            found = [table.entry(ego, "all", row, k) for k in keys]
-            shown = [table.later[row]] * 3 if row in table.later else [number(e.estimate if e else None) for e in found]
+            entries = [table.entry(ego, "all", row, k) for k in keys]
+            shown = (
+                [table.later[row]] * 3 if row in table.later else [number(e.estimate if e else None) for e in entries]
+            )
             name = row if row == NONE else f"`{row}`"
             rows.append([reported.row, f"{reported.mean_min_ttc:.2f}", f"{reported.collision:.2f}", name, *shown])
     head = ["the paper's row (Table I)", "mean min TTC [s]", "collision rate", "our row"]
@@ -131,9 +133,9 @@ def _realism_beside(table: Table, ego: str) -> list[str]:
     columns = [c for c in table.columns if c.key in wanted]
     rows = [["the paper (section IV-C)", *(f"{wanted[c.key]:.{c.digits}f}" for c in columns)]]
     for row in table.rows:
-        found = [table.entry(ego, "all", row, c.key) for c in columns]
-        if any(found):
-            shown = [number(e.estimate if e else None, c.digits) for e, c in zip(found, columns, strict=True)]
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(entries):
+            shown = [number(e.estimate if e else None, c.digits) for e, c in zip(entries, columns, strict=True)]
             rows.append([f"`{row}`", *shown])
     return grid(["row", *(c.title for c in columns)], rows) if columns else []
 

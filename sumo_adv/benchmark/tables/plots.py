@@ -34,20 +34,20 @@ def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = N
     ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows, ``distributions-EGO-ROW.png`` is of one that attacks.
     Raises UsageError where the folder cannot be written.
     """
-    found: list[Path] = []
+    paths: list[Path] = []
     for ego in names(cells, "ego"):
-        mine = [c for c in cells if c["ego"] == ego]
-        by_row = {row: [c for c in mine if c["row"] == row] for row in rows or names(mine, "row")}
+        own_cells = [c for c in cells if c["ego"] == ego]
+        by_row = {row: [c for c in own_cells if c["row"] == row] for row in rows or names(own_cells, "row")}
         by_row = {row: part for row, part in by_row.items() if part}
-        found.append(draw_ttc(folder / file_name("ttc", ego), by_row, f"Min TTC against {ego}"))
+        paths.append(draw_ttc(folder / file_name("ttc", ego), by_row, f"Min TTC against {ego}"))
         timed = {row: part for row, part in by_row.items() if any(_seconds(c) is not None for c in part)}
         if timed:
-            found.append(draw_seconds(folder / file_name("seconds", ego), timed, f"Time an encounter against {ego}"))
+            paths.append(draw_seconds(folder / file_name("seconds", ego), timed, f"Time an encounter against {ego}"))
         for row, part in by_row.items():
             if samples(part, "speed")[0]:
                 title = f"Raw and generated motion: {row} against {ego}"
-                found.append(draw_distributions(folder / file_name("distributions", ego, row), part, title))
-    return found
+                paths.append(draw_distributions(folder / file_name("distributions", ego, row), part, title))
+    return paths
 
 
 def file_name(*words: str) -> str:
@@ -133,14 +133,14 @@ def _seconds(cell: Cell) -> float | None:
 
 def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
     """``confusion-EGO-CRITERION-WHO.png`` for every matrix."""
-    found = []
+    paths = []
     for part in analysis.parts:
         accuracy = {s.who: s.accuracy for s in part.scores}
         for who, matrix in part.confusion.items():
             name = file_name("confusion", part.ego, part.criterion, who)
             said = f"{who} against {part.ego}, by {part.criterion}: accuracy {accuracy[who].text()}"
-            found.append(draw_confusion(folder / name, matrix, said))
-    return found
+            paths.append(draw_confusion(folder / name, matrix, said))
+    return paths
 
 
 def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title: str) -> Path:
@@ -175,16 +175,16 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
     figure, axes = _figure(11.0, 6.8, 2, 1)
     lines = list(dict.fromkeys((s.row, s.ego, s.seed) for s in steps))
     for k, line in enumerate(lines):
-        mine = [s for s in steps if (s.row, s.ego, s.seed) == line]
-        place = [s.place for s in mine]
+        own_steps = [s for s in steps if (s.row, s.ego, s.seed) == line]
+        place = [s.place for s in own_steps]
         label = f"{line[0]}, {line[1]}" + (f", seed {line[2]}" if len({s.seed for s in steps}) > 1 else "")
         rates, seconds = (
             np.array([np.nan if v is None else v for v in given])
-            for given in ([s.hit_rate for s in mine], [s.seconds_window for s in mine])
+            for given in ([s.hit_rate for s in own_steps], [s.seconds_window for s in own_steps])
         )
         axes[0][0].plot(place, rates, label=label, **_look(k))
         axes[1][0].plot(place, seconds, label=label, **_look(k))
-        each = [np.nan if s.seconds is None else s.seconds for s in mine]
+        each = [np.nan if s.seconds is None else s.seconds for s in own_steps]
         axes[1][0].plot(place, each, ls="", marker="o", ms=3, alpha=0.35, mew=0, color=_look(k)["color"])
     axes[0][0].set_ylim(-0.02, 1.02)
     axes[0][0].set_ylabel("memory hits so far")

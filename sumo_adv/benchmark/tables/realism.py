@@ -43,11 +43,11 @@ def distance(feature: str, measure: str) -> Pooled:
         a, b = np.concatenate(ours), np.concatenate(theirs)
         exact = measure == "wasserstein"
         bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
-        one, two = (np.array([bins.counts(v) for v in side]) for side in (ours, theirs))
+        own, reference = (np.array([bins.counts(v) for v in side]) for side in (ours, theirs))
         weights = _weights(len(ours))
-        found = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ one, weights @ two, strict=True)]
+        resampled = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ own, weights @ reference, strict=True)]
         value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
-        return _interval(value, np.array(found), len(ours))
+        return _interval(value, np.array(resampled), len(ours))
 
     return of
 
@@ -87,6 +87,6 @@ def _weights(count: int) -> Floats:
     return np.array([np.bincount(row, minlength=count) for row in drawn], dtype=float)
 
 
-def _interval(value: float, found: Floats, n: int) -> Estimate:
-    low, high = np.quantile(found, [0.025, 0.975])
+def _interval(value: float, resampled: Floats, n: int) -> Estimate:
+    low, high = np.quantile(resampled, [0.025, 0.975])
     return Estimate(value, float(low), float(high), n)

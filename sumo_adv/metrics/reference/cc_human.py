@@ -35,8 +35,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.metrics.contact import OPPOSITE_DIRECTION
 from sumo_adv.metrics.reference.brakers import needed_braking
-from sumo_adv.metrics.reference.view import FACING, View
+from sumo_adv.metrics.reference.view import View
 
 WANDERING = 0.375  # m, UN R157
 KEEPS_ITS_PLACE = 0.1  # m/s sideways, below it a vehicle keeps its lateral place
@@ -86,11 +87,6 @@ class CcHuman:
     def alarmed(self) -> Bools:
         """Whether a danger has shown to the driver, ``(N,)``."""
         return np.isfinite(self._first_alarm)
-
-    @property
-    def alarmed_at(self) -> Floats:
-        """When the first danger showed, s after the first view, ``(N,)``; ``inf`` if none did."""
-        return self._first_alarm
 
     def watch(self, columns: Ints) -> None:
         """Watch other vehicles from now on: ``columns`` ``(M',)`` says where each was before, -1 = it is new."""
@@ -147,8 +143,8 @@ class CcHuman:
         comes = moving & view.ahead & (view.speed >= 0.1) & (view.gap > 0.0)
         comes &= view.gap <= CROSSING_SIGHT * (view.ego_speed + np.maximum(-view.along, 0.0))
         over_the_line = (view.near_edge < view.lane_half_width) & (self._drift >= WANDERING)
-        facing = comes & (turned > FACING) & over_the_line
-        across = comes & ~view.same_direction & (turned <= FACING)
+        facing = comes & (turned > OPPOSITE_DIRECTION) & over_the_line
+        across = comes & ~view.same_direction & (turned <= OPPOSITE_DIRECTION)
         still = np.zeros(view.gap.shape)
         across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
         outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
@@ -187,7 +183,7 @@ class CcHuman:
         """Whether a danger is past."""
         beside = view.gap <= 0.0
         leaves = (view.side_gap > 0.0) & (view.towards < KEEPS_ITS_PLACE)
-        leaves &= (np.abs(view.heading) <= FACING) | (view.near_edge >= view.lane_half_width)
+        leaves &= (np.abs(view.heading) <= OPPOSITE_DIRECTION) | (view.near_edge >= view.lane_half_width)
         waits = (view.ego_speed < 0.5) & (view.gap < 2.5) & (view.speed < 0.5)
         near = (view.gap < CLOSE_HEADWAY * view.ego_speed) & (view.closing > -1.0)
         needed = needed_braking(view.ego_speed, view.gap, view.along, view.acceleration) > GENTLE

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 
-SAME, FACING = np.pi / 4, 3 * np.pi / 4  # rad against the ego's path: the same way below, oncoming above
+SAME = SAME_DIRECTION  # counterfactual.py imports it by this name
 HISTORY = 0.5  # s over which yaw rates are measured
 
 
@@ -57,7 +58,7 @@ class View:
     @property
     def same_direction(self) -> Bools:
         """Whether it goes the ego's way (within 45 degrees)."""
-        return np.abs(self.heading) < SAME
+        return np.abs(self.heading) < SAME_DIRECTION
 
     @property
     def in_corridor(self) -> Bools:
@@ -76,7 +77,7 @@ class Views:
         located = paths.locate(others.x.reshape(flat), others.y.reshape(flat))
         station, left, path_heading = (v.reshape(others.x.shape) for v in located)
         self._station, self._left = station, left
-        self._heading = wrap(others.heading - path_heading)
+        self._heading = wrap_below_pi(others.heading - path_heading)
         self._speed = others.speed
         self._length = np.broadcast_to(np.asarray(others.length, float), (n, m, 1))[..., 0]
         self._width = np.broadcast_to(np.asarray(others.width, float), (n, m, 1))[..., 0]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 from sumo_adv.womd.network.polyline import at, headings
 from sumo_adv.womd.network.strands import Strand
 
@@ -46,7 +46,7 @@ def find_conflicts(strands: tuple[Strand, ...]) -> Conflicts:
     apart = (owner[i] != owner[j]) & (np.abs(place[i, 2] - place[j, 2]) < OVERPASS)
     i, j = i[apart], j[apart]
     distance = np.hypot(*(place[i, :2] - place[j, :2]).T)
-    angle = np.abs(wrap_all(heading[i] - heading[j]))
+    angle = np.abs(wrap(heading[i] - heading[j]))
     near = (distance < BESIDE + (ACROSS - BESIDE) * np.sin(angle)) & (angle < OPPOSITE)
     i, j = i[near], j[near]
     natural = _at_joint(strands, owner, station, i, j) | _at_joint(strands, owner, station, j, i)

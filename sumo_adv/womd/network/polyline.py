@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 
 SAME = 1e-3  # m, points nearer than this are one
 
@@ -46,7 +46,7 @@ def turned(points: Floats) -> float:
     step = np.diff(points[:, :2], axis=0)
     step = step[np.hypot(*step.T) > SAME]
     heading = np.arctan2(step[:, 1], step[:, 0])
-    return float(np.sum(wrap_all(np.diff(heading))))
+    return float(np.sum(wrap(np.diff(heading))))
 
 
 def joined(parts: Sequence[Floats]) -> Floats:

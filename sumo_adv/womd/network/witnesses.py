@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.geometry import wrap_all
+from sumo_adv.geometry import wrap
 from sumo_adv.womd.network.roads import Link
 from sumo_adv.womd.record import TRACK_KINDS, Record
 
@@ -84,7 +84,7 @@ def _drives(traffic: Traffic, link: Link) -> Iterator[tuple[int, int]]:
     way /= np.hypot(*way)
     off = traffic.fronts - link.shape[0]
     along, aside = off @ way, off @ np.array([-way[1], way[0]])
-    straight = np.abs(wrap_all(traffic.heading - np.arctan2(way[1], way[0]))) < TURNED
+    straight = np.abs(wrap(traffic.heading - np.arctan2(way[1], way[0]))) < TURNED
     over = (along[:, :-1] <= 0.0) & (along[:, 1:] > 0.0) & traffic.valid[:, :-1] & traffic.valid[:, 1:]
     over &= straight[:, 1:] & (np.abs(aside[:, 1:]) < BESIDE)
     for vehicle, step in np.argwhere(over):

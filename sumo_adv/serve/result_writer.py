@@ -24,7 +24,7 @@ class ResultWriter:
         self.critical = self.collided = self.written = 0
         self.failure: SumoAdvError | None = None
         self._tray: queue.Queue[tuple[Episode, int] | None] = queue.Queue(WAITING)
-        self._thread = threading.Thread(target=self._work, name="clerk", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="result writer", daemon=True)
         self._thread.start()
 
     def keep(self, episode: Episode, number: int) -> None:
@@ -42,10 +42,10 @@ class ResultWriter:
     def _work(self) -> None:
         while (item := self._tray.get()) is not None:
             if self.failure is None:
-                self._one(*item)
+                self._write_one(*item)
             del item  # nothing of it is kept while the next one is waited for
 
-    def _one(self, episode: Episode, number: int) -> None:
+    def _write_one(self, episode: Episode, number: int) -> None:
         try:
             result = self._write(episode, number)
         except SumoAdvError as error:
@@ -55,9 +55,9 @@ class ResultWriter:
                 f"Encounter {number} could not be written ({type(error).__name__}: {error}); please report it."
             )
         else:
-            self._told(result, number)
+            self._report(result, number)
 
-    def _told(self, result: Mapping[str, Any], number: int) -> None:
+    def _report(self, result: Mapping[str, Any], number: int) -> None:
         best = result["outcome"] or {}
         critical = result["ending"] == "critical"
         self.written += 1
