@@ -149,8 +149,8 @@ def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSetti
     times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
     aims = np.zeros((len(fastest), 5, 1))
     aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKES), -settings.braking]
-    now = egos.acceleration[:, None, None]
-    pedals = np.concatenate([reference[:, None], now + np.clip(aims - now, -RAMP * times, RAMP * times)], axis=1)
+    start = egos.acceleration[:, None, None]
+    pedals = np.concatenate([reference[:, None], start + np.clip(aims - start, -RAMP * times, RAMP * times)], axis=1)
     v = np.maximum(egos.speed[:, None, None] + _summed(pedals), 0.0)
     v[:, 2] = np.minimum(v[:, 2], np.maximum(fastest, egos.speed)[:, None])
     return Along(egos.s[:, None, None] + _summed(v), v, pedals)
