@@ -64,7 +64,7 @@ class Egos(NamedTuple):
     left: Floats
 
     def of(self, rows: Any) -> Egos:
-        """Some of them."""
+        """The egos at ``rows``."""
         return Egos(*(q[rows] for q in self))
 
 
@@ -82,7 +82,7 @@ class Expected(NamedTuple):
     speed: Floats
 
     def of(self, rows: Any) -> Expected:
-        """Those of some egos."""
+        """The vehicles that the egos at ``rows`` expect."""
         return Expected(*(q[rows] for q in self))
 
 
