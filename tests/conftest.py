@@ -27,6 +27,18 @@ def pytest_sessionstart() -> None:
         raise pytest.UsageError(str(error)) from error
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With pytest-xdist, a file's tests share a worker, and so do all tests that look at ``runs``.
+
+    Each worker has its own fixtures, so a module's or a session's runs would otherwise be done once per worker.
+    """
+    if config.pluginmanager.hasplugin("xdist"):
+        for item in items:
+            group = "runs" if "runs" in getattr(item, "fixturenames", ()) else item.path.stem
+            item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture(scope="session")
 def caches() -> Iterator[Path]:
     """What matplotlib keeps for a user; shared, because building it takes a second."""

@@ -78,7 +78,7 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
     planner = make_planner("Tells", "plain", TELLS, "person")
     sit = situation([neighbour()])
     proposal = Proposal("bv", "Tells", planner, {}, KNOTS, 0.0)
-    heard: list[float] = []
+    speeds: list[float] = []
     with Sandbox() as sandbox, Sessions(sandbox, Roads({0.0: sit}), [proposal], 0) as sessions:
         adversary = PlannedAdversary(sit, "bv", Limits())
         alone = []
@@ -89,11 +89,11 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
         def ask(rows: object, told: object) -> object:
             answers = sessions.answers([proposal], [0], told)  # type: ignore[arg-type]
             assert answers[0] is not None
-            heard.append(answers[0].endpoint.speed)
+            speeds.append(answers[0].endpoint.speed)
             return answers
 
         predict({0.0: sit}, [proposal], ask, limits=Limits(), steps=50, replan=20)  # type: ignore[arg-type]
-    assert alone == heard == [12.0, 8.0, 4.0]
+    assert alone == speeds == [12.0, 8.0, 4.0]
 
 
 # ---- the bank
@@ -104,11 +104,11 @@ def test_evidence_with_knots_is_kept_exported_and_read_back(tmp_path: Path) -> N
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         bank.record(given, intent=BRAKING, planner=BRAKE_PLANNER)
         bank.record(evidence(seed=8))
-        wanted = bank.content_hash()
+        before = bank.content_hash()
         export_bank(bank, tmp_path / "out")
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         assert [e.acceleration for e in bank.evidence()] == [KNOTS, -6.0]
-        assert bank.content_hash() == wanted
+        assert bank.content_hash() == before
     with contextlib.closing(sqlite3.connect(tmp_path / "bank.sqlite")) as connection:
         rows = connection.execute("SELECT acceleration, knots FROM evidence ORDER BY id").fetchall()
     assert rows == [(2.0, "[[1.0, 2.0], [3.0, -6.0]]"), (-6.0, None)]

@@ -128,8 +128,8 @@ def test_the_way_is_chosen_for_each_vehicle_by_itself() -> None:
 
 
 def test_vehicles_of_different_ways_share_a_batch() -> None:
-    other = replace(neighbour(x=50.0), state=car("other", 50.0, 3.2, speed=12.0))
-    batch = AdversaryBatch([situation([crossing(), other])] * 3, ["other", "bv", "other"])
+    car_ahead = replace(neighbour(x=50.0), state=car("other", 50.0, 3.2, speed=12.0))
+    batch = AdversaryBatch([situation([crossing(), car_ahead])] * 3, ["other", "bv", "other"])
     x, y, _ = pose(Batch, batch.begin(), batch.rows)
     assert x == pytest.approx([50.0, 30.0, 50.0])
     assert y == pytest.approx([3.2, -25.0, 3.2])
@@ -182,8 +182,8 @@ def test_on_a_junction_a_vehicle_counts_as_on_the_way_nearest_to_its_front(
     left 2 m before that; a rad of another heading counts as 2.2 m, having been on a way as 2 m."""
     batch = AdversaryBatch([situation([replace(crossing(), unattacked=unattacked)])], ["bv"])
     batch.at_junction(at_station(batch, 5.0))
-    found = batch.at_junction(at_station(batch, station)._replace(d=row(offset)))
-    assert found.meets_at[0] == pytest.approx(30.0 if straight else math.inf)
+    meeting = batch.at_junction(at_station(batch, station)._replace(d=row(offset)))
+    assert meeting.meets_at[0] == pytest.approx(30.0 if straight else math.inf)
 
 
 def test_a_vehicle_that_waits_to_turn_on_a_junction_is_not_yet_in_the_way() -> None:
@@ -236,9 +236,9 @@ def test_a_way_that_does_not_meet_the_ego_s_is_never_in_its_way() -> None:
     beside = AdversaryBatch([both], ["bv"])
     assert beside.at_junction(at_station(beside, 50.0, 12.0)) is None
     batch = AdversaryBatch([both, both], ["bv", "other"])
-    found = batch.at_junction(batch.begin()._replace(s=row(50.0, 20.0)))
-    assert found is not None
-    assert (found.on_junction.tolist(), found.meets_at.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
+    meeting = batch.at_junction(batch.begin()._replace(s=row(50.0, 20.0)))
+    assert meeting is not None
+    assert (meeting.on_junction.tolist(), meeting.meets_at.tolist()) == ([False, True], [math.inf, pytest.approx(30.0)])
 
 
 def test_a_move_that_hardly_goes_on_is_observed_as_one_of_20_s() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,10 +11,12 @@ from typing import Any
 
 import pytest
 from cli_samples import ROOT, Done, Program
+from typer.testing import CliRunner
 
 from sumo_adv.benchmark.bench import read_cells
 from sumo_adv.cli.bench import _settings
-from sumo_adv.errors import UsageError
+from sumo_adv.cli.main import app
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import held
 
 MOTORWAY, TEE, OPEN = (
@@ -154,9 +157,13 @@ def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, 
 def test_what_there_is_not_is_refused_before_anything_runs(
     program: Program, given: tuple[str, ...], sentence: str
 ) -> None:
-    done = program(*SMALL, "--out", "out", *given)
-    assert done.status == 2 and done.err.startswith("sumo-adv: ") and done.err.count("\n") == 1
-    assert sentence in done.err and not (program.folder / "out").exists()
+    """In this process; the tests above show how the program prints such a sentence, and its exit status."""
+    out = program.folder / "out"
+    unset = {name: None for name in os.environ if name.startswith("SUMO_ADV_")}
+    done = CliRunner().invoke(app, [*SMALL, "--out", str(out), *given], env=unset | program.environment())
+    assert isinstance(done.exception, SumoAdvError) and done.exception.exit_status == 2, done.output
+    assert sentence in str(done.exception) and "\n" not in str(done.exception)
+    assert not out.exists()
 
 
 def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: Program) -> None:

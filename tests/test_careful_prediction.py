@@ -21,12 +21,12 @@ Motion = tuple[float, float, float, float, float, float]  # x, y, heading, speed
 def states(motion: Motion, steps: int) -> list[tuple[float, float, float, float]]:
     """x, y, heading, speed a step apart."""
     x, y, heading, speed, acceleration, turn = motion
-    found = []
+    rows = []
     for _ in range(steps):
-        found.append((x, y, heading, speed))
+        rows.append((x, y, heading, speed))
         x, y = x + speed * DT * math.cos(heading), y + speed * DT * math.sin(heading)
         heading, speed = heading + turn * DT, max(speed + acceleration * DT, 0.0)
-    return found
+    return rows
 
 
 def column(values: tuple[float, float, float]) -> tuple[Floats, Floats, Floats]:
@@ -36,7 +36,7 @@ def column(values: tuple[float, float, float]) -> tuple[Floats, Floats, Floats]:
 
 def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], list[float]]:
     """The ego's speeds, driven by the real controller and by the foreseen one."""
-    found = []
+    runs = []
     for foreseen in (False, True):
         real, many = CarefulEgo(), CarefulDrivers((5.0, 2.0), np.array([5.0]), np.array([2.0]), DT)
         at, v, a, before = 0.0, speed, 0.0, None
@@ -45,19 +45,19 @@ def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], 
             if foreseen:
                 ego_now, other_now, speed_now = (at, v, a), (x, y, h), np.array([w])
                 bound = many.bound(column(ego_now), column(other_now), speed_now)
-                asked = float(bound[0])
+                target = float(bound[0])
             else:
                 slower = 0.0 if before is None else (w - before) / DT
                 ego = VehicleState("ego", at, 0.0, 0.0, v, a, 5.0, 2.0, "")
-                other = VehicleState("bv", x, y, h, w, slower, 5.0, 2.0, "")
-                action = real.act(Observation(k * DT, DT, ego, (other,), path=PATH))
-                asked = action.speed if isinstance(action, LaneSpeed) else math.inf
+                vehicle = VehicleState("bv", x, y, h, w, slower, 5.0, 2.0, "")
+                action = real.act(Observation(k * DT, DT, ego, (vehicle,), path=PATH))
+                target = action.speed if isinstance(action, LaneSpeed) else math.inf
             before = w
-            a, v = (min(v, asked) - v) / DT, min(v, asked)
+            a, v = (min(v, target) - v) / DT, min(v, target)
             at += v * DT
             speeds.append(v)
-        found.append(speeds)
-    return found[0], found[1]
+        runs.append(speeds)
+    return runs[0], runs[1]
 
 
 @settings(max_examples=150, deadline=None, derandomize=True)
@@ -65,7 +65,7 @@ def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], 
     st.floats(5.0, 30.0), st.floats(6.0, 60.0), st.floats(-5.0, 5.0), st.floats(-0.15, 0.15), st.floats(0.0, 30.0),
     st.floats(-4.0, 2.0), st.floats(-0.03, 0.03),
 )  # fmt: skip
-def test_one_that_goes_the_same_way_is_braked_for_as_the_controller_does(
+def test_braking_for_a_vehicle_in_the_same_direction_is_predicted_as_the_controller_brakes(
     speed: float, x: float, y: float, heading: float, other: float, acceleration: float, turn: float
 ) -> None:
     """But for a step where rounding decides: full braking is 0.76 m/s a step."""
@@ -83,7 +83,7 @@ def test_one_that_goes_the_same_way_is_braked_for_as_the_controller_does(
         (12.0, (45.0, 40.0, -2.0, 12.0, -1.0, 0.0), False),  # stops short of the path
     ],
 )
-def test_one_that_comes_or_crosses_is_braked_for_up_to_two_steps_later(
+def test_braking_for_an_oncoming_or_crossing_vehicle_is_predicted_within_two_steps(
     speed: float, motion: Motion, brakes: bool
 ) -> None:
     """A meeting is looked for every 0.2 s, not 0.1 s."""

@@ -52,7 +52,7 @@ def test_what_was_seen_counts_for_a_half_and_then_for_three_quarters() -> None:
     scorer = BySpeed()
     correction = correcting(scorer)
     pool = [proposal(0.2), proposal(0.8)]
-    assert correction.corrected(pool) == pool  # nothing was seen yet, and nobody is asked
+    assert correction.corrected(pool) == pool  # no attempt was observed yet, so no scorer is called
     assert scorer.asked == []
 
     pool = correction.corrected(pool, correction.observe(pool[0], SLOW))
@@ -85,13 +85,13 @@ def test_the_attempt_most_like_a_proposal_says_how_the_ego_goes() -> None:
     """Offsets from -1 to 1 s: one attempt at 0 slowed the ego to 5 m/s, one at 0.8 to 3; 0.3 is nearer to the first,
     0.5 to the second. Another mode has the last one seen."""
     planner = replace(PLANNER, parameters=(Parameter("offset", 0.0, -1.0, 1.0, "s", "when"),))
-    other = replace(PLANNER, mode="other")
+    another_mode = replace(PLANNER, mode="other")
     at = [replace(proposal(0.0), planner=planner, parameters={"offset": x}) for x in (0.0, 0.8, 0.3, 0.5)]
     correction = correcting(BySpeed())
     correction.observe(at[1], SLOWER)
     correction.observe(at[0], SLOW)
-    found = correction.corrected([*at[2:], replace(proposal(0.0), planner=other)])
-    assert scores(found) == pytest.approx([0.75 * 1.0, 0.75 * 0.6, 0.75 * 1.0])
+    corrected = correction.corrected([*at[2:], replace(proposal(0.0), planner=another_mode)])
+    assert scores(corrected) == pytest.approx([0.75 * 1.0, 0.75 * 0.6, 0.75 * 1.0])
 
 
 def test_only_the_proposals_of_that_vehicle_and_moment_change() -> None:
@@ -127,9 +127,9 @@ def test_what_is_hopeless_whatever_the_ego_does_is_left_as_it_is(why: dict[str, 
     scorer = BySpeed()
     correction = correcting(scorer)
     pool = [proposal(3.0, **why), proposal(0.2, off_road=False, third_party=False)]
-    found = correction.corrected(pool, correction.observe(pool[0], SLOW))
-    assert found[0] is pool[0]
-    assert scores(found) == pytest.approx([3.0, 0.6])
+    corrected = correction.corrected(pool, correction.observe(pool[0], SLOW))
+    assert corrected[0] is pool[0]
+    assert scores(corrected) == pytest.approx([3.0, 0.6])
     assert scorer.asked[0][0] == pool[1:]
 
 

@@ -1,4 +1,4 @@
-"""One simulation with its ego's driver: who acts, what is recorded, and that it can be played again."""
+"""One simulation with its ego's driver: which controller acts, what is recorded, and that it can be replayed."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def states(drive: Drive) -> list[Snapshot]:
     return list(drive.recording.snapshots)
 
 
-# ---- who drives
+# ---- which controller drives
 
 
 def test_the_egos_type_is_written_as_sumo_reads_it(tmp_path: Path) -> None:

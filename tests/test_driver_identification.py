@@ -66,9 +66,9 @@ def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_m
     assert apart(seen, predicted, course([0.0] * 4, 3)) == pytest.approx((1.0 + 5.0 + 10.0) / 3)
 
 
-def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_from_then_on(sandbox: Sandbox) -> None:
-    """A car 20 m ahead slows down to 5 m/s with its middle 2.2 m to the left: IDM's driver goes on with 10 m/s, since
-    its lane ends at 1.6 m; one that minds 2.5 m to either side brakes, and that was seen."""
+def test_an_unknown_ego_seen_braking_for_a_vehicle_beside_its_lane_is_predicted_to_do_so(sandbox: Sandbox) -> None:
+    """A car 20 m ahead slows down to 5 m/s with its middle 2.2 m to the left. IDM's driver keeps 10 m/s, since its
+    lane ends at 1.6 m. A driver that watches 2.5 m to either side brakes, and the attempt showed the ego braking."""
     tried = Proposal("bv", "Squeeze", make_planner("Squeeze", "side", SQUEEZE, "person"), {}, 0.0, 0.0)
     wide, unknown = (situation([neighbour()], model=m) for m in (replace(IDM, sees=WIDE), UNKNOWN))
     with Sessions(sandbox, Roads({0.0: wide}), [tried], 0) as sessions:
@@ -79,12 +79,12 @@ def test_an_unknown_ego_that_brakes_for_who_is_beside_its_lane_is_predicted_so_f
     went = ObservedMotion(real.ego[0][0], real.ego[1][0], real.ego[3][0], 60)  # its path is the x axis
     assert went.v[-1] < 7.0
 
-    predictor, told = (
+    predictor, informed = (
         Predictor(sandbox, Settings(), everywhere, {0.0: s})  # type: ignore[arg-type]
         for s in (unknown, wide)
     )
     before = predictor.score([tried])[0].prediction
     assert predictor.observe(tried, went) is True and predictor.observe(tried, went) is False
     after = predictor.score([tried])[0].prediction
-    assert after == told.score([tried])[0].prediction != before
-    assert told.observe(tried, went) is False  # that one is known
+    assert after == informed.score([tried])[0].prediction != before
+    assert informed.observe(tried, went) is False  # it already has this model

@@ -25,8 +25,8 @@ KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
 
 def crossroads(line: float = math.inf, model: DriverModel = KRAUSS, rule: str = "m", speed: float = 10.0) -> Situation:
     """The ego on a road with a junction that begins at a station [m], inf: no junction is known."""
-    found = situation([leader()], model=model, speed=speed)
-    return changed(found, junction=line, rule=rule if math.isfinite(line) else "")
+    sit = situation([leader()], model=model, speed=speed)
+    return changed(sit, junction=line, rule=rule if math.isfinite(line) else "")
 
 
 def at_junction(
@@ -49,8 +49,8 @@ def drive(
     """Steps of 0.1 s beside a vehicle that is never in the ego's lane, and on the junction as ``way`` says."""
     aside = (np.array([0.0]), np.array([50.0]), np.array([0.0]))
     for k in range(round(seconds / 0.1)):
-        now = begin + 0.1 * k
-        egos.step(now, aside, np.array([speed]), way(now))
+        time = begin + 0.1 * k
+        egos.step(time, aside, np.array([speed]), way(time))
 
 
 def egos_of(sit: Situation) -> PredictedEgos:
@@ -82,8 +82,8 @@ def crossing_at(speed: float, before: float, behind: float) -> Callable[[float],
 def test_the_seconds_for_a_distance_with_acceleration_up_to_13_9_metres_a_second(
     distance: float, speed: float, takes: float
 ) -> None:
-    found: Floats = seconds(np.array([distance]), np.array([speed]), 2.6)
-    assert found[0] == pytest.approx(takes, abs=0.005)  # a standing one counts as going at 1 cm/s
+    times: Floats = seconds(np.array([distance]), np.array([speed]), 2.6)
+    assert times[0] == pytest.approx(takes, abs=0.005)  # a standing one counts as going at 1 cm/s
 
 
 # ---- car following
@@ -134,7 +134,7 @@ def test_idm_s_speeds() -> None:
 
 @KINDS
 @pytest.mark.parametrize("junction", [26.0, math.inf])
-def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_left(kind: str, junction: float) -> None:
+def test_it_stops_before_a_vehicle_standing_in_its_way_until_that_has_left(kind: str, junction: float) -> None:
     """The ways cross at 34 m, what is taken up there begins at 32.4 m: it stops 2.5 m before."""
     egos = egos_of(crossroads(junction, replace(KRAUSS, kind=kind), "M"))
     drive(egos, 30.0, lambda _: at_junction(True, front_to_zone=-3.0), 0.0)
@@ -148,7 +148,7 @@ def test_it_stops_before_one_that_stands_in_its_way_and_goes_on_once_that_has_le
     assert egos.v[0] == pytest.approx(10.0, abs=0.05)  # and no faster than before
 
 
-def test_before_one_that_will_be_gone_in_time_it_does_not_brake() -> None:
+def test_it_does_not_brake_for_a_vehicle_that_will_be_gone_in_time() -> None:
     """The zone begins 14 m before the ego's front, which wants to stop after 11.5 m: for that 22 steps take 11.385 m,
     so it may have 9.9 + 0.114 / 2.3 = 9.95 m/s. A vehicle with 2 m left to be past it is followed, 11.5 - 2 m behind:
     at 12 m/s no reason to brake."""
@@ -188,7 +188,7 @@ def test_where_it_waits_on_the_junction_for_others_it_is_not_there_first(bay: fl
     assert bool(egos.disturbed[0]) is held
 
 
-def test_one_that_drives_off_on_the_ego_s_path_is_followed() -> None:
+def test_a_vehicle_that_drives_off_on_the_ego_s_path_is_followed() -> None:
     """40 m on the other way: at the ego's own speed it is not held up; behind 2 m/s it slows down to that."""
     for speed, disturbed in ((10.0, False), (2.0, True)):
         egos = egos_of(crossroads())
@@ -219,7 +219,7 @@ def test_what_is_blocked_behind_its_front_does_not_hold_it_up() -> None:
     assert egos.s[0] == pytest.approx(20.0)
 
 
-def test_beside_one_that_merges_it_brakes_as_hard_as_it_can_until_it_is_past_that_place() -> None:
+def test_beside_a_merging_vehicle_it_brakes_as_hard_as_it_can_until_it_is_past_that_place() -> None:
     """The front of the ego (2.5 m) is on the junction, 1 m past the rear of a car of 5 m: by 9 m/s2 slower each second.
     Past the place where their ways become one, or where they merge, it drives on."""
     egos = egos_of(crossroads(1.0))
@@ -378,13 +378,13 @@ def test_it_does_not_wait_for_a_vehicle_if_their_ways_do_not_meet() -> None:
 def test_an_observed_ego_repeats_its_motion_whatever_is_in_its_way() -> None:
     speed = np.array([10.0, 9.0, 7.0, 4.0])
     course = ObservedMotion(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
-    other = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
+    faster = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
     both = np.array([1.0, 1.0])
-    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, other])
+    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, faster])
     here = AtJunction(*(np.repeat(q, 2) for q in at_junction(True, front_to_zone=-1.0, meets_at=6.0)))
     for k in range(3):
         egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
-        assert egos.s == pytest.approx([course.s[k + 1], other.s[k + 1]])
+        assert egos.s == pytest.approx([course.s[k + 1], faster.s[k + 1]])
         assert egos.v == pytest.approx([speed[k + 1], 2.0 * speed[k + 1]])
     assert egos.a == pytest.approx([-30.0, -60.0])  # 3 and 6 m/s within the last 0.1 s
     egos.step(0.3, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
@@ -423,12 +423,12 @@ def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_part
     4.8 m, at 5.9 m no more. Coming from there, it is not followed until its middle is over the line."""
     sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
     sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0), sides=LEFT)
-    for before, now, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
+    for before, after, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
         egos = egos_of(sit)
         egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), at_junction())
-        egos.step(0.1, (np.array([80.0]), np.array([now]), np.array([0.0])), np.array([20.0]), at_junction())
+        egos.step(0.1, (np.array([80.0]), np.array([after]), np.array([0.0])), np.array([20.0]), at_junction())
         assert egos.v[0] == pytest.approx(20.0)  # SUMO's drivers look aside at the end of a step
-        egos.step(0.2, (np.array([24.0]), np.array([now]), np.array([0.0])), np.array([15.0]), at_junction())
+        egos.step(0.2, (np.array([24.0]), np.array([after]), np.array([0.0])), np.array([15.0]), at_junction())
         assert egos.v[0] == pytest.approx(19.55 if brakes else 20.0)
 
 

@@ -1,4 +1,4 @@
-"""Who need not be asked any more in a prediction: the ways have parted, they have passed each other, it fell behind."""
+"""Predictions that stop asking the planner early: the paths part, the vehicles pass each other, or one falls behind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def crossing() -> Target:
     return target(car("bv", 30.0, -25.0, math.pi / 2, 8.0), "crossing", [(way, "straight", 15.0)], EGO_PATH)
 
 
-def test_who_has_crossed_the_ego_s_path_meets_it_no_more() -> None:
+def test_a_vehicle_that_has_crossed_the_ego_s_path_cannot_meet_it_again() -> None:
     """Its way is less than 8 m from the path until 32.5 m along it, and 8 m more are allowed: with its rear (2.5 m)
     past 40.5 m it is gone."""
     assert gone(crossing(), [30.0, 42.5, 43.5], [0.0, 0.0, 0.0]) == [False, False, True]
@@ -39,7 +39,7 @@ def test_nor_when_the_ego_has_crossed_its_way() -> None:
     assert gone(crossing(), [0.0, 0.0], [40.0, 41.0]) == [False, True]
 
 
-def test_who_comes_towards_the_ego_is_gone_once_it_has_passed() -> None:
+def test_an_oncoming_vehicle_is_gone_once_it_has_passed_the_ego() -> None:
     """It starts 100 m ahead. The ego at 20 m, it at 16 m (84 m along its way): 4 m behind, their boxes overlap along
     the road by 1 m. At 11.9 m there are 3.1 m between the ego's rear and its own."""
     towards = target(
@@ -48,7 +48,7 @@ def test_who_comes_towards_the_ego_is_gone_once_it_has_passed() -> None:
     assert gone(towards, [84.0, 87.0, 88.1], [20.0, 20.0, 20.0]) == [False, False, True]
 
 
-def test_who_falls_behind_three_times_running_is_gone_and_who_catches_up_in_between_is_not() -> None:
+def test_a_vehicle_is_gone_after_it_fell_behind_three_times_running_without_catching_up() -> None:
     beside = neighbour(x=0.0)
     assert gone(beside, [0.0] * 5, [14.0, 15.5, 18.0, 20.0, 22.0]) == [False, False, False, True, True]
     assert gone(beside, [0.0, 0.0, 5.0, 5.0], [16.0, 18.0, 20.0, 22.0]) == [False, False, False, False]

@@ -129,8 +129,8 @@ def test_straight_braking_and_standstill() -> None:
 def test_full_left_is_a_circle() -> None:
     # tan 0.5 = 0.546302, slip = atan(0.273151) = 0.266659, curvature = cos(slip) * 0.546302 / 2.8 = 0.188213 1/m
     state, steer = car("ego", 0, 0, speed=5.0), Steer(0.0, 0.5)
-    one = apply_steer(state, steer, dt=0.1)
-    assert one.heading == pytest.approx(0.188213 * 0.5, abs=1e-6)
+    turned = apply_steer(state, steer, dt=0.1)
+    assert turned.heading == pytest.approx(0.188213 * 0.5, abs=1e-6)
     around = 2 * math.pi / 0.188213 / 5.0
     for _ in range(100):
         state = apply_steer(state, steer, dt=around / 100)

@@ -109,7 +109,7 @@ CONFIGURATION = '<configuration><net-file value="{}"/><route-files value="far.ro
 
 
 def test_far_vehicles_do_not_notice(program: Program, networks: Path) -> None:
-    """A SUMO configuration of one's own on a motorway, drivers without dawdling."""
+    """A user's SUMO configuration on a motorway, with drivers that do not dawdle."""
     (program.folder / "far.rou.xml").write_text(FAR)
     (program.folder / "far.sumocfg").write_text(CONFIGURATION.format(networks / "motorway.net.xml"))
     options = ("--ego-id", "ego", "--trigger", "5", "--attempts", "3", "--until", "collision", "--out", "out")

@@ -60,8 +60,8 @@ def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a
     s = one(20.0, 20.0, 20.0, 20.0, 20.0)
     v = one(10.0, 10.0, 0.0, 5.0, 10.0)
     at = one(50.0, 17.0, 50.0, 30.0, math.inf)[:, None]
-    found = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), at)
-    assert found[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
+    arrival = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), at)
+    assert arrival[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
 
 
 # ---- rollouts
@@ -150,8 +150,8 @@ def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind:
 def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
     lane: float, width: float, left: float, right: float
 ) -> None:
-    found = seen_edges(np.array([lane]), width, np.array([0.0]))
-    assert [float(q[0]) for q in found] == pytest.approx([left, right])
+    edges = seen_edges(np.array([lane]), width, np.array([0.0]))
+    assert [float(q[0]) for q in edges] == pytest.approx([left, right])
 
 
 @pytest.mark.parametrize(
@@ -162,20 +162,20 @@ def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
         ("opposite", True, True),  # to no driver of SUMO's that is anything
     ],
 )
-def test_who_was_in_the_lane_is_seen_by_its_side_and_who_was_not_only_by_its_front(
+def test_a_vehicle_that_was_in_the_lane_is_seen_by_its_side_and_any_other_by_its_front(
     kind: str, ignores_sumo_lane_rules: bool, seen: bool
 ) -> None:
     """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
-    lines 1.6 m. The one that was straight ahead before makes the ego brake, the other one does not."""
+    lines 1.6 m. The car that was straight ahead before makes the ego brake; the other car does not."""
     sit = situation([leader(gap=15.0)], model=replace(KRAUSS, ignores_sumo_lane_rules=ignores_sumo_lane_rules))
     sit = changed(sit, sides=((3.2, kind),))
-    one = np.ones(2)
-    egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * one, 1.8 * one)
+    ones = np.ones(2)
+    egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * ones, 1.8 * ones)
     before = np.array([0.0, 2.3])
-    for k, d in ((0, before), (1, 2.3 * one)):
-        egos.step(0.1 * k, (20.0 * one, d, 0.0 * one), 10.0 * one)
+    for k, d in ((0, before), (1, 2.3 * ones)):
+        egos.step(0.1 * k, (20.0 * ones, d, 0.0 * ones), 10.0 * ones)
         assert not egos.disturbed.any()  # 15 m at equal speed are enough
-    egos.step(0.2, (8.0 * one, 2.3 * one, 0.0 * one), 2.0 * one)
+    egos.step(0.2, (8.0 * ones, 2.3 * ones, 0.0 * ones), 2.0 * ones)
     assert egos.disturbed.tolist() == [seen, False]
 
 
@@ -195,46 +195,46 @@ def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:
     assert together.adversary[0][1, -1] < 25.0  # round the corner
 
 
-def test_one_that_has_touched_the_ego_keeps_to_what_it_had_planned() -> None:
+def test_an_adversary_that_has_touched_the_ego_keeps_its_last_plan() -> None:
     """Asked every half second; the first of two touches after 0.7 s. From 1.0 s on only the other one is asked."""
-    asked: list[list[int]] = []
+    batches: list[list[int]] = []
 
     def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
-        asked.append(list(rows))
-        place = end(60.0, 3.2, 12.0, 3.0) if len(asked) <= 2 else end(60.0, 3.2, 4.0, 3.0)
+        batches.append(list(rows))
+        place = end(60.0, 3.2, 12.0, 3.0) if len(batches) <= 2 else end(60.0, 3.2, 4.0, 3.0)
         return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(told))]
 
     def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
         assert ego.shape == adversary.shape == (4, 2)
         return np.array([ego[0, 0] >= 7.0 - 1e-9, False])  # 0.7 s at 10 m/s
 
-    found = predict({0.0: SIT}, proposals(2), ask, limits=Limits(), steps=30, replan=5, touch=touch)
-    assert asked == [[0, 1], [0, 1], [1], [1], [1], [1]]
-    first, second = found.adversary[3]
+    rollouts = predict({0.0: SIT}, proposals(2), ask, limits=Limits(), steps=30, replan=5, touch=touch)
+    assert batches == [[0, 1], [0, 1], [1], [1], [1], [1]]
+    first, second = rollouts.adversary[3]
     assert first[:10] == pytest.approx(second[:10])
-    assert first[-1] > second[-1] + 2.0  # it was to keep 12 m/s, the other one has been told to come down to 4
+    assert first[-1] > second[-1] + 2.0  # its plan keeps 12 m/s; the other plan slows down to 4 m/s
 
 
 def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
     """At 10 m/s it is at 7 m when it touches after 0.7 s, and at 29 m in the last step, 2.9 s from the trigger; the
-    adversary follows what it had planned, and nobody is asked any more."""
-    asked: list[float] = []
+    adversary follows its last plan, and its planner is asked no more."""
+    times: list[float] = []
 
     def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
-        asked.append(told[0][0]["time"])
+        times.append(told[0][0]["time"])
         return [Answer(world_endpoint(SIT, end(60.0, 3.2, 12.0, 3.0)))]
 
     def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
         return np.array([ego[0, 0] >= 7.0 - 1e-9])
 
-    found = predict({0.0: SIT}, proposals(1), ask, limits=Limits(), steps=30, replan=5, touch=touch)
-    assert asked == pytest.approx([0.0, 0.5])
-    assert found.ego[0][0].tolist() == pytest.approx([float(k) for k in range(30)])
-    assert found.ego[3][0].tolist() == pytest.approx([10.0] * 30)
-    assert (np.diff(found.adversary[0][0]) > 0.9).all()
+    rollouts = predict({0.0: SIT}, proposals(1), ask, limits=Limits(), steps=30, replan=5, touch=touch)
+    assert times == pytest.approx([0.0, 0.5])
+    assert rollouts.ego[0][0].tolist() == pytest.approx([float(k) for k in range(30)])
+    assert rollouts.ego[3][0].tolist() == pytest.approx([10.0] * 30)
+    assert (np.diff(rollouts.adversary[0][0]) > 0.9).all()
 
 
-def test_planners_are_told_time_and_their_last_endpoint_every_half_second() -> None:
+def test_planners_get_the_time_and_their_last_endpoint_every_half_second() -> None:
     answer = end(60.0, 3.2, 12.0)
     _, observed = roll(SIT, [answer], steps=12)
     assert [bv["time"] for bv, _ in observed] == pytest.approx([0.0, 0.5, 1.0])

@@ -223,8 +223,8 @@ def test_five_megabytes_of_demand_take_less_than_a_second(tmp_path: Path) -> Non
     text = "<routes>" + "".join(line.format(i, i) for i in range(52_000)) + "</routes>"
     path = write(tmp_path / "big.rou.xml", text)
     assert path.stat().st_size > 5_000_000
-    begin = time.perf_counter()
+    begin = time.process_time()  # of this process, so that a busy machine fails no test
     scan = scan_demand(path)
-    assert time.perf_counter() - begin < 1.0
+    assert time.process_time() - begin < 1.0
     assert scan.edges == ("a", "b")
     assert len(scan.vehicles) == 52_000

@@ -45,13 +45,13 @@ def test_a_run_says_its_level_and_stores_the_plan(runs: Runs) -> None:
 
 def test_a_run_of_version_2_is_judged_from_its_files_alone() -> None:
     folder = run_folder("crossing")
-    said = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))["outcome"]
-    now = judge_files(folder).now
-    assert now["delta_v"] == pytest.approx(said["delta_v"], abs=0.01)
-    assert (now["ego_stationary"], now["humanlike"], now["severity"]) == (
-        said["ego_stationary"], said["humanlike"], said["severity"],
+    recorded = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))["outcome"]
+    verdict = judge_files(folder).now
+    assert verdict["delta_v"] == pytest.approx(recorded["delta_v"], abs=0.01)
+    assert (verdict["ego_stationary"], verdict["humanlike"], verdict["severity"]) == (
+        recorded["ego_stationary"], recorded["humanlike"], recorded["severity"],
     )  # fmt: skip
-    same = [name for name in said["references"] if now["references"][name] == said["references"][name]]
+    same = [name for name in recorded["references"] if verdict["references"][name] == recorded["references"][name]]
     assert len(same) >= 4  # in the simulation other traffic reacts
 
 
@@ -119,7 +119,7 @@ def test_bad_cut_ins_are_refused(program: Program, text: str, says: str) -> None
 # ---- a user's tracks
 
 
-def test_tracks_of_ones_own_are_judged() -> None:
+def test_a_user_s_tracks_are_judged() -> None:
     ego, foe = cruise("ego", 0, 0, 15), drift("adversary", 50, 3.2, 9, 2.0, 5.0, 0.0)
     verdict = sumo_adv.judge(columns(ego), columns(foe), trigger_time=1.0)
     assert verdict.contact_time == pytest.approx(7.5) and verdict.level is Level.SERIOUS
@@ -158,7 +158,7 @@ def test_strict_is_refused_against_the_driver_that_it_is_judged_by(program: Prog
     assert done.status == 2 and "--until strict cannot be reached against the ego 'careful'" in done.err
 
 
-def test_head_on_the_one_that_left_its_side_is_at_fault() -> None:
+def test_head_on_the_vehicle_that_left_its_side_is_at_fault() -> None:
     """Both meet head-on in one lane; once the adversary came over, once the ego. nuPlan blames the ego each time."""
     over = drift("adversary", 100, 3.2, -10, 2.0, 3.0, 0.0)
     foe = Track(

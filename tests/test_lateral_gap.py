@@ -30,7 +30,7 @@ def beside(gap: LateralGap, front: float, seconds: float, ahead: float = 0.0, wa
     return float(gap.d[0])
 
 
-def test_it_moves_over_for_one_that_comes_back_in() -> None:
+def test_it_moves_over_for_a_vehicle_that_comes_back_in() -> None:
     """The other's side is 1.3 m from the lane's middle, in the strip from 0.8 to 1.6 m, which the ego wants 0.6 m from:
     it would move by 0.9 + 0.6 - 0.8 = 0.7 m, which is all the room there is. It begins with 0.57 m/s2:
     0.0057 m in the first step, three times that after two."""
@@ -73,7 +73,7 @@ def test_from_the_right_it_makes_room_even_with_a_lane_to_the_left() -> None:
     assert beside(lateral_gap(3.2, both), -2.2, 6.0, 7.4) == pytest.approx(0.7, abs=0.01)
 
 
-def test_one_that_comes_still_nearer_finds_it_where_it_is() -> None:
+def test_a_vehicle_that_comes_still_nearer_does_not_move_it() -> None:
     """After a second it has moved by some 0.2 m; then the other's side is 0.5 m from the middle of the lane, in the
     strip from 0 to 0.8 m, 0.7 m within the ego's width."""
     gap = lateral_gap()
@@ -86,7 +86,7 @@ def test_from_the_left_lane_it_moves_to_the_left() -> None:
     assert beside(lateral_gap(3.5, ((-3.5, "same"),)), -2.3, 6.0) == pytest.approx(0.55, abs=0.01)
 
 
-def test_one_that_has_moved_over_looks_less_far_to_the_side_that_it_left() -> None:
+def test_an_ego_that_has_moved_over_looks_less_far_to_the_side_that_it_left() -> None:
     """Its left side is 0.9 m from the middle, in the strip from 0.8 m on; once it has moved by 0.07 m, no more than
     0.03 m of that strip are left."""
     left, right = seen_edges(np.full(2, 3.2), 1.8, np.array([0.0, -0.07]))

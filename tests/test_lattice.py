@@ -50,8 +50,8 @@ def drive(
     """Its states, steps of 0.1 s; the others go straight on."""
     states = [me]
     for step in range(start, start + steps):
-        now = [replace(o, x=o.x + o.speed * math.cos(o.heading) * step / 10) for o in others]
-        action = ego.act(Observation(step / 10, 0.1, states[-1], now, path=STRAIGHT, road=road))
+        moved = [replace(o, x=o.x + o.speed * math.cos(o.heading) * step / 10) for o in others]
+        action = ego.act(Observation(step / 10, 0.1, states[-1], moved, path=STRAIGHT, road=road))
         assert isinstance(action, Steer)
         states.append(apply_steer(states[-1], action, 0.1))
     return states
@@ -87,16 +87,16 @@ def test_it_stops_behind_a_standing_car() -> None:
 def test_it_follows_at_idms_gap() -> None:
     states = drive(LatticeEgo(), car("ego", 5.0, speed=10.0), [car("leader", 40.0, speed=10.0)], ALONE, 250)
     gap = 40.0 + 10.0 * 25.0 - states[-1].x - 5.0
-    wanted = (2.5 + 10.0) / math.sqrt(1 - (10 / 15) ** 4)  # 13.95 m
-    assert gap == pytest.approx(wanted, abs=1.0)
+    target = (2.5 + 10.0) / math.sqrt(1 - (10 / 15) ** 4)  # 13.95 m
+    assert gap == pytest.approx(target, abs=1.0)
 
 
 # ---- in an emergency
 
 
 def touching(a: VehicleState, b: VehicleState) -> bool:
-    one, two = (Boxes(*(np.array(v) for v in (s.x, s.y, s.heading, s.speed)), s.length, s.width) for s in (a, b))
-    return bool(overlaps(one, two))
+    first, second = (Boxes(*(np.array(v) for v in (s.x, s.y, s.heading, s.speed)), s.length, s.width) for s in (a, b))
+    return bool(overlaps(first, second))
 
 
 def touched(states: Sequence[VehicleState], other: VehicleState) -> bool:
@@ -266,8 +266,8 @@ def driven(speed: float, motion: Motion, sides: tuple[float, ...] = (), steps: i
     ego, at, pace = car("ego", 0.0, speed=speed), np.zeros(1), np.array([speed])
     simulated, predicted = [], []
     for k in range(steps):
-        other = replace(car("bv", x, y, v, heading), acceleration=acceleration)
-        action = real.act(Observation(k / 10, 0.1, ego, (other,), path=STRAIGHT, road=road))
+        vehicle = replace(car("bv", x, y, v, heading), acceleration=acceleration)
+        action = real.act(Observation(k / 10, 0.1, ego, (vehicle,), path=STRAIGHT, road=road))
         assert isinstance(action, Steer)
         ego = apply_steer(ego, action, 0.1)
         simulated.append((ego.x, ego.y, ego.heading, ego.speed))

@@ -62,7 +62,7 @@ def test_where_somebody_else_is_why_it_goes_no_faster_it_stays_behind_that_one()
     assert gone(sit, 4.0).v[0] == pytest.approx(10.0)
 
 
-def test_one_far_ahead_or_in_another_lane_holds_nobody_up() -> None:
+def test_a_vehicle_far_ahead_or_in_another_lane_does_not_hold_the_ego_up() -> None:
     """At 10 m/s, below 60 km/h, SUMO's drivers pass on the right of a slower one."""
     assert not leaders(behind(other("bv", 80.0))).held_up(np.array([0.0]))[0]
     assert not leaders(behind(other("bv", HERE, d=3.2))).held_up(np.array([0.0]))[0]
@@ -85,9 +85,9 @@ def test_of_a_driver_whose_following_is_not_known_exactly_nothing_is_said(model:
 
 def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
     """Its leader turns off after 2 s; the ego speeds up, and brakes from 4 s on."""
-    one = other("bv", HERE)
-    one.d[20:] = 20.0
-    sit = behind(one)
+    car = other("bv", HERE)
+    car.d[20:] = 20.0
+    sit = behind(car)
     a = np.where(np.arange(51) < 20, 0.0, np.where(np.arange(51) < 40, 1.0, -2.0))
     v = 10.0 + np.concatenate([[0.0], np.cumsum(a[:-1]) * 0.1])
     sit = changed(sit, a=a, v=v, s=np.concatenate([[0.0], np.cumsum(v[:-1]) * 0.1]))
@@ -99,20 +99,20 @@ def test_it_was_held_up_until_it_brakes_for_something_else() -> None:
 def test_the_speed_behind_the_nearest_other_in_the_lane() -> None:
     """12.5 m behind a car of 10 m/s: 10 m/s; without a leader in the lane there is no such speed; a second later the
     others are 10 m farther."""
-    found = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
+    ahead = leaders(behind(other("bv", 10.0), other("near", HERE), other("far", 60.0), other("aside", 8.0, d=3.2)))
     at, v, disturbed = np.array([0.0]), np.array([10.0]), np.array([True])
-    assert found.bound(0.0, at, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
-    assert found.bound(1.0, at + 10.0, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
-    assert found.bound(0.0, at, v, ~disturbed)[0] == math.inf  # what it does unattacked has that in it
+    assert ahead.bound(0.0, at, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
+    assert ahead.bound(1.0, at + 10.0, v, disturbed)[0] == pytest.approx(10.0, abs=0.001)
+    assert ahead.bound(0.0, at, v, ~disturbed)[0] == math.inf  # what it does unattacked has that in it
     assert leaders(behind(other("bv", 10.0))).bound(0.0, at, v, disturbed)[0] == math.inf
 
 
-def test_one_that_crosses_is_no_leader() -> None:
+def test_a_crossing_vehicle_is_no_leader() -> None:
     """It stands across the ego's lane: what the ego does about that is a matter of the junction."""
     across = other("second", HERE, speed=0.0)
     across.heading[:] = 1.5
-    found = leaders(behind(other("bv", 60.0), across))
-    assert found.bound(0.0, np.array([0.0]), np.array([10.0]), np.array([True]))[0] == math.inf
+    ahead = leaders(behind(other("bv", 60.0), across))
+    assert ahead.bound(0.0, np.array([0.0]), np.array([10.0]), np.array([True]))[0] == math.inf
 
 
 def beyond(found: Leaders, at: float, aside: float, speed: float, seconds: float) -> None:
@@ -121,29 +121,29 @@ def beyond(found: Leaders, at: float, aside: float, speed: float, seconds: float
         found.step(0.1 * k, np.array([at]), np.array([aside]), np.array([speed]))
 
 
-def test_one_between_brakes_for_an_adversary_that_stands_and_the_ego_for_that_one() -> None:
+def test_a_vehicle_between_brakes_for_a_standing_adversary_and_the_ego_brakes_for_the_vehicle() -> None:
     """The other is 22.5 m ahead at 10 m/s, the adversary stands 25 m before its front. After 2 s it would be past that;
     an ego of 10 m/s 20 m behind where it would be is too near to it then, though nothing happened to the ego itself."""
-    found = leaders(behind(other("bv", 80.0), other("between", 27.5)))
+    ahead = leaders(behind(other("bv", 80.0), other("between", 27.5)))
     at, v = np.array([19.0]), np.array([10.0])
-    beyond(found, 57.5, 0.0, 0.0, 2.0)
-    assert found.bound(2.0, at, v, np.array([False]))[0] < 9.9
+    beyond(ahead, 57.5, 0.0, 0.0, 2.0)
+    assert ahead.bound(2.0, at, v, np.array([False]))[0] < 9.9
     free = leaders(behind(other("bv", 80.0), other("between", 27.5)))
     beyond(free, 57.5, 3.2, 0.0, 2.0)  # in the lane beside: at 10 m/s it goes by on the right
     assert free.bound(2.0, at, v, np.array([False]))[0] == math.inf
 
 
-def test_who_comes_behind_one_that_brakes_does_so_too() -> None:
-    found = leaders(behind(other("bv", 80.0), other("first", 40.0), other("second", 22.5)))
-    beyond(found, 60.0, 0.0, 0.0, 3.0)
-    assert found.bound(3.0, np.array([20.0]), np.array([10.0]), np.array([False]))[0] < 9.9
+def test_a_vehicle_behind_a_braking_leader_brakes_too() -> None:
+    ahead = leaders(behind(other("bv", 80.0), other("first", 40.0), other("second", 22.5)))
+    beyond(ahead, 60.0, 0.0, 0.0, 3.0)
+    assert ahead.bound(3.0, np.array([20.0]), np.array([10.0]), np.array([False]))[0] < 9.9
 
 
 def test_others_that_a_log_moves_do_not_brake() -> None:
     sit = changed(behind(other("bv", 80.0), other("between", 27.5)), reacting=False)
-    found = leaders(sit)
-    beyond(found, 57.5, 0.0, 0.0, 2.0)
-    assert found.bound(2.0, np.array([19.0]), np.array([10.0]), np.array([False]))[0] == math.inf
+    ahead = leaders(sit)
+    beyond(ahead, 57.5, 0.0, 0.0, 2.0)
+    assert ahead.bound(2.0, np.array([19.0]), np.array([10.0]), np.array([False]))[0] == math.inf
 
 
 def test_a_track_in_the_frame_of_the_egos_path() -> None:
@@ -154,9 +154,9 @@ def test_a_track_in_the_frame_of_the_egos_path() -> None:
     track = Track(
         "a", Role.BACKGROUND, time, full * 0.0 - 3.0, 20.0 + k, full * 0.0 + math.pi / 2, full, full * 0.0, 5.0, 2.0
     )
-    found = on_path(track, 100.0, 0.1, 10, path)
-    assert np.isnan(found.s[:5]).all()
-    assert found.s[5:8] == pytest.approx([20.0, 21.0, 22.0])
-    assert found.d[5:8] == pytest.approx([3.0, 3.0, 3.0])
-    assert found.heading[5:8] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    assert np.isnan(found.speed[8:]).all()
+    motion = on_path(track, 100.0, 0.1, 10, path)
+    assert np.isnan(motion.s[:5]).all()
+    assert motion.s[5:8] == pytest.approx([20.0, 21.0, 22.0])
+    assert motion.d[5:8] == pytest.approx([3.0, 3.0, 3.0])
+    assert motion.heading[5:8] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert np.isnan(motion.speed[8:]).all()

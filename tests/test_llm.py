@@ -52,10 +52,10 @@ def test_a_question_and_its_answer() -> None:
     with ModelServer([Say("Braking.", reasoning="It is close.")]) as server:
         reply, ledger, _ = answer(server, llm_temperature=0.5)
     assert (reply.text, reply.reasoning, reply.retries, reply.mode) == ("Braking.", "It is close.", 0, "text")
-    (asked,) = server.asked
-    assert asked.headers["Authorization"] == f"Bearer {KEY}"
-    assert asked.headers["Accept-Encoding"] == "identity"
-    assert asked.body == {
+    (question,) = server.asked
+    assert question.headers["Authorization"] == f"Bearer {KEY}"
+    assert question.headers["Accept-Encoding"] == "identity"
+    assert question.body == {
         "model": "test-model", "stream": False, "temperature": 0.5,
         "messages": [{"role": "system", "content": "Be brief."}, {"role": "user", "content": "What?"}],
     }  # fmt: skip
@@ -301,7 +301,7 @@ def test_embeddings_come_in_the_order_of_the_texts() -> None:
         embedder = connect_embedder("embed", server.settings())
         vectors = embedder.embed(["a" * n for n in range(1, 201)])
     assert vectors.shape == (200, 2) and vectors[:, 0].tolist() == list(range(1, 201))
-    assert [len(asked.body["input"]) for asked in server.asked] == [128, 72]
+    assert [len(question.body["input"]) for question in server.asked] == [128, 72]
 
 
 @pytest.mark.parametrize(

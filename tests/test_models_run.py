@@ -42,7 +42,7 @@ class ModelRun:
     """A run, and the questions that its model got."""
 
     done: Done
-    asked: Sequence[Asked]
+    questions: Sequence[Asked]
 
     @property
     def outcome(self) -> dict[str, Any]:
@@ -90,12 +90,12 @@ def test_each_intent_of_the_library_becomes_critical_by_the_models_word_alone(
     assert {a["by"] for a in outcome["attempts"]} == {"scripted"}
     assert (outcome["agents"]["analyzer"], outcome["agents"]["tuner"]) == ("scripted", "off")
     assert outcome["llm"]["model"] == "scripted"
-    assert outcome["llm"]["calls"] == len(run.asked)
+    assert outcome["llm"]["calls"] == len(run.questions)
 
 
 def test_a_known_intent_needs_no_planner_written(stories: Mapping[str, Callable[[], ModelRun]]) -> None:
     run = stories["cut-in"]()
-    assert [agent_of(a) for a in run.asked] == ["analyzer"]
+    assert [agent_of(a) for a in run.questions] == ["analyzer"]
     assert run.outcome["agents"]["calls"] == {"analyzer": 1, "generator": 0, "modifier": 0}
 
 
@@ -106,7 +106,7 @@ def test_the_modified_planner_is_critical_where_the_first_one_missed(
     first, second = run.outcome["attempts"]
     assert (first["phase"], first["critical"]) == ("analyzer", False)
     assert (second["phase"], second["critical"], second["by"]) == ("modifier", True, "scripted")
-    modification = run.asked[-1]
+    modification = run.questions[-1]
     assert "Least time to collision" in modification.last and "Limits that bound the bv" in modification.last
 
 
@@ -114,13 +114,13 @@ def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], 
     run = stories["left"]()
     direct = next(a for a in run.outcome["attempts"] if a["planner"]["mode"] == "direct")
     assert direct["diagnosis"]["early"] < -0.5
-    assert f"{-direct['diagnosis']['early']:.1f} s too late" in run.asked[-1].last
+    assert f"{-direct['diagnosis']['early']:.1f} s too late" in run.questions[-1].last
 
 
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
     run = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
     outcome = run.outcome
-    assert [agent_of(a) for a in run.asked] == ["analyzer", "confirm", "generator", "modifier"]
+    assert [agent_of(a) for a in run.questions] == ["analyzer", "confirm", "generator", "modifier"]
     assert (outcome["ending"], outcome["intent"]["source"]) == ("critical", "generated")
     assert [a["critical"] for a in outcome["attempts"]] == [False, True]
     assert outcome["learnt"] is True
@@ -228,7 +228,7 @@ def test_the_expert_steps_in_if_asked_to_and_says_so(play: Play) -> None:
 def test_parts_may_be_mixed(play: Play, tmp_path: Path) -> None:
     run = play(Author("Straight Lane Shift"), "neighbour_ahead_right", "--analyzer", "builtin")
     assert run.done.status == 0
-    assert run.asked == []
+    assert run.questions == []
     agents = run.outcome["agents"]
     assert (agents["analyzer"], agents["generator"]) == ("expert", "scripted")
 
@@ -267,7 +267,7 @@ def test_text_in_a_vehicles_name_does_not_reach_the_model(play: Play, tmp_path: 
     run = play(Author("Straight Lane Shift"), tmp_path / "hostile.toml", "--attempts", "1")
     assert run.done.status == 0, run.done.err
     assert hostile in run.outcome["intent"]["bv"]
-    assert all(hostile not in content for asked in run.asked for _, content in asked.messages)
+    assert all(hostile not in content for question in run.questions for _, content in question.messages)
 
 
 def test_prompts_can_be_read_without_a_model(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
     assert delays([ranked(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings(), both=True) == [2.0, 3.5, 5.0]
 
 
-def test_who_drives_beside_the_ego_can_attack_at_once() -> None:
+def test_a_vehicle_beside_the_ego_can_attack_at_once() -> None:
     both = [ranked(far_crossing(130.0, 90.0)), ranked(neighbour())]
     assert delays(both, TRACKS, "ego", Settings()) == [0.0, 1.5, 3.0]
 
@@ -57,7 +57,7 @@ def test_no_attack_begins_more_than_8_s_later() -> None:
     assert delays([ranked(far_crossing(250.0, 90.0))], TRACKS, "ego", Settings()) == [8.0, 9.5, 11.0]
 
 
-def test_one_that_is_past_the_place_is_spent_and_a_leader_never_is() -> None:
+def test_a_vehicle_past_the_place_is_spent_and_a_leader_never_is() -> None:
     north = target(
         car("bv", 30.0, 6.0, math.pi / 2), "crossing", [(line((30.0, 6.0), (30.0, 90.0)), "none", 0.0)], EGO_PATH
     )
@@ -67,7 +67,7 @@ def test_one_that_is_past_the_place_is_spent_and_a_leader_never_is() -> None:
 
 
 @pytest.mark.parametrize(("speed", "too_fast"), [(7.5, False), (9.0, True)])
-def test_one_that_turns_harder_than_an_adversary_may_is_spent(speed: float, too_fast: bool) -> None:
+def test_a_vehicle_that_turns_harder_than_an_adversary_may_is_spent(speed: float, too_fast: bool) -> None:
     """On a bend of 16 m radius 7.5 m/s is 3.5 m/s2 sideways, 9 m/s is 5.1."""
     arc = [(14.0 + 16.0 * math.sin(a), -20.0 + 16.0 * (1.0 - math.cos(a))) for a in np.arange(0.0, 1.5, 0.02)]
     turning = target(car("bv", *arc[0], 0.0), "crossing", [(line(*arc, (30.0, 60.0)), "left", 0.0)], EGO_PATH)

@@ -34,17 +34,17 @@ def scene(folder: Path, network: str, *vehicles: str, steps: int = 1) -> Iterato
 
 def test_alone_it_keeps_speed_and_lane(tmp_path: Path) -> None:
     with scene(tmp_path, "straight_3lane", vehicle("ego", "eastbound", 0, 100.0, 20.0), steps=3) as (road, drive):
-        now, at, speed = drive.now, drive.state("ego"), drive.state("ego").speed
+        time, at, speed = drive.now, drive.state("ego"), drive.state("ego").speed
         track = traffic_forecast(road, drive, 4.0)["ego"]
-        assert track.time[0] == pytest.approx(0.1) and track.time[-1] == pytest.approx(now + 4.0)
-        i = int(np.argmin(np.abs(track.time - now)))
+        assert track.time[0] == pytest.approx(0.1) and track.time[-1] == pytest.approx(time + 4.0)
+        i = int(np.argmin(np.abs(track.time - time)))
         assert (track.x[i], track.y[i], track.speed[i]) == pytest.approx((at.x, at.y, at.speed))
         # its acceleration a dies away: v gains at most a * 1 s; without one, 4 s at v
         assert track.x[-1] - at.x == pytest.approx(4.0 * speed, abs=4.0 * abs(at.acceleration) + 0.05)
         assert np.allclose(track.y, at.y, atol=1e-6) and set(track.lane) == {"eastbound_0"}
 
 
-def test_nobody_drives_through_a_leader(tmp_path: Path) -> None:
+def test_no_vehicle_drives_through_a_leader(tmp_path: Path) -> None:
     slow = vehicle("slow", "eastbound", 0, 160.0, 3.0, "crawling")
     ego = vehicle("ego", "eastbound", 0, 30.0, 15.0)
     spec_type = '<vType id="crawling" vClass="passenger" maxSpeed="3" sigma="0" length="5"/>'

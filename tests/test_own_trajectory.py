@@ -59,14 +59,14 @@ def straight(v: float, a: float = 0.0, n: int = 40, y: float = 0.0) -> Floats:
 
 
 def test_speed_and_accelerations_are_those_of_the_positions() -> None:
-    found = Line(straight(10.0, 2.0), DT)
-    assert found.v == pytest.approx(10.0 + 0.2 * np.arange(40))
-    assert found.a == pytest.approx([2.0] * 40)
+    line = Line(straight(10.0, 2.0), DT)
+    assert line.v == pytest.approx(10.0 + 0.2 * np.arange(40))
+    assert line.a == pytest.approx([2.0] * 40)
     turn = 0.2 * DT * np.arange(40)  # a circle of 50 m at 10 m/s: 2 m/s2, 0.02 1/m
-    found = Line(np.column_stack([50.0 * np.sin(turn), 50.0 - 50.0 * np.cos(turn), turn, 0.0 * turn]), DT)
-    assert found.lateral == pytest.approx([2.0] * 40, abs=0.02)
-    assert found.curvature == pytest.approx([0.02] * 40, abs=3e-4)
-    assert found.heading == pytest.approx(turn, abs=0.003)
+    line = Line(np.column_stack([50.0 * np.sin(turn), 50.0 - 50.0 * np.cos(turn), turn, 0.0 * turn]), DT)
+    assert line.lateral == pytest.approx([2.0] * 40, abs=0.02)
+    assert line.curvature == pytest.approx([0.02] * 40, abs=3e-4)
+    assert line.heading == pytest.approx(turn, abs=0.003)
 
 
 def test_what_no_vehicle_can_do_is_named_with_its_limit() -> None:
@@ -78,7 +78,7 @@ def test_what_no_vehicle_can_do_is_named_with_its_limit() -> None:
     )
 
 
-def test_states_from_now_on_and_from_a_step_later_are_told_apart_by_their_place() -> None:
+def test_states_from_now_on_and_from_a_step_later_differ_by_their_place() -> None:
     states = straight(10.0)
     assert aligned(states, 0.0, 0.0, 0.0, DT) is states
     later = aligned(states[1:], 0.0, 0.0, 0.0, DT)
@@ -158,11 +158,11 @@ def test_the_limits_hold_whatever_it_writes(v: float, a: float, aside: float, ti
     except PlannerResultError:  # it turns off its way
         return
     t, (x, y, h, speed, acceleration) = DT * np.arange(float(len(rows))), rows.T
-    found = motion(Track("bv", Role.ADVERSARY, t, x, y, h, speed, acceleration, 5.0, 2.0))
-    assert found.lateral.max() <= 4.1
-    assert found.curvature.max() <= 0.21
+    batch = motion(Track("bv", Role.ADVERSARY, t, x, y, h, speed, acceleration, 5.0, 2.0))
+    assert batch.lateral.max() <= 4.1
+    assert batch.curvature.max() <= 0.21
     assert acceleration.min() >= -8.0 - 1e-9 and acceleration.max() <= 4.0 + 1e-9
-    assert np.abs(found.jerk).max() <= 12.0 + 1e-6
+    assert np.abs(batch.jerk).max() <= 12.0 + 1e-6
     step = np.hypot(np.diff(x), np.diff(y))
     assert step == pytest.approx((speed[1:] + speed[:-1]) / 2 * DT, abs=1e-3)
 
@@ -301,9 +301,9 @@ def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Ite
     given = load_settings(None, horizon=source.horizon, ego=source.ego_controller)
     with Engine(body) as engine:
         engine.request("open", make_task(source, given, tmp_path_factory.mktemp("own")))
-        found = engine.request("seek", "")
-        assert isinstance(found, FoundEncounter)
-        yield AttemptRunner(engine, sandbox, found, 0)
+        encounter = engine.request("seek", "")
+        assert isinstance(encounter, FoundEncounter)
+        yield AttemptRunner(engine, sandbox, encounter, 0)
 
 
 def attempt(runner: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:

@@ -56,7 +56,7 @@ def test_a_planner_that_fails_for_one_proposal_answers_for_the_others(sandbox: S
     assert foreseen.failures == {}
 
 
-def test_one_that_fails_for_all_has_failed_and_is_asked_no_more(sandbox: Sandbox) -> None:
+def test_a_planner_that_fails_for_all_proposals_is_not_asked_again(sandbox: Sandbox) -> None:
     planner = make_planner("Any", "fragile", FRAGILE, "person")
     foreseen = predictor(sandbox)
     assert [p.score for p in foreseen.score([attack(planner, 2.0), attack(planner, 3.0)])] == [FAILED, FAILED]

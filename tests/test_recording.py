@@ -69,13 +69,13 @@ def replayed(path: Path, again: Path | None = None) -> tuple[list[object], dict[
 
 
 def test_a_replayed_story_is_the_same_down_to_the_ledger(tmp_path: Path) -> None:
-    one, two = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
-    answers, counted = recorded(one)
+    first, second = tmp_path / "one.jsonl", tmp_path / "two.jsonl"
+    answers, counted = recorded(first)
     assert counted["calls"] == 8 and counted["re_asks"] == 1  # 3 of the analyzer, 4 samples, 1 failure
     assert answers[0] == Number(value=1) and answers[1] == Number(value=2)
-    assert replayed(one) == (answers, counted)
-    assert replayed(one, two) == (answers, counted)
-    assert sorted(two.read_text().splitlines()) == sorted(one.read_text().splitlines())
+    assert replayed(first) == (answers, counted)
+    assert replayed(first, second) == (answers, counted)
+    assert sorted(second.read_text().splitlines()) == sorted(first.read_text().splitlines())
 
 
 def test_the_key_is_in_no_recording_and_reasoning_is_kept(tmp_path: Path) -> None:
@@ -114,14 +114,14 @@ def test_every_line_is_there_as_soon_as_it_is_answered(tmp_path: Path) -> None:
     ("request_", "says"),
     [
         (ChatRequest("modifier", (("user", "What?"),)), "has no question of the modifier"),
-        (ChatRequest("analyzer", (("user", "Who is it?"),)), "line 3, differs from character 8 on: 'Who is he?'"),
+        (ChatRequest("analyzer", (("user", "What is it?"),)), "line 3, differs from character 9 on: 'What is that?'"),
         (ChatRequest("analyzer", (("user", "What?"),), sample=2), "in line 2, is sample 0 instead of 2"),
     ],
 )  # fmt: skip
 def test_an_unknown_question_is_reported_with_the_nearest(tmp_path: Path, request_: ChatRequest, says: str) -> None:
     with Recorder(tmp_path / "one.jsonl", "m") as recorder:
         recorder.add(ChatRequest("analyzer", (("user", "What?"),)), ChatReply("Yes."))
-        recorder.add(ChatRequest("analyzer", (("user", "Who is he?"),)), ChatReply("Yes."))
+        recorder.add(ChatRequest("analyzer", (("user", "What is that?"),)), ChatReply("Yes."))
     with pytest.raises(ModelError) as caught:
         Replay.open(tmp_path / "one.jsonl").complete(request_)
     assert says in str(caught.value)

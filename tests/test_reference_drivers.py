@@ -77,11 +77,11 @@ def test_a_driver_sees_only_what_has_happened() -> None:
     """Two cut-ins that are one up to 6 s, and then differ: the alarm and all speeds up to then are the same."""
     later = car("adversary", SLOW_DRIFT.x, SLOW_DRIFT.y + np.where(TIME > 6.0, TIME - 6.0, 0.0), 9.0)
     for driver in BRAKERS.values():
-        one, two = (
+        first, second = (
             Counterfactual(Encounters(row(EGO), row(foe), np.array([10]), np.array([75]), DT)).roll_out(driver)
             for foe in (car("adversary", SLOW_DRIFT.x, SLOW_DRIFT.y, 9.0), later)
         )
-        assert one[1][0, :60] == pytest.approx(two[1][0, :60])
+        assert first[1][0, :60] == pytest.approx(second[1][0, :60])
 
 
 # ---- verdicts
@@ -141,8 +141,8 @@ def test_without_a_plan_it_is_inconclusive() -> None:
     contact = judge(EGO, SLOW_DRIFT, [], trigger_time=1.0).contact_time
     assert contact is not None
     cut = SLOW_DRIFT.between(0.0, contact + 0.1)
-    found = preventability(EGO, cut, [], trigger_time=1.0, contact_time=contact)
-    assert found.inconclusive == "no_plan"
+    judged_cut = preventability(EGO, cut, [], trigger_time=1.0, contact_time=contact)
+    assert judged_cut.inconclusive == "no_plan"
 
 
 def test_a_follower_that_runs_into_the_braking_ego_does_not_count() -> None:
@@ -190,9 +190,9 @@ def said(v: Verdict) -> tuple[object, ...]:
 @given(angle=st.floats(-3.1, 3.1), x=st.floats(-500, 500), y=st.floats(-500, 500), mirror=st.booleans())
 def test_where_the_scene_lies_changes_nothing(story: str, angle: float, x: float, y: float, mirror: bool) -> None:
     ego, foe = STORIES[story]
-    one, two = judged(ego, foe), judged(moved(ego, angle, x, y, mirror), moved(foe, angle, x, y, mirror))
-    assert said(one) == said(two)
-    assert two.delta_v == pytest.approx(one.delta_v, abs=1e-6)
+    plain, other_frame = judged(ego, foe), judged(moved(ego, angle, x, y, mirror), moved(foe, angle, x, y, mirror))
+    assert said(plain) == said(other_frame)
+    assert other_frame.delta_v == pytest.approx(plain.delta_v, abs=1e-6)
 
 
 @pytest.mark.parametrize("story", STORIES)

@@ -101,11 +101,11 @@ def test_a_batch_of_whole_states_gives_planners_what_single_calls_give(sandbox: 
     ]
     assert packed(calls) is not None and packed([*calls, ("a", BV, EGO, {"gap": 2.0}, 0.0, 1.0)]) is None
     with sandbox.session(planner(source), ROADS) as session:
-        one, two = session.endpoints(calls)
-        assert [one, two] == [session.endpoint(*call) for call in calls]
+        first, second = session.endpoints(calls)
+        assert [first, second] == [session.endpoint(*call) for call in calls]
     # 2 names of the vehicle, 3 of the ego; the ego is at 10 m after 1 s, and its path has 3 places
-    assert one == {"x": 1.0, "y": 13.0, "heading": 0.75, "speed": 12.0, "time": 6.0}
-    assert two == {"x": 6.0, "y": 13.0, "heading": 2.0, "speed": 13.0, "time": 6.0}
+    assert first == {"x": 1.0, "y": 13.0, "heading": 0.75, "speed": 12.0, "time": 6.0}
+    assert second == {"x": 6.0, "y": 13.0, "heading": 2.0, "speed": 13.0, "time": 6.0}
 
 
 def test_batch_longer_than_a_feed(sandbox: Sandbox) -> None:
@@ -178,10 +178,10 @@ def test_random_is_seeded_clock_frozen_sleep_zero(sandbox: Sandbox) -> None:
         with sandbox.session(drawing, ROADS, seed=seed) as session:
             return [session.endpoint("a", BV, EGO, {}, 0, 1.0) for _ in range(2)]
 
-    first, again, other = run(1), run(1), run(2)
+    first, again, reseeded = run(1), run(1), run(2)
     assert first == again
-    assert first[0]["x"] != first[1]["x"] and first[0]["x"] != other[0]["x"]
-    assert first[0]["y"] == first[1]["y"] == other[0]["y"] == 0.0  # 2025-01-01T00:00Z
+    assert first[0]["x"] != first[1]["x"] and first[0]["x"] != reseeded[0]["x"]
+    assert first[0]["y"] == first[1]["y"] == reseeded[0]["y"] == 0.0  # 2025-01-01T00:00Z
 
 
 def test_globals_are_fresh_in_each_session(sandbox: Sandbox) -> None:
@@ -296,15 +296,15 @@ def test_errors_of_use(sandbox: Sandbox) -> None:
     closed.close()
     with pytest.raises(SandboxError, match="closed"):
         closed.session(planner(CUT_IN), ROADS)
-    with Sandbox(SMALL, workers=1) as one:
-        session = one.session(planner(CUT_IN), ROADS)
+    with Sandbox(SMALL, workers=1) as single:
+        session = single.session(planner(CUT_IN), ROADS)
         session.close()
         session.close()
         with pytest.raises(PlannerLimitError, match="ended"):
             session.endpoint("a", BV, EGO, {}, 0, 1.0)
 
 
-def test_a_fork_is_told_to_ask_the_owner(sandbox: Sandbox) -> None:
+def test_a_forked_process_is_told_to_ask_the_owner(sandbox: Sandbox) -> None:
     with sandbox.session(planner(CUT_IN), ROADS) as session:
         child = os.fork()
         if child == 0:

@@ -36,7 +36,7 @@ END = {"x": 45.0, "y": 0.0, "heading": 0.0, "speed": 6.0, "time": 4.0}
 def test_the_profiles_at_one_time_are_those_at_many(time: float) -> None:
     scenes = Scenes([EARLY, LATE, EARLY])
     s, v = scenes.profile_now(time)
-    alone = [profile_at(one, np.array([time])) for one in (EARLY, LATE, EARLY)]
+    alone = [profile_at(situation, np.array([time])) for situation in (EARLY, LATE, EARLY)]
     assert s.tolist() == [float(a[0][0]) for a in alone] and v.tolist() == [float(a[1][0]) for a in alone]
     many = scenes.profile(np.array([0.0, time]))
     assert many[0][:, 1].tolist() == s.tolist() and many[1][:, 1].tolist() == v.tolist()
@@ -48,14 +48,14 @@ def test_places_on_the_egos_paths_and_in_their_frames_are_those_of_each(stations
     scenes = Scenes(rows)
     world = scenes.ego_at(s, d)
     local = scenes.to_local(*world)
-    for k, one in enumerate(rows):
-        x, y, h = one.baseline.path.at(s[k : k + 1], d[k : k + 1])
+    for k, scene in enumerate(rows):
+        x, y, h = scene.baseline.path.at(s[k : k + 1], d[k : k + 1])
         assert [q[k] for q in world] == [x[0], y[0], h[0]]
-        assert [q[k] for q in local] == [q[0] for q in one.frame.points_to_local(x, y, h)]
+        assert [q[k] for q in local] == [q[0] for q in scene.frame.points_to_local(x, y, h)]
 
 
 def roll(proposals: Sequence[Proposal]) -> Rollouts:
-    """Everybody is sent into the ego's lane."""
+    """Every adversary is sent into the ego's lane."""
 
     def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
         return [Answer(world_endpoint(BOTH[p.delay], END)) for p in proposals]
@@ -64,12 +64,12 @@ def roll(proposals: Sequence[Proposal]) -> Rollouts:
 
 
 def test_attacks_at_different_moments_go_together_as_each_goes_alone() -> None:
-    """Not nearly: exactly, so that what is predicted together does not hang on what else is."""
+    """They are exactly equal: a prediction does not depend on the other predictions in its batch."""
     proposals = [Proposal(bv, "any", PLANNER, {}, 0.0, delay) for bv in ("bv", "across") for delay in (0.0, 1.5)]
     together = roll(proposals)
     for k, proposal in enumerate(proposals):
-        alone, mine = roll([proposal]), part(together, [k])
-        for a, b in zip((*mine.ego, *mine.adversary), (*alone.ego, *alone.adversary), strict=True):
+        alone, own = roll([proposal]), part(together, [k])
+        for a, b in zip((*own.ego, *own.adversary), (*alone.ego, *alone.adversary), strict=True):
             assert a.tolist() == b.tolist()
     assert together.ego[0][1, 0] == pytest.approx(EARLY.baseline.path.at(np.array([0.0]))[0][0])
     assert together.ego[3][:, 1] == pytest.approx([10.0, 9.92, 10.0, 9.92])  # the late ego slows down by itself

@@ -18,16 +18,16 @@ def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Pa
     settings = load_settings(None, horizon=given.horizon, ego=given.ego_controller)
     with Engine(body) as engine:
         engine.request("open", make_task(given, settings, tmp_path))
-        found = engine.request("seek", "")
-    assert isinstance(found, FoundEncounter)
-    bv = found.ranking[0][0]
-    for situation in found.situations.values():
+        encounter = engine.request("seek", "")
+    assert isinstance(encounter, FoundEncounter)
+    bv = encounter.ranking[0][0]
+    for situation in encounter.situations.values():
         ego_light, bv_light = situation.traffic.signals["ego"][0], situation.traffic.signals[bv][0]
         assert (ego_light[0], bv_light[0]) == ("centre", "centre")
         assert (ego_light[2].lower(), bv_light[2]) == ("g", "r")
         assert situation.traffic.signals.keys() <= {"ego", *situation.targets}
         assert road_of(situation, bv)["signals"]["bv"][0] == {"id": "centre", "distance": bv_light[1], "state": "r"}
-    first = found.first
+    first = encounter.first
     ways = [w for w in first.targets[bv].ways if w.conflict is not None]
     stop_line = first.traffic.signals[bv][0][1]  # from the bumper; the conflict lies beyond it
     assert 0.0 < stop_line < ways[0].conflict.bv_s  # type: ignore[union-attr]

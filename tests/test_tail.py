@@ -62,8 +62,8 @@ def test_it_slows_down_and_pulls_out(
     sandbox: Sandbox, time: float, aside: float, duration: float, speed: float
 ) -> None:
     travelled = 25.0 * time
-    now = {"time": time, "travelled": travelled, "x": BESIDE.bv["x"] + travelled}
-    end = asked(sandbox, BESIDE, planner(SHIFT), LEADS, now)
+    early = {"time": time, "travelled": travelled, "x": BESIDE.bv["x"] + travelled}
+    end = asked(sandbox, BESIDE, planner(SHIFT), LEADS, early)
     assert (end["y"] - 3.2, end["time"], end["speed"]) == pytest.approx((aside, duration, speed))
 
 
@@ -75,8 +75,8 @@ def test_it_pulls_out_to_where_there_is_a_lane(
     sandbox: Sandbox, offsets: tuple[float, ...], wanted: float, side: int
 ) -> None:
     sides = [{"offset": offset, "kind": "same"} for offset in offsets]
-    now = {"time": 3.0, "travelled": 75.0, "x": BESIDE.bv["x"] + 75.0}
-    end = asked(sandbox, BESIDE, planner(SHIFT), {**LEADS, "side": wanted}, now, sides)
+    late = {"time": 3.0, "travelled": 75.0, "x": BESIDE.bv["x"] + 75.0}
+    end = asked(sandbox, BESIDE, planner(SHIFT), {**LEADS, "side": wanted}, late, sides)
     assert end["y"] - 3.2 == pytest.approx(2.2 * side)
 
 

@@ -64,7 +64,7 @@ def test_it_does_not_brake_for_an_adversary_beside_behind_or_across() -> None:
     assert braking(follower, east(20.0, 2.0, y=LANE / 2 - 0.1), LANE, DT).x[0, -1] < follower.x[0, -1] - 10.0
 
 
-def test_one_that_comes_later_or_leaves_is_there_only_then() -> None:
+def test_a_vehicle_that_appears_later_or_leaves_is_there_only_then() -> None:
     """NaN before 2 s and after 5 s, as before."""
     x = np.where((TIME >= 2.0) & (TIME <= 5.0), 15.0 * TIME, np.nan)
     follower = boxes(x, 0.0, 0.0, 0.0 * TIME + 15.0)

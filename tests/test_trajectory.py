@@ -74,7 +74,7 @@ def test_a_full_stop_from_10_takes_its_11_metres_and_never_goes_back() -> None:
     assert (np.diff(column(states, "s")) >= 0.0).all()
 
 
-def test_nobody_goes_faster_than_the_cap() -> None:
+def test_no_vehicle_goes_faster_than_the_cap() -> None:
     states, _ = drive(STRAIGHT, keeping(10.0), Goal(250.0, 0.0, 30.0, 6.0), cap=15.0)
     assert 14.5 < column(states, "v").max() < 15.1
 
@@ -155,7 +155,7 @@ def test_after_its_goal_a_car_goes_on_at_the_speed_of_the_goal() -> None:
 def starts_and_goals(draw: st.DrawFn) -> tuple[Motion, Goal]:
     """A state SUMO could leave behind and any goal, sensible or not."""
     v = draw(SPEED)
-    softest = -math.sqrt(0.8 * 11.0 * v)  # nobody brakes at 8 m/s2 while all but standing
+    softest = -math.sqrt(0.8 * 11.0 * v)  # no car brakes at 8 m/s2 when it is almost standing
     a = draw(st.floats(max(-8.0, softest), 4.0))
     slope = draw(st.floats(-0.1, 0.1))
     motion = start(Scalar, 50.0, draw(OFFSET), max(-1.0, min(1.0, slope * v)) / v if v > 1.0 else slope, v, a)

@@ -160,13 +160,13 @@ class CarefulEgo:
         """Append the present poses; forget vehicles out of sight."""
         steps = max(1, round(HISTORY / dt)) + 1
         self._past = {o.id: self._past.get(o.id, deque(maxlen=steps)) for o in others}
-        for other in others:
-            self._past[other.id].append((other.x, other.y, other.heading))
+        for vehicle in others:
+            self._past[vehicle.id].append((vehicle.x, vehicle.y, vehicle.heading))
 
     def _located(self, path: EgoPaths, others: Sequence[VehicleState], dt: float) -> Others:
         """The vehicles in the frame of the path, ``(1, M)``."""
-        now = np.array([(o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width) for o in others])
-        x, y, heading, speed, acceleration, length, width = now.reshape(-1, 7).T[:, None, :]
+        states = np.array([(o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width) for o in others])
+        x, y, heading, speed, acceleration, length, width = states.reshape(-1, 7).T[:, None, :]
         past = [self._past[o.id] for o in others]
         x_before, y_before, _ = np.array([p[max(len(p) - 2, 0)] for p in past]).reshape(-1, 3).T[:, None, :]
         first_heading = np.array([p[0][2] for p in past])[None, :]

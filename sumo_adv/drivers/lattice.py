@@ -63,7 +63,7 @@ class Egos(NamedTuple):
     left: Floats
 
     def of(self, rows: Any) -> Egos:
-        """Some of them."""
+        """The egos at ``rows``."""
         return Egos(*(q[rows] for q in self))
 
 
@@ -81,7 +81,7 @@ class Expected(NamedTuple):
     speed: Floats
 
     def of(self, rows: Any) -> Expected:
-        """Those of some egos."""
+        """The vehicles that the egos at ``rows`` expect."""
         return Expected(*(q[rows] for q in self))
 
 

@@ -65,7 +65,7 @@ class Space(NamedTuple):
         return Space(np.array([0.0, *steps, *sides[0]]), half, right, left, until)
 
     def of(self, rows: Any) -> Space:
-        """That of some egos."""
+        """The space of the egos at ``rows``."""
         return Space(self.offsets, *(q[rows] for q in self[1:]))
 
 
@@ -102,7 +102,7 @@ class Chosen(NamedTuple):
     d: Floats
 
     def offset_after(self, ahead: Floats) -> Floats:
-        """The offsets [m] where they are ``ahead`` [m] of the present stations, ``(n,)``."""
+        """The offsets [m] of the chosen motions at the place ``ahead`` [m] of the present stations, ``(n,)``."""
         way = self.s - self.s[:, :1] + 1e-6 * STEP * np.arange(self.s.shape[1])  # grows even at standstill
         reached = way >= ahead[:, None]
         k = np.where(reached.any(axis=1), np.maximum(reached.argmax(axis=1), 1), way.shape[1] - 1)
@@ -149,8 +149,8 @@ def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSetti
     times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
     aims = np.zeros((len(fastest), 5, 1))
     aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKES), -settings.braking]
-    now = egos.acceleration[:, None, None]
-    pedals = np.concatenate([reference[:, None], now + np.clip(aims - now, -RAMP * times, RAMP * times)], axis=1)
+    start = egos.acceleration[:, None, None]
+    pedals = np.concatenate([reference[:, None], start + np.clip(aims - start, -RAMP * times, RAMP * times)], axis=1)
     v = np.maximum(egos.speed[:, None, None] + _summed(pedals), 0.0)
     v[:, 2] = np.minimum(v[:, 2], np.maximum(fastest, egos.speed)[:, None])
     return Along(egos.s[:, None, None] + _summed(v), v, pedals)

@@ -51,17 +51,17 @@ class Leaders:
         self._unattacked = np.full((3, len(cases), count, steps), FAR)  # station, offset, speed
         lengths = np.zeros((len(cases), count))
         for g in range(len(cases)):
-            for m, other in enumerate(others[g]):
-                values = np.stack([other.s, other.d, other.speed])
-                present = np.isfinite(other.s) & (np.abs(other.heading) < ALONG)
-                self._unattacked[:, g, m, : len(other.s)] = np.where(present, values, FAR)
-                lengths[g, m] = other.length
+            for m, vehicle in enumerate(others[g]):
+                values = np.stack([vehicle.s, vehicle.d, vehicle.speed])
+                present = np.isfinite(vehicle.s) & (np.abs(vehicle.heading) < ALONG)
+                self._unattacked[:, g, m, : len(vehicle.s)] = np.where(present, values, FAR)
+                lengths[g, m] = vehicle.length
         self._adversary_half, self._half = length / 2, lengths[self._group] / 2
         self._lane = scenes.each(lambda s: s.road.lane_width)[:, None]
         self._react = scenes.each(lambda s: float(s.traffic.reacting))[:, None] > 0.0
         self._lag, self._v = np.zeros((2, len(keys), count))  # m behind the unattacked motion, and speeds with a lag
-        known = np.where(self._unattacked[2] < FAR, self._unattacked[2], 0.0)
-        self._top_speed = known.max(axis=2, initial=0.0)[self._group]
+        speeds = np.where(self._unattacked[2] < FAR, self._unattacked[2], 0.0)
+        self._top_speed = speeds.max(axis=2, initial=0.0)[self._group]
         self._ignores_lane_rules = scenes.driver.ignores_sumo_lane_rules
 
     def held_up(self, station: Floats) -> Bools:

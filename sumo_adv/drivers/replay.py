@@ -45,11 +45,11 @@ class ReplayEgo:
         track = self._track
         if track is None:
             return None
-        now = observation.time + observation.dt
-        heading = float(np.interp(now, track.time, self._heading))
+        end = observation.time + observation.dt
+        heading = float(np.interp(end, track.time, self._heading))
         return Pose(
-            x=float(np.interp(now, track.time, track.x)),
-            y=float(np.interp(now, track.time, track.y)),
+            x=float(np.interp(end, track.time, track.x)),
+            y=float(np.interp(end, track.time, track.y)),
             heading=wrap(heading),
-            speed=float(np.interp(now, track.time, track.speed)) if now <= track.time[-1] else 0.0,
+            speed=float(np.interp(end, track.time, track.speed)) if end <= track.time[-1] else 0.0,
         )

@@ -250,11 +250,11 @@ def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
 
 def _beyond(drive: Drive, adversary: AdversaryController) -> Track:
     """The adversary's plan for the next ``CONTINUED`` seconds, outside the simulation."""
-    bv, dt, now = adversary.name, adversary.situation.dt, drive.now
+    bv, dt, start = adversary.name, adversary.situation.dt, drive.now
     rows: list[tuple[float, ...]] = []
     for k in range(round(CONTINUED / dt)):
         p = adversary.advance()
-        rows.append((now + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.acceleration))
+        rows.append((start + (k + 1) * dt, p.x, p.y, p.heading, p.speed, adversary.acceleration))
     time, x, y, heading, speed, acceleration = np.array(rows).T
     length, width = drive.simulation.fleet.sizes[bv]
     return Track(bv, Role.ADVERSARY, time, x, y, heading, speed, acceleration, length, width)

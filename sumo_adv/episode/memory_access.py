@@ -1,4 +1,4 @@
-"""What the memory bank gives to an episode and gets from it: library, retrieval, recall of scenes, learning."""
+"""What an episode reads from the memory bank and writes to it: library, retrieval, recall of scenes, learning."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.situation import Situation
 
-CONFIRMED = 3  # nearest intents among which an analyzer says whether a new one is known
+CONFIRMED = 3  # the analyzer compares a new intent with this number of nearest intents
 
 
 def read_library(
     bank: MemoryBank, now: SceneSignature, seed: int
 ) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
-    """The behaviour library as it stands in the bank, an intent's planners ordered by what the evidence says of scenes
-    like ``now`` (Thompson sampling); and how they were ordered, for the manifest."""
+    """The bank's active intents as a library, and how their planners were ordered, for the manifest.
+
+    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``.
+    """
     rng = random.Random(seed)
     entries, explained = [], list[dict[str, object]]()
     for record in bank.intents():
@@ -44,18 +46,18 @@ def read_library(
 def recall(
     episode: Episode, found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Intent, Proposal] | None:
-    """What succeeded in a like scene, as it was driven there; None where no scene of the bank is like this one."""
+    """The attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
     began, allowed = time.perf_counter(), episode.source.intents
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
-            now = signature(situation, target.state.id, episode.task.ego_driver)
-            evidence = bank.recall_scene(now)
-            known = _remembered(library, evidence) if evidence is not None else None
-            if evidence is None or known is None or (allowed and evidence.label not in allowed):
+            scene = signature(situation, target.state.id, episode.task.ego_driver)
+            evidence = bank.recall_scene(scene)
+            remains = _remembered(library, evidence) if evidence is not None else None
+            if evidence is None or remains is None or (allowed and evidence.label not in allowed):
                 continue
-            entry, planner = known
-            order = (not evidence.valid, signature_distance(evidence.scene, now))
+            entry, planner = remains
+            order = (not evidence.valid, signature_distance(evidence.scene, scene))
             if best is None or order < best[0]:
                 why = f"a like scene in '{evidence.network}' has evidence (distance {order[1]:.2f})"
                 intent = Intent(target.state.id, entry.label, entry.description, "high", evidence.acceleration, why)
@@ -80,55 +82,61 @@ def _remembered(library: Sequence[LibraryEntry], evidence: Evidence) -> tuple[Li
 def retrieve(
     episode: Episode, agents: Agents, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> list[LibraryEntry]:
-    """The library, and for each intent that is not in it (d > epsilon) an entry with a generated planner; an intent
-    that is known by another label gets that one.
+    """The library with entries for the episode's intents.
+
+    An intent within epsilon of a library entry takes that entry's label. Any other gets a new entry, with generated
+    planners.
 
     Raises:
         ModelError: a model plays the analyzer or the generator and failed.
     """
-    entries, known = list(library), {e.label: e for e in library}
+    entries, by_label = list(library), {e.label: e for e in library}
     for intent in tuple(episode.intents):
-        if intent.label in known:
+        if intent.label in by_label:
             continue
         began = time.perf_counter()
-        found = bank.retrieve(intent.label, intent.description)
+        retrieved = bank.retrieve(intent.label, intent.description)
         episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
-        near = [known[label] for label, _ in found.nearest if label in known]
-        hit = found.hit
-        if found.band and near and agents.by_model("analyzer"):
+        near = [by_label[label] for label, _ in retrieved.nearest if label in by_label]
+        hit = retrieved.hit
+        if retrieved.band and near and agents.by_model("analyzer"):
             hit = agents.confirm(intent, near[:CONFIRMED])
         words = situation.targets[intent.bv].applies()
         if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
-            entry = replace(known[hit], applies=tuple(dict.fromkeys((*known[hit].applies, *words))))
+            entry = replace(by_label[hit], applies=tuple(dict.fromkeys((*by_label[hit].applies, *words))))
             entries = [entry if e.label == hit else e for e in entries]
-            known[hit] = entry
+            by_label[hit] = entry
             episode.intents = [replace(i, label=hit) if i.label == intent.label else i for i in episode.intents]
             continue
         planners = agents.generate(intent, situation, near or library)
         if planners:
             own = applies_of(intent.label) or words
             entry = LibraryEntry(intent.label, intent.description, own, planners, "generated")
-            known[intent.label] = entry
+            by_label[intent.label] = entry
             entries.append(entry)
     return entries
 
 
 def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:
-    """What the bank knows of each intent in encounters of this geometry against this driver, in words."""
-    found, key = {}, (now.geometry, now.controller)
+    """How often each intent was tried in encounters of this geometry against this driver, as a sentence by label."""
+    tallies, key = {}, (now.geometry, now.controller)
     for entry in library:
         like = [e for e in bank.evidence(entry.label) if (e.scene.geometry, e.scene.controller) == key]
         if like:
-            good, valid = sum(e.success for e in like), sum(e.valid is True for e in like)
-            found[entry.label] = f"{len(like)} times tried, {good} times critical, {valid} times an avoidable collision"
-    return found
+            critical, valid = sum(e.success for e in like), sum(e.valid is True for e in like)
+            tallies[entry.label] = (
+                f"{len(like)} times tried, {critical} times critical, {valid} times an avoidable collision"
+            )
+    return tallies
 
 
 def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
-    """Keep what was critical, feasible and not rear-end; of failures only the evidence, a row for each planner that was
-    tried and that the bank has.
+    """Write what the attempts showed to the bank, one piece of evidence for each planner that was tried.
 
-    A bank that cannot be written is a note.
+    A critical and feasible attempt that is no rear-end adds its planner, and a generated intent, to the bank. A failed
+    one is recorded only if the bank has its planner.
+
+    A bank that cannot be written adds a note to the episode and raises nothing.
     """
     if episode.settings.learn == "off" or episode.best is None or episode.found is None:
         return
@@ -149,19 +157,20 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
 def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
     """Write one piece of evidence; True if it is a success.
 
-    An intent that the expert composed comes with all its modes: they are the bank's own, for another movement, and
-    where the bank has the intent none is generated any more."""
+    An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
+    movement, and no planner is generated for an intent that the bank already has.
+    """
     evidence = _evidence(episode, attempt)
     entry = next(e for e in entries if e.label == attempt.proposal.label)
     planner = attempt.proposal.planner
-    known = planner.hash in {p.hash for p in bank.planners(entry.label)}
-    if not evidence.success and not known:
+    in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
+    if not evidence.success and not in_bank:
         return False
     record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
     adapted = [p for p in entry.planners if p.origin == EXPERT and p.hash != planner.hash]
     if evidence.success and record is not None and adapted:
         bank.add(record, adapted)
-    bank.record(evidence, intent=record, planner=None if known else planner)
+    bank.record(evidence, intent=record, planner=None if in_bank else planner)
     return evidence.success
 
 

@@ -35,10 +35,10 @@ class Roads:
 
     def of(self, proposals: Iterable[Proposal]) -> dict[str, dict[str, Any]]:
         """The roads of the proposals' BVs, by :func:`road_key`, without those of BVs that are not in the encounter."""
-        wanted = {road_key(p): p for p in proposals if p.bv in self.situations[p.delay].targets}
-        for key in wanted.keys() - self._made.keys():
-            self._made[key] = road_of(self.situations[wanted[key].delay], wanted[key].bv)
-        return {key: self._made[key] for key in wanted}
+        by_key = {road_key(p): p for p in proposals if p.bv in self.situations[p.delay].targets}
+        for key in by_key.keys() - self._made.keys():
+            self._made[key] = road_of(self.situations[by_key[key].delay], by_key[key].bv)
+        return {key: self._made[key] for key in by_key}
 
 
 def road_key(proposal: Proposal) -> str:

@@ -55,8 +55,8 @@ def nothing_fails_or_drifts(server: Server, row: dict[str, Any], count: int) -> 
 
 
 def test_a_few_encounters_in_a_row(program: Program) -> None:
-    server, _, row = served(program, 6, 120.0)
-    nothing_fails_or_drifts(server, row, 6)
+    server, _, row = served(program, 3, 120.0)
+    nothing_fails_or_drifts(server, row, 3)
     assert list(program.temporary.iterdir()) == []
 
 
