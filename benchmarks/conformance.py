@@ -306,7 +306,12 @@ def noticed(home: str, name: str, factor: float, kinds: Scenes, chosen: Scenes) 
 
 
 def perturbed(kinds: Scenes, chosen: Scenes) -> Iterator[str]:
-    """The table's lines: constant, file, and what notices that it is too small and too large."""
+    """The table's lines: constant, file, and what notices that it is too small and too large.
+
+    Left out are situations and single scenes where a bound is broken by the right constants already.
+    """
+    kinds = {kind: some for kind, some in kinds.items() if not faults(kind, some)}
+    chosen = {name: some for name, some in chosen.items() if not chosen_faults(name, some)}
     yield "| constant | file | -20 % noticed by | +20 % noticed by |\n|---|---|---|---|"
     for own, table in (("", COPIED), (" (own)", OWN)):
         for home, names in table.items():
