@@ -34,7 +34,6 @@ SUMO_TURN_COST, SUMO_LOYALTY = 2.2, 2.0  # m per rad, m: SUMO's costs of heading
 AFTER = 10.0  # m behind the place where ways meet, up to which a vehicle counts as on the junction
 BESIDE = np.arange(-12, 13)  # samples of a way around a vehicle's front
 JOINED = 0.78  # share of a lane's width: ways this near to each other have become one (measured in SUMO)
-FLATTEST = 0.2  # least sine of the angle at which SUMO lets ways cross
 
 
 class AdversaryBatch:
@@ -288,7 +287,7 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
     c = way.conflict
     if c is None:
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
-    wide = 2.0 / max(abs(math.sin(c.angle)), FLATTEST) - 1.0
+    wide = 2.0 / abs(math.sin(c.angle)) - 1.0 if c.kind == "crossing" else 0.0
     at = int(c.bv_s / PATH_STEP)
     apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > JOINED * lane)
     joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
