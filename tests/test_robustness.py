@@ -50,7 +50,7 @@ def proposal(planner: Planner, score: float, gap: float = 0.0) -> Proposal:
 def search_over(road: Road, pool: Sequence[Proposal]) -> AttackSearch:
     """A search that has these candidates alone, and would draw no more."""
     weights = SearchSettings(proposals=10)
-    sampling = replace(weights.sampling, for_brakes=-10, most=0, for_each_attempt=0)
+    sampling = replace(weights.sampling, for_spare=-10, most=0)
     found = AttackSearch(road, {0.0: situation([neighbour()])}, [], replace(weights, sampling=sampling), seed=1)
     found.pool = list(pool)
     return found
@@ -91,7 +91,7 @@ def test_neighbours_of_the_best_are_predicted_until_the_best_is_robust() -> None
 
 
 @pytest.mark.parametrize("pool", [
-    [proposal(WIDE, 0.75), proposal(WIDE, 3.0)],  # not avoidable
+    [proposal(WIDE, 0.95), proposal(WIDE, 3.0)],  # not avoidable
     [proposal(NOTHING, 0.0), proposal(WIDE, 0.4)],  # without parameters there are no neighbours
     [replace(proposal(WIDE, 0.0), by="memory"), proposal(WIDE, 0.4)],  # it succeeded before
 ])  # fmt: skip

@@ -11,24 +11,17 @@ import pytest
 from shapely import box
 from situation_samples import car, changed, situation, target
 
-from sumo_adv.datatypes import Boxes, Floats, Limits, Planner, Proposal, Role, Track
+from sumo_adv.datatypes import Floats, Level, Limits, Planner, Proposal, Role, Track
 from sumo_adv.geometry import make_path
 from sumo_adv.search.rollouts import Rollouts
-from sumo_adv.search.scoring import (
-    _brakes,
-    _cut,
-    _held,
-    _score,
-    _surely,
-    judge_all,
-)
+from sumo_adv.search.scoring import judge_all
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
 STEPS, DT = 60, 0.1
 WEIGHTS = ScoreSettings()
-NONE, OFF_ROAD, BEYOND = WEIGHTS.unavoidable, WEIGHTS.off_road, WEIGHTS.beyond_limits
+NONE, OFF_ROAD, BEYOND = WEIGHTS.collision, WEIGHTS.off_road, WEIGHTS.beyond_limits
 THIRD, REAR, GRAZES = WEIGHTS.third_party, WEIGHTS.rear_end, WEIGHTS.grazes
 TIME: Floats = DT * np.arange(float(STEPS))
 PLANNER = Planner("any", "plain", "", (), "seed")
@@ -71,132 +64,92 @@ def vehicle(name: str, state: State) -> Track:
     return Track(name, Role.BACKGROUND, 100.0 + TIME, x, y, h, v, 0.0 * v, 5.0, 2.0, ("",) * STEPS)
 
 
-# ---- the table
-
-
-@pytest.mark.parametrize(
-    ("careful", "late", "manoeuvre", "score"),
-    [
-        (False, False, (0, 0, 0, 0), 1.3),  # nobody
-        (False, False, (1, 0, 0, 0), 1.0),  # a manoeuvre begun 0.6 s after the hazard, no later
-        (False, False, (1, 1, 0, 0), 0.6),  # 0.8 s
-        (False, False, (1, 1, 1, 0), 0.47),  # 1.0 s
-        (False, False, (1, 1, 1, 1), 0.34),  # 1.4 s
-        (False, False, (0, 1, 0, 0), 0.6),  # the last one that helps, whether or not earlier ones do
-        (True, False, (0, 0, 0, 0), 0.08),  # the careful driver, who only brakes
-        (True, False, (1, 1, 1, 1), 0.08),
-        (True, True, (1, 1, 1, 1), 0.0),  # also one who is 0.4 s slower
-    ],
-)
-def test_the_score_goes_by_who_avoids_it_and_with_what_to_spare(
-    careful: bool, late: bool, manoeuvre: tuple[int, ...], score: float
-) -> None:
-    found = _score(
-        np.array([careful]), np.array([late]), np.zeros(1), np.array([manoeuvre], bool), np.zeros(1), WEIGHTS
-    )
-    assert found.tolist() == [score]
-
-
-def test_the_nearer_a_brake_comes_to_avoiding_it_the_better_but_never_as_good_as_avoided() -> None:
-    """At most 0.24 less: what nobody avoids does not come to be avoidable (0.75), nor that what a brake avoids."""
-    no, most = np.zeros(3, bool), np.full(3, 0.24)
-    manoeuvre = np.array([(0, 0, 0, 0), (1, 0, 0, 0), (1, 1, 1, 1)], bool)
-    found = _score(no, no, most, manoeuvre, np.full(3, 5.0), WEIGHTS)
-    assert found == pytest.approx([0.76, 0.76, 0.10])
-    assert _score(~no, no, most, manoeuvre, np.zeros(3), WEIGHTS).tolist() == [0.08] * 3
-
-
-def test_of_those_that_nobody_avoids_one_with_more_warning_scores_better() -> None:
-    """0.3 less for two seconds of it or more, in proportion for less."""
-    nobody = np.zeros(4, bool)
-    found = _score(nobody, nobody, np.zeros(4), np.zeros((4, 4), bool), np.array([0.0, 1.0, 2.0, 5.0]), WEIGHTS)
-    assert found == pytest.approx([1.3, 1.15, 1.0, 1.0])
-
-
-# ---- after the contact
-
-
-def test_after_the_contact_the_motion_goes_straight_on_as_the_judge_has_it() -> None:
-    """North at 5 m/s, from the step 2 on (y = 1.0) braking and turning; cut there it is at 1.5 m after 0.1 s."""
-    y = np.array([[0.0, 0.5, 1.0, 1.2, 1.3, 1.3]])
-    x = np.array([[0.0, 0.0, 0.0, 0.1, 0.2, 0.2]])
-    heading = np.array([[1.0, 1.0, 1.0, 0.5, 0.2, 0.2]]) * np.pi / 2
-    speed = np.array([[5.0, 5.0, 5.0, 2.0, 1.0, 0.0]])
-    found = _cut(Boxes(x, y, heading, speed, 5.0, 2.0), np.array([2]), 0.1)
-    assert found.y[0] == pytest.approx([0.0, 0.5, 1.0, 1.5, 2.0, 2.5])
-    assert found.x[0] == pytest.approx([0.0] * 6)
-    assert found.heading[0] == pytest.approx([np.pi / 2] * 6)
-    assert found.speed[0] == pytest.approx([5.0] * 6)
-    assert (found.length, found.width) == (5.0, 2.0)
-
-
-def test_motions_without_a_contact_stay_as_they_are() -> None:
-    x = np.array([[0.0, 1.0, 1.5], [4.0, 5.0, 7.0]])
-    found = _cut(Boxes(x, 0 * x, 0 * x, 10.0 + 0 * x, 5.0, 2.0), np.array([2, 2]), 0.1)
-    assert found.x == pytest.approx(x)
-
-
 # ---- whole rollouts: the ego at 30 m/s in the right of two lanes
 
 
 DRIFTS = np.maximum(1.2 - 0.8 * TIME, 0.5)  # from the line into the ego's lane: 0.4 m within 0.5 s
 
 
-def test_how_much_it_brakes_until_the_contact_is_told() -> None:
-    """From 10 m/s by 0.9, then by 2 m/s2, each in half of the steps before the contact; what comes then is nothing."""
-    speeds = np.concatenate([10.0 - 0.09 * np.arange(11), 9.1 - 0.2 * np.arange(1, 11), np.full(30, 0.0)])
-    assert _brakes(speeds[None, :], 0.1)[0, :20].tolist() == [False] * 10 + [True] * 10
+def test_how_much_it_brakes_until_the_contact_is_said() -> None:
+    """Half a second after the start it brakes by 2 m/s2 for one second, 10 of the 22 steps before the contact."""
+    x, y, h, v = motion(60.0, DRIFTS, 5.0)
     ego = motion(0.0, 0.0, 30.0)
-    assert judged(ego, motion(60.0, 0.0, 5.0))["braking"] == 0.0
+    assert judged(ego, (x, y, h, v))["braking"] == 0.0
+    slower = np.where(TIME < 0.5, 5.0, np.where(TIME < 1.5, 5.0 - 2.0 * (TIME - 0.5), 3.0))
+    found = judged(ego, (60.0 + np.cumsum(slower) * DT, y, h, slower))
+    assert found["braking"] == pytest.approx(10 / (found["time"] / DT), abs=0.01)
+
+
+@pytest.mark.parametrize(("x", "level"), [(45.0, Level.COLLISION), (60.0, Level.VALID), (100.0, Level.SERIOUS)])
+def test_the_level_goes_by_the_reference_drivers(x: float, level: Level) -> None:
+    """A car at 5 m/s comes half into the lane within half a second: the drift is perceived 0.4 s later.
+
+    The ego at 30 m/s closes in at 25 m/s. A driver that brakes takes 25 * (0.75 + 0.3) + 25^2 / (2 * 7.59) = 67 m from
+    the alarm on: too much 45 m and 60 m ahead. From 60 m there is time to go to the right, from 45 m there is not.
+    """
+    found = judged(motion(0.0, 0.0, 30.0), motion(x, DRIFTS, 5.0))
+    assert found["hit"] and found["level"] is level
+    assert (found["careful"], found["manoeuvre"]) == (level is Level.SERIOUS, level is not Level.COLLISION)
+    base = {Level.COLLISION: WEIGHTS.collision, Level.VALID: WEIGHTS.valid, Level.SERIOUS: WEIGHTS.serious}[level]
+    assert base <= found["score"] < base + 0.3
+
+
+def test_a_soft_contact_is_strict_and_the_harder_the_nearer_to_serious() -> None:
+    """Closing in at 3 m/s changes the ego's speed by about 1.6 m/s, at 4 m/s by about 2.1: 5 mph are 2.24."""
+    ego = motion(0.0, 0.0, 30.0)
+    soft, harder = (judged(ego, motion(gap, DRIFTS, speed)) for gap, speed in ((17.0, 27.0), (21.0, 26.0)))
+    assert (soft["level"], harder["level"]) == (Level.STRICT, Level.STRICT)
+    assert 1.4 < soft["delta_v"] < 1.8 and 1.9 < harder["delta_v"] < 2.24
+    assert WEIGHTS.strict < harder["score"] < soft["score"] < WEIGHTS.valid
+
+
+def test_what_no_person_would_drive_is_not_serious() -> None:
+    """In the next lane it brakes by 7 m/s2 from 26 m/s to 5 m/s and then comes over: people brake by 3.5 m/s2 there."""
+    x, y, h, v = motion(100.0, DRIFTS, 5.0)
+    ego = motion(0.0, 0.0, 30.0)
+    assert judged(ego, (x, y, h, v))["level"] is Level.SERIOUS
+    steps = np.arange(float(STEPS))
+    braking = 26.0 - DT * np.cumsum(np.clip(np.minimum(steps, 38.0 - steps), 0.0, 7.0))  # built up by 10 m/s3
+    beside = np.where(TIME < 3.0, 3.2, np.maximum(3.2 - 1.0 * (TIME - 3.0), 0.5))
+    found = judged(ego, (80.0 + np.cumsum(braking) * DT, beside, h, braking), road=(-4.8, 4.8))
+    assert found["hit"] and not found["human"] and found["level"] < Level.SERIOUS
+
+
+def test_an_ego_that_stands_proves_nothing() -> None:
+    """A car comes from ahead at 10 m/s; braking 30 m before the contact would not help an ego that stands."""
+    standing = motion(0.0, 0.0, 0.0)
+    _, y, h, v = motion(0.0, 0.0, 10.0)
+    found = judged(standing, (40.0 - 10.0 * TIME, y, h + np.pi, v))
+    assert found["hit"] and found["level"] is Level.COLLISION
 
 
 def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
-    """A car at 5 m/s, 60 m ahead, comes half into the lane: the hazard shows after half a second (0.4 m), the contact
-    comes after 2.2 s (55 m of gap at 25 m/s). Then 42.5 m are left, and braking takes 25 * 0.6 + 25^2 / 16 = 54 m; but
-    to the right there is room, and just time for 1.5 m."""
+    """To the right there is room, and just time to go there, unless another car is beside the ego."""
     ego, bv = motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0)
     alone = judged(ego, bv)
-    assert (alone["hit"], alone["careful"]) == (True, False)
-    assert (alone["time"], alone["warning"]) == pytest.approx((2.2, 1.7))
-    assert 0.1 < alone["score"] <= 0.8
+    assert (alone["hit"], alone["careful"], alone["manoeuvre"]) == (True, False, True)
+    assert (alone["time"], alone["warning"]) == pytest.approx((2.2, 1.8))
     beside = vehicle("beside", motion(1.0, -3.2, 30.0))
     filled = judged(ego, bv, [beside])
-    assert (filled["hit"], filled["manoeuvre"]) == (True, False)
-    assert filled["score"] == pytest.approx(NONE - 0.3 * 1.7 / 2)
+    assert (filled["hit"], filled["manoeuvre"], filled["level"]) == (True, False, Level.COLLISION)
     far = vehicle("far", motion(1.0, -30.0, 30.0))
     assert judged(ego, bv, [far])["score"] == alone["score"]
-    itself = vehicle("bv", motion(1.0, -3.2, 30.0))  # the adversary's unattacked motion is in nobody's way
+    itself = vehicle("bv", motion(1.0, -3.2, 30.0))  # the adversary's unattacked motion is in no one's way
     assert judged(ego, bv, [itself])["score"] == alone["score"]
 
 
 def test_nor_does_one_off_the_road() -> None:
     found = judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))
-    assert found["score"] == pytest.approx(NONE - 0.3 * 1.7 / 2)
+    assert not found["manoeuvre"] and found["score"] == pytest.approx(NONE + 0.2 * (1 - 1.8 / 2))
 
 
-@pytest.mark.parametrize(("turned", "sure"), [(0.0, True), (-0.02, False)])
-def test_who_turns_may_have_turned_otherwise_and_see_the_hazard_late(turned: float, sure: bool) -> None:
-    """Another one comes towards the ego at 20 m/s, 1 m to the left of its way, and seems to be over the line (1.6 m to
-    its side, 1 m from its middle) from the beginning. An ego that has turned by -0.02 rad in the end, at 52 m, and may
-    be by 0.02 rad more has it 1 + 0.04 d metres to its left where it is d metres from there: over the line from 40 m
-    on, after 3.4 s, 1.8 s before they meet."""
-    x, y, h, v = row(motion(0.0, 0.0, 10.0))
-    ego = Boxes(x, y, np.where(TIME > 4.0, turned, h), v, 5.0, 2.0)
-    other = Boxes(160.0 - 20.0 * TIME[None, :], y + 1.0, h + np.pi, v * 0.0 + 20.0, 5.0, 2.0)
-    last, yes, first = np.array([52]), np.array([True]), np.array([0])
-    careful, hazard = _surely(yes, ego, other, _held(ego, last), first, last, DT, 1.6, WEIGHTS.turn_error)
-    assert careful[0] == sure
-    assert hazard[0] == (0 if sure else pytest.approx(34, abs=1))
-
-
-def test_who_has_time_enough_scores_better() -> None:
-    """Half a second after the trigger the hazard shows. A careful driver takes 25 m/s * 1.15 s, 7.5 m in the ramp and
-    25^2 / (2 * 7.59) = 41.2 m: 77.4 m; one who is 0.4 s slower 10 m more. 82.5 m and 122.5 m are left."""
+def test_a_driver_with_time_to_spare_scores_better() -> None:
+    """From 30 m a driver that reacts 0.4 s later than ``cc_human`` does not avoid a car that is 5 m/s slower; from
+    140 m it avoids one that is 25 m/s slower."""
     ego = motion(0.0, 0.0, 30.0)
-    near, middle, far = (judged(ego, motion(x, DRIFTS, 5.0)) for x in (60.0, 100.0, 140.0))
-    assert [q["hit"] for q in (near, middle, far)] == [True] * 3
-    assert [q["careful"] for q in (near, middle, far)] == [False, True, True]
-    assert (middle["score"], far["score"]) == (0.08, 0.0)
+    near, far = judged(ego, motion(30.0, DRIFTS, 25.0)), judged(ego, motion(140.0, DRIFTS, 5.0))
+    assert (near["level"], far["level"]) == (Level.SERIOUS, Level.SERIOUS)
+    assert near["score"] >= WEIGHTS.not_late and far["score"] == 0.0
 
 
 def test_what_does_not_count_as_a_collision() -> None:

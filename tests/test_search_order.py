@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.agents.generator import ExpertGenerator
-from sumo_adv.datatypes import Boxes, Intent, LibraryEntry, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import Boxes, Intent, Level, LibraryEntry, ObservedMotion, Prediction, Proposal, Verdict
 from sumo_adv.metrics.boxes import touching
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
@@ -178,16 +178,80 @@ def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one
     assert [p.planner.hash for p in search.propose(10)] == [changed.hash] * 3
 
 
-def test_what_is_predicted_to_drive_like_one_that_was_tried_comes_last():
-    """The numbers of the first two make no difference before the contact: the third, with a worse score, is next."""
-    motion = Prediction(time=3.0, min_ttc=0.0, warning=1.0, braking=0.0)
+def trace(*speeds: float) -> tuple[tuple[float, float], ...]:
+    """Along x, half a second at each speed [m/s]."""
+    x = np.concatenate([[0.0], np.cumsum(0.5 * np.array(speeds))])
+    return tuple((float(q), 0.0) for q in x)
+
+
+def candidate(score: float, *speeds: float, label: str = "Near", mode: str = "side", **predicted) -> Proposal:
+    """A candidate whose adversary drives at these speeds, half a second each, until the contact."""
+    planner = entry(label, ("neighbour",), mode=mode).planners[0]
+    made = Prediction(hit=True, trace=trace(*speeds), closest=0.5 * len(speeds), **predicted)
+    return Proposal("bv", label, planner, {}, 0.0, 0.0, score=score, prediction=made, nominal=score)
+
+
+def verdict(level: Level, *gates: str) -> Verdict:
+    """What an attempt came to: its level, and the gates it failed."""
+    return Verdict(0.0, 0.0, True, True, not gates, False, None, None, None, gates, level=level)
+
+
+def test_what_is_predicted_to_drive_like_an_attempt_is_not_tried():
+    """At 10.4 m/s it is 0.8 m ahead of the first after two seconds, at 11 m/s 2 m; 1 m makes a difference."""
     search = empty()
-    one = entry("Near", ("neighbour",)).planners[0]
-    search.pool = [
-        Proposal("bv", "Near", one, {}, 0.0, 0.0, by="memory", score=score, prediction=replace(motion, gap=gap))
-        for score, gap in ((0.0, 0.401), (0.01, 0.4), (0.05, 2.5))
-    ]
-    assert [p.score for p in search.propose(2)] == [0.0, 0.05]
+    first, copy, another = candidate(0.0, *[10.0] * 4), candidate(0.01, *[10.4] * 4), candidate(0.05, *[11.0] * 4)
+    search.pool = [first, copy, another]
+    assert search.propose(3) == [first, another]
+
+
+def test_a_motion_that_is_the_same_at_the_contact_is_a_copy_whatever_it_was_before():
+    """Slow and then fast comes to the same place as an even speed in the last second."""
+    search = empty()
+    search.pool = [candidate(0.0, *[10.0] * 6), candidate(0.01, 9.0, 9.0, 11.0, 11.0, 10.0, 10.0)]
+    assert len(search.propose(2)) == 1
+
+
+def test_only_what_promises_more_than_was_reached_is_tried():
+    """After a valid attempt candidates that are predicted to be strict (from 0.3 to 0.6) are tried, valid ones not."""
+    search = empty()
+    first, strict, valid = candidate(0.6, 5.0, 5.0), candidate(0.4, 10.0, 10.0), candidate(0.7, 15.0, 15.0)
+    search.pool = [first, valid]
+    assert search.propose(1) == [first]
+    search.observe(first, None, verdict(Level.VALID))
+    assert search.propose(1) == []
+    assert search.result == "No serious attack found in 2 candidates; the best level is valid."
+    search.pool.append(strict)
+    assert search.propose(2) == [strict]
+
+
+def test_what_is_predicted_to_be_hopeless_is_not_tried():
+    search = empty()
+    search.pool = [candidate(0.1, 5.0, off_road=True), candidate(0.2, 10.0, third_party=True), candidate(3.0, 15.0)]
+    assert search.propose(3) == []
+
+
+def test_a_mode_that_failed_the_same_gate_three_times_is_given_up():
+    search = empty()
+    sides = [candidate(0.01 * k, 5.0 + 3.0 * k) for k in range(5)]
+    search.pool = list(sides)
+    for _ in range(3):
+        (tried,) = search.propose(1)
+        assert tried.planner.mode == "side"
+        search.observe(tried, None, verdict(Level.NONE, "off_road"))
+    search.pool.append(candidate(0.5, 40.0, mode="other"))
+    assert [p.planner.mode for p in search.propose(3)] == ["other"]
+
+
+def test_after_a_success_another_kind_is_looked_for():
+    """A kind is an intent, the vehicle's relation to the ego, and the side of the ego that is hit."""
+    search = empty()
+    left, again = candidate(0.0, 5.0, side="left"), candidate(0.0, 15.0, side="left")
+    front = candidate(0.2, 25.0, side="front")
+    search.pool = [left, again, front]
+    assert search.propose(1) == [left]
+    search.observe(left, None, verdict(Level.SERIOUS))
+    search.succeeded("Near / neighbour / left")
+    assert search.propose(2) == [front]
 
 
 def test_tries_cost_so_another_family_has_its_turn():
@@ -203,16 +267,16 @@ def test_tries_cost_so_another_family_has_its_turn():
 
 
 @pytest.mark.parametrize(
-    ("scores", "at_first", "then", "after_two"),
+    ("scores", "at_first", "then"),
     [
-        ([(1, 4.0)], 30 + 3 * 150, 30 + 14 * 150, 600),  # nothing reaches it: to 2000, and 300 more an attempt
-        ([(1, 1.2)], 30 + 3 * 150, 30 + 14 * 150, 600),  # nor would a collision that nobody could avoid do
-        ([(1, 0.5)], 30 + 3 * 150, 30 + 5 * 150, 0),  # something is avoidable at once: 750 more
-        ([(40, 0.5), (1, 0.05)], 30 + 150, 30 + 150, 0),  # a brake would do after the first round
-        ([(1, 0.05)], 30, 30, 0),  # a brake would do already
+        ([(1, 4.0)], 30 + 7 * 150, 30 + 14 * 150),  # nothing reaches the ego: to 2000
+        ([(1, 0.7)], 30 + 7 * 150, 30 + 14 * 150),  # nor would a valid collision do where a serious one is wanted
+        ([(1, 0.25)], 30 + 3 * 150, 30 + 3 * 150),  # serious with little to spare: 450 more
+        ([(40, 0.5), (1, 0.05)], 30 + 150, 30 + 150),  # serious after the first round
+        ([(1, 0.05)], 30, 30),  # serious already
     ],
 )
-def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brake(scores, at_first, then, after_two):
+def test_more_is_drawn_until_the_goal_is_predicted_with_something_to_spare(scores, at_first, then):
     """30 are wanted: the analysis draws up to 14 times as many (420), 150 at once, the attempts go on from there;
     neighbours of the best ones are not counted."""
     search, taken = shifts_of(InTurn(*scores)), []
@@ -220,11 +284,9 @@ def test_more_is_drawn_until_something_is_predicted_avoidable_best_with_the_brak
     def count():
         return len(drawn([*search.pool, *taken]))
 
-    assert count() == at_first
+    assert count() == min(at_first, 30 + 3 * 150)
     taken += search.propose(1)
     assert count() == then
-    taken += search.propose(2)
-    assert count() == then + after_two
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
@@ -252,7 +314,7 @@ def test_the_pool_is_weighed_anew_only_where_the_prediction_was_wrong(score, val
     (first,) = search.propose(1)
     of_moment = sum(p.delay == first.delay for p in search.pool)
     most = min(of_moment, SearchSettings().correction.at_once)  # of the 2000 where nothing is avoidable not all
-    search.observe(first, COURSE, avoidable=valid)
+    search.observe(first, COURSE, verdict(Level.VALID if valid else Level.COLLISION))
     assert scorer.again == (most if weighed else 0)
     assert {p.score for p in search.pool if p.delay != first.delay} == {score}
     expected = (score + 0.9) / 2 if weighed else score  # the observation counts for half
@@ -323,7 +385,7 @@ def test_once_no_template_is_left_the_search_ends_however_much_it_may_draw():
     weights = SearchSettings(proposals=30, share=3)
     weights = replace(weights, sampling=replace(weights.sampling, most=10**9))
     library = [entry("Shift", ("neighbour",))]
-    scorer = InTurn((1, 0.5))  # something is avoidable: no more than 750 are drawn while the mode is open
+    scorer = InTurn((1, 0.25))  # serious with little to spare: 450 more are drawn while the mode is open
     search = AttackSearch(scorer, {0.0: straight_situation()}, library, weights, seed=7)
     search.follow([Intent("bv", "Shift", "", "high", 0.0)], library)
     assert len(search.propose(3)) == 3

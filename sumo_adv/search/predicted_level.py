@@ -6,7 +6,7 @@ search must not know, so that their answers say something about it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -68,18 +68,18 @@ def danger_of(
     warning = np.where(normal.alarm < contact, contact - normal.alarm, 0.0)
     conclusive = (warning > 0.0) & ~check.unchanged().avoids
     careful = normal.avoids & conclusive
-    careful[careful] = _clear_of_others(situation, bvs, ego, adversary, last, onward, np.flatnonzero(careful))
+    everything = situation, bvs, ego, adversary, last, onward
+    for rows, counterfactual in _with_others(*everything, np.flatnonzero(careful)):
+        careful[rows] = counterfactual.braking(CcHuman).avoids
     late = careful.copy()
     if careful.any():
         rows = np.flatnonzero(careful)
         again = _check(situation, some_rows(ego, rows), some_rows(adversary, rows), last[rows], onward[rows], None)
         late[rows] = again.braking(partial(CcHuman, reaction=REACTION + weights.later)).avoids
     manoeuvre = careful.copy()
-    asked = conclusive & ~careful & (warning >= LEAST_WARNING)
-    if asked.any():
-        rows = np.flatnonzero(asked)
-        again = _check(situation, some_rows(ego, rows), some_rows(adversary, rows), last[rows], onward[rows], None)
-        manoeuvre[rows] = again.manoeuvring(normal.alarm[rows], drivable)[0].avoids
+    warned = np.flatnonzero(conclusive & ~careful & (warning >= LEAST_WARNING))
+    for rows, counterfactual in _with_others(*everything, warned):
+        manoeuvre[rows] = counterfactual.manoeuvring(normal.alarm[rows], drivable)[0].avoids
     impacts = [crash_of(*_single(at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)]
     delta_v = np.array([impact.ego_delta_v for impact in impacts])
     human = _human(check, adversary, last, dt)
@@ -130,23 +130,18 @@ def _onward(path: Path, ego: Boxes, last: Ints) -> Floats:
     return points
 
 
-def _clear_of_others(
+def _with_others(
     situation: Situation, bvs: Sequence[str], ego: Boxes, adversary: Boxes, last: Ints, onward: Floats, rows: Ints
-) -> Bools:
-    """Whether ``cc_human`` avoids a collision in each of ``rows`` also with other vehicles near, which may leave it no
-    room."""
-    clear = np.ones(len(rows), bool)
+) -> Iterator[tuple[Ints, Counterfactual]]:
+    """``rows`` by their adversary, with the counterfactual that contains the other vehicles near: they may leave a
+    reference driver no room."""
     names = np.array([bvs[k] for k in rows])
     time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * situation.dt, float)
     for bv in np.unique(names):
-        group = np.flatnonzero(names == bv)
-        k = rows[group]
+        k = rows[names == bv]
         tracks = [t for t in situation.traffic.others if t.id != bv and _comes_near(t.x, t.y, ego, last, k)]
-        if tracks:
-            own, foe = (some_rows(b, k) for b in (ego, adversary))
-            check = _check(situation, own, foe, last[k], onward[k], on_grid(tracks, time))
-            clear[group] = check.braking(CcHuman).avoids
-    return clear
+        others = on_grid(tracks, time) if tracks else None
+        yield k, _check(situation, some_rows(ego, k), some_rows(adversary, k), last[k], onward[k], others)
 
 
 def _comes_near(x: Floats, y: Floats, ego: Boxes, last: Ints, rows: Ints) -> bool:

@@ -56,8 +56,9 @@ def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
     cells: dict[tuple[str, ...], Proposal] = {}
     for p in ordered:
         seen = p.prediction
-        if seen is not None and not seen.failure:
-            cells.setdefault((*p.family, seen.side or ("contact" if seen.hit else "miss")), p)
+        if seen is None or not seen.failure:
+            where = "" if seen is None else seen.side or ("contact" if seen.hit else "miss")
+            cells.setdefault((*p.family, where), p)
     return list(cells.values())
 
 

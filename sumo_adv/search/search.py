@@ -193,9 +193,9 @@ class AttackSearch:
         while self._redrawn < self._wanted(open_):
             over = self._used_up()
             templates = [t for t in self._templates if self._share_of(t.planner) not in over]
-            fresh = self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self._price_now))))
-            if not fresh:
+            if not templates:
                 break
+            fresh = self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self._price_now))))
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
