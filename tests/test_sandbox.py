@@ -49,6 +49,13 @@ def sandbox() -> Iterator[Sandbox]:
         yield box
 
 
+@pytest.fixture(scope="module")
+def patient() -> Iterator[Sandbox]:
+    """For tests of the text: no call is stopped because the machine is busy."""
+    with Sandbox(SandboxLimits(call_seconds=10.0)) as box:
+        yield box
+
+
 def planner(body: str) -> Planner:
     return make_planner("test", "plain", body, "person")
 
@@ -267,24 +274,24 @@ def test_workers_outlive_the_thread_that_asked_for_them() -> None:
             assert session.endpoint("a", BV, EGO, {"gap": 2.0}, 0, 2.0)["x"] == 27.0
 
 
-def test_type_check_reports_line_and_reason(sandbox: Sandbox) -> None:
-    with sandbox.session(planner(CUT_IN), ROADS, type_check=True) as session:
+def test_type_check_reports_line_and_reason(patient: Sandbox) -> None:
+    with patient.session(planner(CUT_IN), ROADS, type_check=True) as session:
         assert session.endpoint("a", BV, EGO, {"gap": 2.0}, 0, 2.0)["x"] == 27.0
     with pytest.raises(PlannerSyntaxError, match=r"planner.py:3:.*math.*sine"):
         wrong = TABLE + "import math\nA = math.sine(1)\n" + CUT_IN.removeprefix(TABLE)
-        sandbox.session(planner(wrong), ROADS, type_check=True)
+        patient.session(planner(wrong), ROADS, type_check=True)
     with pytest.raises(PlannerSyntaxError, match="unresolved-reference"):
-        sandbox.session(returning(point(x="nowhere")), ROADS, type_check=True)
+        patient.session(returning(point(x="nowhere")), ROADS, type_check=True)
 
 
-def test_what_the_subset_lacks_is_a_syntax_error_with_its_line(sandbox: Sandbox) -> None:
+def test_what_the_subset_lacks_is_a_syntax_error_with_its_line(patient: Sandbox) -> None:
     for body, word in (
         ("def f():\n    yield 1\n", "yield"),
         ("import numpy\n", "numpy"),
         ("class A(B):\n    x = 1\n", "inherit"),
     ):
         with pytest.raises(PlannerSyntaxError, match=word) as caught:
-            sandbox.session(planner(TABLE + body + CUT_IN.removeprefix(TABLE)), ROADS)
+            patient.session(planner(TABLE + body + CUT_IN.removeprefix(TABLE)), ROADS)
         assert "line " in str(caught.value)
 
 
