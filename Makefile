@@ -1,6 +1,6 @@
 # make run | test | lint | bench | soak | clean        (GNU make, Python 3.11 or later; everything goes into .venv)
 PYTHON ?= python3
-INPUT  ?= scenarios/motorway_cut_in_left.toml
+INPUT  ?= scenarios/signals_red_light.toml
 ARGS   ?=
 
 VENV  := .venv
@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := run
 
 run: $(STAMP)
-	$(BIN)/python -m sumo_adv run $(INPUT) --force $(ARGS)
+	$(BIN)/python -m sumo_adv run $(INPUT) --until serious --force $(ARGS)
 
 test: lint
 	$(BIN)/python -m pytest -m "not soak" $(PARALLEL) $(ARGS)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from cli_samples import PATIENCE, RUN_FILES, TRAIL, Done, Program, bank_with, lacking
+from cli_samples import PATIENCE, RUN_FILES, Done, Program, lacking
 
 GONE_WITHIN = 5.0  # s
 
@@ -116,19 +116,17 @@ def test_ctrl_c_while_an_encounter_is_looked_for(program: Program) -> None:
     whole_or_nothing(program, done, [])
 
 
-@pytest.mark.parametrize("mark", ["Encounter at", "Most dangerous", "attempt  1", "attempt  4"])
+@pytest.mark.parametrize("mark", ["Encounter at", "Most dangerous", "attempt  1", "attempt  2"])
 def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
-    """The only planner drives along beside the ego, so there is always another attempt to make."""
-    bank = bank_with(program.folder / "bank.sqlite", TRAIL)
-    options = ("--attempts", "1000", "--until", "valid", "--memory", bank, "--out", "out")
-    with program.start("run", "motorway_cut_in_left", *options) as process:
+    """Twenty kinds of attacks are more than there are, so there is always another candidate to look for."""
+    options = ("--diverse", "20", "--until", "valid", "--memory", "bank.sqlite", "--out", "out")
+    with program.start("run", "oncoming_four_lanes", *options) as process:
         read_until(process, mark)
         done = interrupted(program, process)
     whole_or_nothing(program, done, ["bank.sqlite"])
     assert done.folder.exists()  # the run had begun
     if mark.startswith("attempt"):
         assert len(done.outcome["attempts"]) >= int(mark.split()[1])
-        assert done.outcome["intent"]["label"] == "Odd Driving"
 
 
 def test_ctrl_c_while_it_starts(program: Program) -> None:

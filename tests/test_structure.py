@@ -152,3 +152,14 @@ def test_constraints_are_plain_pins() -> None:
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     assert [line for line in lines if not re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.!+]+", line)] == []
     assert "libsumo==1.28.0" in lines
+
+
+def test_the_search_does_not_know_the_unseen_judges() -> None:
+    """It uses ``cc_human`` and ``manoeuvre``; what judges beside them must not guide it."""
+    for file in sorted((PACKAGE / "search").glob("*.py")):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        modules = {m for m in imported(tree) if m.startswith("sumo_adv.metrics.reference")}
+        names = {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
+        allowed = {"sumo_adv.metrics.reference.cc_human", "sumo_adv.metrics.reference.counterfactual"}
+        assert modules <= allowed, file
+        assert not names & {"BRAKERS", "REFERENCE_DRIVERS", "Reg157", "RssDriver", "Fsm", "answers"}, file

@@ -1,7 +1,7 @@
 # Aggressive Cut-in, mode "slow"
 # Drives ahead of the ego in the next lane, slows down there, comes to the edge of the ego's lane, and pulls in when the
-# ego has nearly caught up, as one who leaves a queue.
-# One that drives in the ego's own lane first leaves it to a free side and comes back from there.
+# ego has nearly caught up, like a vehicle that leaves a queue.
+# A vehicle in the ego's own lane first leaves it to a free side and comes back from there.
 # Times s, distances m, speeds m/s; "reach" is the time until the ego's front would be at its rear.
 PARAMETERS = {
     "ahead": (26.0, 12.0, 50.0, "m", "how far its rear is ahead of the ego's front when it slows down"),

@@ -34,7 +34,9 @@ def run(
         typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
     ] = None,
     record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 (default: 0).")] = None,
-    ego: Annotated[str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, replay, module:Class.")] = None,
+    ego: Annotated[
+        str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, blind, replay, module:Class.")
+    ] = None,
     ego_id: Annotated[str | None, typer.Option(help="The vehicle under test (default: chosen).")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,

@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
@@ -23,6 +24,7 @@ from sumo_adv.errors import UsageError
 ENTRY_POINTS = "sumo_adv.drivers"
 DRIVERS: Mapping[str, Callable[[Mapping[str, Any]], EgoController]] = {
     **{name: partial(SumoEgo, name) for name in MODELS},
+    "blind": BlindEgo,
     "careful": CarefulEgo,
     "lattice": LatticeEgo,
     "replay": ReplayEgo,

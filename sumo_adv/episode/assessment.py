@@ -43,7 +43,8 @@ def attempt_of(
         verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
     path = found.situations[proposal.delay].baseline.path
     diagnosis = diagnose(result, found.ego, proposal.bv, path, settings.limits.limits(), settings.step_length)
-    kind = kind_of(proposal.label, found.situations[proposal.delay].targets[proposal.bv].relation, verdict.contact_side)
+    target = found.situations[proposal.delay].targets.get(proposal.bv)
+    kind = "" if target is None else kind_of(proposal.label, target.relation, verdict.contact_side)
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind
     )

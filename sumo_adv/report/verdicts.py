@@ -47,7 +47,7 @@ FULL_KEYS = (
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
-    "delta_v", "adversary_delta_v", "severity", "injury_risk",
+    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")

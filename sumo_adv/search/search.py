@@ -165,6 +165,9 @@ class AttackSearch:
     def result(self) -> str:
         """What the search came to, in a sentence."""
         count = len(drawn(self.pool)) + len(self._tried)
+        if self._kinds:
+            kinds = "one kind" if len(self._kinds) == 1 else f"{len(self._kinds)} kinds"
+            return f"Attacks of {kinds} succeeded; {count} candidates promise no {self._goal} attack of another kind."
         return f"No {self._goal} attack found in {count} candidates; the best level is {self._best}."
 
     def exhausted(self) -> list[str]:
@@ -210,7 +213,9 @@ class AttackSearch:
 
     def _open(self) -> list[Proposal]:
         """The candidates that may be tried, cheapest first: they promise more than was reached, and are no copies."""
-        over, bound = self._used_up(), self._settings.bound(self._best) + self._settings.nearly
+        over, bound = self._used_up(), math.inf
+        if self._tried:  # the first attempt shows something in any case
+            bound = self._settings.bound(self._best) + self._settings.nearly
         promising = [p for p in self.pool if p.nominal_score < bound and self._is_worth(p)]
         promising = [p for p in promising if self._share_of(p.planner) not in over]
         return [p for p in promising if not any(is_copy(p, tried, self._settings.differs) for tried in self._tried)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,9 +12,12 @@ import numpy as np
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.tables import cells as c
 from sumo_adv.benchmark.tables.realism import distance, step_share
+from sumo_adv.datatypes import Level
+from sumo_adv.metrics.levels import AVOIDS, NOT_APPLICABLE
 from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
+UNSEEN = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
 CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --ttc
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
 SECTIONS = ("Verdicts", "Why not", "Min TTC", "Attempts", "Modification", "Realism", "Cost", "Margin")
@@ -107,8 +111,37 @@ def _valid_within(budget: int) -> Callable[[Cell], Value]:
     return lambda cell: any(a.get("valid") for a in c.attempts(cell)[:budget])
 
 
-def _strict_within(cell: Cell) -> Value:
-    return any(a.get("valid") and a.get("strict") for a in c.attempts(cell)[: BUDGETS[-1]])
+def _within(level: str, budget: int) -> Callable[[Cell], Value]:
+    """Whether one of the first ``budget`` attempts reached ``level`` or a higher one."""
+    least = Level[level.upper()]
+    return lambda cell: any(Level[str(a.get("level") or "none").upper()] >= least for a in c.attempts(cell)[:budget])
+
+
+def _kinds(cells: Sequence[Cell]) -> Counter[str]:
+    """The kinds of the encounters' first attempts that reached the highest level, of valid ones."""
+    kinds = Counter[str]()
+    for cell in cells:
+        best = cell.get("best")
+        if best is not None and c.counted(cell).get("valid"):
+            kinds[str(c.attempts(cell)[best].get("kind"))] += 1
+    return kinds
+
+
+def _kind_count(cells: Sequence[Cell]) -> Estimate | None:
+    count = float(len(_kinds(cells)))
+    return Estimate(count, count, count, len(cells))
+
+
+def _largest_kind(cells: Sequence[Cell]) -> Estimate | None:
+    kinds = _kinds(cells)
+    return wilson(max(kinds.values()), kinds.total()) if kinds else None
+
+
+def _unseen(cell: Cell) -> Value:
+    """Of valid ones: whether a driver avoids it that the search does not know; None if none of them applies."""
+    verdict = c.counted(cell)
+    answers = [a for name, a in (verdict.get("references") or {}).items() if name in UNSEEN and a != NOT_APPLICABLE]
+    return any(a == AVOIDS for a in answers) if verdict.get("valid") and answers else None
 
 
 def _critical(attempt: Mapping[str, Any]) -> bool:
@@ -205,8 +238,17 @@ COLUMNS: tuple[Column, ...] = (
            lambda cell: None if (k := c.first_valid(cell)) is None else float(k), asked_of_all=False, digits=1),
     *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"one of the first {k} attempts was valid",
              of=_valid_within(k)) for k in BUDGETS),
-    Column("strict_25", "strict after 25", "Attempts", "one of the first 25 attempts was strict, whichever counts",
-           of=_strict_within),
+    *(Column(f"{level}_{k}", f"{level} after {k}", "Attempts", f"one of the first {k} attempts was {level} or more",
+             of=_within(level, k)) for level in ("strict", "serious") for k in BUDGETS),
+    Column("human", "humanlike", "Realism", "of collisions: the adversary moved as a person could",
+           of=lambda cell: _of_collisions(cell, "humanlike"), asked_of_all=False),
+    Column("kinds", "distinct kinds", "Verdicts", "of valid ones: intents x relation x side of the ego that is hit",
+           pooled=_kind_count, digits=0),
+    Column("largest_kind", "largest kind", "Verdicts", "share of the valid ones that are of the most frequent kind",
+           pooled=_largest_kind),
+    Column("unseen", "unseen judges", "Verdicts",
+           "of valid ones to which they apply: reg157, rss or fsm avoids it, which the search does not know",
+           of=_unseen, asked_of_all=False),
     Column("critical_raw", "critical raw", "Modification", "the same pair and window unattacked: min TTC <= 1 s",
            of=_raw_critical, asked_of_all=False),
     Column("critical_first", "after the first attempt", "Modification", "critical, feasible and not rear-end",

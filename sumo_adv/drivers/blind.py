@@ -1,0 +1,66 @@
+"""A driver that sees no other vehicle: the yardstick for drivers that look around.
+
+It follows its route at the speed limit, slower in bends, and stops where SUMO's rules hold it at a line (lights and
+right of way). It never reacts to a vehicle, so every collision that a reference driver avoids can be had with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import DriverModel
+from sumo_adv.drivers.lattice import look_ahead, steering
+from sumo_adv.drivers.lattice_frame import RoadFrame
+from sumo_adv.drivers.protocol import Action, Observation, Steer
+from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
+from sumo_adv.geometry import wrap
+
+HELD = -3.0  # m/s2 at a line where it must wait
+LATERAL = 4.0  # m/s2, the most that it steers for
+AHEAD = np.arange(0.0, 4.1, 0.25)  # s ahead at which the bends count
+
+
+class BlindEgo:
+    """State: the frame of the path that was seen last."""
+
+    name = "blind"
+    forkable = True
+    needs_observation = True
+    needs_road = True
+
+    def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
+        """``parameters``: those of IDM, of which the free road's count. Raises UsageError."""
+        self.sumo_type: Mapping[str, str] = sumo_type("idm", parameters or {})
+        self._idm = Idm(**{name: float(value) for name, value in self.sumo_type.items() if name != "carFollowModel"})
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Forget the path; the seed is not needed."""
+        self._points: Sequence[tuple[float, float]] | None = None
+        self._frame: RoadFrame | None = None
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Predicted by its unattacked motion."""
+        return known_model("replay", numbers)
+
+    def act(self, observation: Observation) -> Action:
+        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        ego, road = observation.ego, observation.road
+        if observation.path is not None and observation.path is not self._points:
+            self._points, self._frame = observation.path, RoadFrame(observation.path)
+        if self._frame is None or road is None or road.leaves:
+            return None
+        station, speed = float(self._frame.locate(ego)[0]), max(ego.speed, 0.1)
+        bends = self._frame.bend(np.array([station + ego.length / 2 + speed * AHEAD]))[1]
+        wanted = max(min(road.limit, float(np.min(bends))), 0.1)
+        free = self._idm.accel * (1.0 - (ego.speed / wanted) ** self._idm.delta)
+        pedal = HELD if road.held else max(free, -self._idm.decel)
+        ahead = look_ahead(np.array([speed]))
+        x, y, _ = self._frame.path.at(station + ahead)
+        angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
+        wheel, _ = steering(np.array([angle]), ahead, np.array([speed]), LATERAL)
+        return Steer(pedal, float(wheel[0]))
