@@ -208,14 +208,14 @@ class AttackSearch:
         robustness = self._settings.robustness
         open_ = self._made_robust(open_, self._choice, robustness.later if self._tried else robustness.first)
         self.pool = closed + open_
-        worth = [p for p in open_ if self._is_worth(p)]
+        worth = [p for p in open_ if self._is_worth(p)] if self._tried else open_
         return self._take(self._choice(worth)) if worth else None
 
     def _open(self) -> list[Proposal]:
         """The candidates that may be tried, cheapest first: they promise more than was reached, and are no copies."""
-        over, bound = self._used_up(), math.inf
-        if self._tried:  # the first attempt shows something in any case
-            bound = self._settings.bound(self._best) + self._settings.nearly
+        if not self._tried:  # the first attempt shows something in any case
+            return list(self.pool)
+        over, bound = self._used_up(), self._settings.bound(self._best) + self._settings.nearly
         promising = [p for p in self.pool if p.nominal_score < bound and self._is_worth(p)]
         promising = [p for p in promising if self._share_of(p.planner) not in over]
         return [p for p in promising if not any(is_copy(p, tried, self._settings.differs) for tried in self._tried)]

@@ -321,7 +321,7 @@ class Decision:
     @property
     def best(self) -> Proposal:
         """What is predicted to be most dangerous."""
-        return min(self.planned.search.pool, key=lambda p: p.score)
+        return min(self.planned.search.pool, key=self.planned.search.price)
 
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:
