@@ -227,7 +227,7 @@ def chosen_faults(name: str, driven: Sequence[Driven]) -> list[str]:
     """What is wrong with the prediction in a single scene."""
     one = CHOSEN[name]
     if not driven:
-        return [f"{name}: the scene came to nothing."]
+        return [f"{name}: SUMO gave no comparable run of this scene."]
     return [
         f"{name}: the error is {error:.3f} {unit}, more than {bound:g}. SUMO and the prediction differ in "
         f"{', '.join(one.constants)}, {KINDS[one.kind].rules}."
@@ -254,7 +254,7 @@ OWN = {
     "drivers.junctions": ("CAN_STOP", "LONGEST"),
     "planners.adversary_batch": ("AFTER",),
 }
-"""The constants of the same modules that SUMO does not have. Angles stand for the lanes by which SUMO knows which way
+"""The constants of the same modules that SUMO does not have, judged by our code and not by SUMO's source. Angles stand for the lanes by which SUMO knows which way
 a vehicle drives. Tolerances say from when on an ego counts as disturbed or held up. ``LONGEST`` and ``AFTER`` stand for
 the end of a junction, which the prediction does not know; ``CAN_STOP`` for braking in steps."""
 WHERE = {
