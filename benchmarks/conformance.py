@@ -227,7 +227,7 @@ def chosen_faults(name: str, driven: Sequence[Driven]) -> list[str]:
     """What is wrong with the prediction in a single scene."""
     one = CHOSEN[name]
     if not driven:
-        return [f"{name}: the scene came to nothing."]
+        return [f"{name}: SUMO gave no comparable run of this scene."]
     return [
         f"{name}: the error is {error:.3f} {unit}, more than {bound:g}. SUMO and the prediction differ in "
         f"{', '.join(one.constants)}, {KINDS[one.kind].rules}."
@@ -247,16 +247,17 @@ COPIED = {
     "planners.adversary_batch": ("SUMO_TURN_COST", "SUMO_LOYALTY", "JOINED"),
 }
 """The constants that copy SUMO, from its source or measured in it, by module. ``NUMERICAL`` of ``car_following.py`` is
-one more: a millimetre, 20 % of which no scene can show."""
+one more, a millimetre, and is not changed here."""
 OWN = {
     "drivers.prediction": ("ACROSS", "SAME_WAY"),
     "drivers.leaders": ("HELD_UP", "ALONG", "BRAKES", "LATE", "NOTICED"),
     "drivers.junctions": ("CAN_STOP", "LONGEST"),
     "planners.adversary_batch": ("AFTER",),
 }
-"""The constants of the same modules that SUMO does not have. Angles stand for the lanes by which SUMO knows which way
-a vehicle drives. Tolerances say from when on an ego counts as disturbed or held up. ``LONGEST`` and ``AFTER`` stand for
-the end of a junction, which the prediction does not know; ``CAN_STOP`` for braking in steps."""
+"""Other constants of the same modules, which SUMO does not seem to have: judged by our code, not by SUMO's source.
+Angles stand for the lanes by which SUMO knows which way a vehicle drives. Tolerances say from when on an ego counts as
+disturbed or held up. ``LONGEST`` and ``AFTER`` stand for the end of a junction, which the prediction does not know;
+``CAN_STOP`` for braking in steps."""
 WHERE = {
     "drivers.car_following": ("following", "cut_in"),
     "drivers.prediction": ("cut_in", "beside", "left", "over_the_middle", "oncoming_intrusion"),
