@@ -226,8 +226,18 @@ def test_only_what_promises_more_than_was_reached_is_tried():
 
 def test_what_is_predicted_to_be_hopeless_is_not_tried():
     search = empty()
-    search.pool = [candidate(0.1, 5.0, off_road=True), candidate(0.2, 10.0, third_party=True), candidate(3.0, 15.0)]
-    assert search.propose(3) == []
+    first = candidate(0.0, 20.0)
+    search.pool = [
+        first, candidate(0.1, 5.0, off_road=True), candidate(0.2, 10.0, third_party=True), candidate(3.0, 15.0)
+    ]  # fmt: skip
+    assert search.propose(4) == [first]
+
+
+def test_the_first_attempt_is_made_even_if_nothing_is_promised():
+    """It shows why: here that the candidate misses by far."""
+    search = empty()
+    search.pool = [candidate(7.0, 5.0), candidate(7.5, 15.0)]
+    assert [p.score for p in search.propose(2)] == [7.0]
 
 
 def test_a_mode_that_failed_the_same_gate_three_times_is_given_up():
