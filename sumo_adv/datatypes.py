@@ -274,7 +274,7 @@ class Preventability:
 class Verdict:
     """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise.
 
-    ``avoidable`` is of version 1 (what the search goes by); ``valid``, ``strict`` and what follows ``level`` are of
+    ``avoidable`` is of version 1; ``valid``, ``strict`` and what follows ``level`` are of
     version 2 where :func:`sumo_adv.metrics.levels.with_level` has judged it.
     """
 
@@ -306,12 +306,6 @@ class Verdict:
     adversary_delta_v: float | None = None
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
-
-    @property
-    def avoidable_collision(self) -> bool:
-        """Whether it is a valid collision by version 1's rules, which the search goes by."""
-        honest = self.collided and self.feasible and not self.rear_end
-        return honest and self.avoidable not in (None, "unavoidable")
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,8 +368,8 @@ class Prediction:
     alarm of ``cc_human`` to the contact. braking: share of the steps up to the contact in which the adversary brakes.
     level: that the collision reaches, by the reference drivers ``careful`` (cc_human) and ``manoeuvre``, which avoid it
     or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2]; human: it stays within the human
-    envelope; side: of the ego that is hit. third_party, off_road, beyond_limits, rear_end: why the contact does not
-    count. trace: positions of the adversary, x and y, every 0.5 s up to ``closest``.
+    envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why the contact does not count.
+    trace: positions of the adversary, x and y, every 0.5 s up to ``closest``.
     """
 
     failure: str = ""
@@ -397,7 +391,6 @@ class Prediction:
     third_party: bool = False
     off_road: bool = False
     beyond_limits: bool = False
-    rear_end: bool = False
     trace: tuple[tuple[float, float], ...] = ()
 
     @property

@@ -11,7 +11,7 @@ from metrics_tracks import DT, TIME, braking, car, cruise, drift
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, avoidance, careful_after
+from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, avoidance
 from sumo_adv.metrics.boxes import at_time
 from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, impact, rear_end
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
@@ -200,18 +200,6 @@ def test_the_batch_says_what_the_judge_says() -> None:
     assert answer["manoeuvre"].shape == (3, 3)
     assert answer["manoeuvre"][:, 1].tolist() == [v.avoidable != "unavoidable" for v in verdicts]
     assert (answer["manoeuvre"][:, 0] >= answer["manoeuvre"][:, 2]).all()  # earlier is not worse
-
-
-def test_the_careful_driver_at_other_times() -> None:
-    """Brakes only: as ``avoidance`` has it where he is not later; never better the later he begins."""
-    pairs = [(EGO, LATE_CUT_IN), (EGO, SLOW_DRIFT), (cruise("ego", 0, 0, 10), ONCOMING)]
-    egos, others = stack([e for e, _ in pairs]), stack([a for _, a in pairs])
-    verdicts = [judge(e, a, [], trigger_time=1.0) for e, a in pairs]
-    hazards = np.array([int(np.rint((v.hazard_time or 0.0) / DT)) for v in verdicts])
-    found = careful_after(egos, others, hazards, DT, (-1.0, 0.0, 0.5, 5.0))
-    assert found[1].tolist() == avoidance(egos, others, hazards, DT, delays=())["careful"].tolist()
-    assert (found[:-1] >= found[1:]).all()
-    assert not found[3].any()  # after 5 s nobody avoids anything any more
 
 
 def test_verdicts_do_not_depend_on_where_north_is() -> None:

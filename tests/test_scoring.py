@@ -145,7 +145,7 @@ def test_nor_does_one_off_the_road() -> None:
 
 def test_a_driver_with_time_to_spare_scores_better() -> None:
     """From 30 m a driver that reacts 0.4 s later than ``cc_human`` does not avoid a car that is 5 m/s slower; from
-    140 m it avoids one that is 25 m/s slower."""
+    140 m it avoids a car that is 25 m/s slower."""
     ego = motion(0.0, 0.0, 30.0)
     near, far = judged(ego, motion(30.0, DRIFTS, 25.0)), judged(ego, motion(140.0, DRIFTS, 5.0))
     assert (near["level"], far["level"]) == (Level.SERIOUS, Level.SERIOUS)

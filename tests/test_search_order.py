@@ -185,7 +185,7 @@ def trace(*speeds: float) -> tuple[tuple[float, float], ...]:
 
 
 def candidate(score: float, *speeds: float, label: str = "Near", mode: str = "side", **predicted) -> Proposal:
-    """A candidate whose adversary drives at these speeds, half a second each, until the contact."""
+    """A candidate: its adversary drives at these speeds, half a second each, until the contact."""
     planner = entry(label, ("neighbour",), mode=mode).planners[0]
     made = Prediction(hit=True, trace=trace(*speeds), closest=0.5 * len(speeds), **predicted)
     return Proposal("bv", label, planner, {}, 0.0, 0.0, score=score, prediction=made, nominal=score)

@@ -18,7 +18,7 @@ ATTEMPTS = 25
 def minimise(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run with a collision.")],
     until: Annotated[
-        Until | None, typer.Option(help="Level that a variant must reach (default: the one that the attack reached).")
+        Until | None, typer.Option(help="Level that a variant must reach (default: the level of the attack).")
     ] = None,
     attempts: Annotated[int, typer.Option(min=1, help="Maximum number of simulations.")] = ATTEMPTS,
     ego: Annotated[

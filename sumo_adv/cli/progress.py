@@ -101,7 +101,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
-    for success in result.get("successes", ())[1:] and result["successes"]:
+    for success in result["successes"] if len(result["successes"]) > 1 else ():
         where = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{where}.")
     lines.append(result["agents"]["note"])

@@ -42,7 +42,7 @@ class Episode:
     timing: dict[str, float] = field(default_factory=dict)
 
     def of_attempt(self, index: int) -> Episode:
-        """The same episode with another attempt as the one that counts."""
+        """The same episode, in which another attempt counts."""
         episode = replace(self, refinement=replace(self.refinement, chosen=index), timing=dict(self.timing))
         episode.keep_intent()
         return episode

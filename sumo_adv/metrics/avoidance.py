@@ -83,16 +83,6 @@ def avoidance(
     return result
 
 
-def careful_after(
-    ego: Boxes, adversary: Boxes, hazard_index: NDArray[np.integer], dt: float, later: Sequence[float],
-    *, horizon: float = 6.0, others: Boxes | None = None,
-) -> Bools:  # fmt: skip
-    """Whether the careful driver of :func:`avoidance` avoids it who begins to brake so much ``later`` [s] than he does,
-    ``(len(later), N)``."""
-    table = [Manoeuvre(PERCEPTION + REACTION + t, CAREFUL_BRAKING, CAREFUL_RAMP) for t in later]
-    return _clear(ego, adversary, hazard_index, dt, table, round(horizon / dt), None, others, None)
-
-
 def _clear(
     ego: Boxes, adversary: Boxes, hazard_index: NDArray[np.integer], dt: float, table: Sequence[Manoeuvre], steps: int,
     on_road: OnRoad | None, others: Boxes | None, reacting: Manoeuvre | None,

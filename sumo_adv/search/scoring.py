@@ -79,7 +79,7 @@ def judge_all(
             hit=bool(hit[k]), min_ttc=0.0 if hit[k] else float(least[k]), gap=float(nearest[k]),
             time=float(last[k] * situation.dt), spare=float((end - last[k]) * situation.dt),
             braking=float(brakes[k, : max(int(last[k]), 1)].mean()), third_party=bool(third[k]),
-            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]), rear_end=bool(rear[k]),
+            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]),
             level=Level.COLLISION if hit[k] and not (third[k] or leaves[k] or beyond[k] or rear[k]) else Level.NONE,
             trace=_trace(adversary, k, int(closest[k]), situation.dt), closest=float(closest[k] * situation.dt),
         )  # fmt: skip

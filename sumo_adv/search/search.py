@@ -212,7 +212,10 @@ class AttackSearch:
         return self._take(self._choice(worth)) if worth else None
 
     def _open(self) -> list[Proposal]:
-        """The candidates that may be tried, cheapest first: they promise more than was reached, and are no copies."""
+        """The candidates that may be tried: they promise more than was reached, and are no copies of attempts.
+
+        Before the first attempt all may be.
+        """
         if not self._tried:  # the first attempt shows something in any case
             return list(self.pool)
         over, bound = self._used_up(), self._settings.bound(self._best) + self._settings.nearly

@@ -32,7 +32,7 @@ class ScoreSettings:
     not_late: float = 0.04  # added where it may not
     not_hard: float = 0.05  # added to a serious collision, up to twice the delta-v of one
     to_delta_v: float = 0.2  # added to a strict one: the share of a serious delta-v that is missing
-    not_human: float = 0.06  # added to a strict one that no person would drive
+    not_human: float = 0.06  # added to a strict collision if no person would drive so
     to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
     to_delta_v_early: float = 0.05  # added to a valid one: the share of a serious delta-v that is missing
     warned_enough: float = 2.0  # s from the alarm of ``cc_human`` to the contact
