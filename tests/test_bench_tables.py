@@ -99,16 +99,15 @@ def test_cost_with_and_without_the_model() -> None:
     assert value(table, "tokens", "llm-a") == pytest.approx(1000 / 3)
 
 
-def test_the_margin_is_of_winners_only() -> None:
-    late = {"careful_+0.4": False, "manoeuvre_+0.4": True}
-    gone = {"careful_+0.4": False, "manoeuvre_+0.4": False}
+def test_robust_is_asked_of_valid_winners_only() -> None:
+    held = {"valid": 4, "of": 6, "robust": True}
+    lost = {"valid": 3, "of": 6, "robust": False}
     cells = [
-        cell("straight-1", "expert", attempt(strict=True, sensitivity=late)),
-        cell("straight-2", "expert", attempt(valid=True, sensitivity=gone)),
-        cell("straight-3", "expert", attempt(collided=True, sensitivity=late)),
+        cell("straight-1", "expert", attempt(strict=True)) | {"robust": held},
+        cell("straight-2", "expert", attempt(valid=True)) | {"robust": lost},
+        cell("straight-3", "expert", attempt(collided=True)) | {"robust": None},
     ]
-    table = make_table(cells, title="Made")
-    assert (value(table, "margin_valid"), value(table, "margin_strict")) == (0.5, 0)
+    assert value(make_table(cells, title="Made"), "robust") == 0.5
 
 
 def test_realism_pools_steps() -> None:

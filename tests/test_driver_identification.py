@@ -14,7 +14,7 @@ from sumo_adv.datatypes import Limits, ObservedMotion, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.driver_identification import WIDE, DriverIdentification, apart, models_of
+from sumo_adv.search.driver_identification import WIDE, DriverIdentification, apart, family_of
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import predict
 
@@ -43,27 +43,37 @@ def course(x: list[float], seen: int) -> ObservedMotion:
     return ObservedMotion(np.array(x), np.zeros(len(x)), np.zeros(len(x)), seen)
 
 
-def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_four() -> None:
-    assert models_of(IDM) == [IDM] and not DriverIdentification(IDM).open
-    assert [(m.kind, m.sees, m.reaction) for m in models_of(UNKNOWN)] == [
-        ("idm", 0.0, None), ("careful", 0.0, 0.1), ("idm", WIDE, None), ("replay", 0.0, None)
-    ]  # fmt: skip
-    assert len(models_of(replace(UNKNOWN, kind="replay"))) == 1  # a forecast at constant velocity was asked for
+def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_a_family_without_our_own_careful_driver() -> None:
+    assert [m for m, _ in family_of(IDM)] == [IDM] and not DriverIdentification(IDM).open
+    family = family_of(UNKNOWN)
+    assert sum(prior for _, prior in family) == pytest.approx(1.0)
+    assert family[0][0] == UNKNOWN and "careful" not in {m.kind for m, _ in family}
+    assert len(family_of(replace(UNKNOWN, kind="replay"))) == 1  # a forecast at constant velocity was asked for
 
 
-def test_the_model_with_the_least_error_over_all_attempts_is_believed() -> None:
+def test_each_observed_second_multiplies_the_odds() -> None:
     driver = DriverIdentification(UNKNOWN)
-    assert driver.observe([2.0, 2.0, 3.0, 4.0]) is False  # of equals the first
-    assert driver.observe([3.0, 2.0, 1.0, 4.0]) is True and driver.model.kind == "careful"  # 5, 4, 4, 8
-    assert driver.observe([0.0, 3.0, 1.5, 4.0]) is True and driver.model == UNKNOWN  # 5, 7, 5.5, 12
-    assert driver.observe([0.6, 0.0, 0.0, 0.0]) is False  # 5.6, 7, 5.5, 12: not clearly
-    assert driver.observe([0.6, 0.0, 0.0, 0.0]) is True and driver.model.sees == WIDE  # 6.2, 7, 5.5: less than 5.58
+    before = dict(zip(driver.models, driver.weights, strict=True))
+    far, near = np.array([4.0, 4.0]), np.array([0.0, 0.0])  # m in each of two seconds
+    wide = replace(UNKNOWN, sees=WIDE)
+    assert driver.observe([near if m == wide else far for m in driver.models]) is True and driver.model == wide
+    after = dict(zip(driver.models, driver.weights, strict=True))
+    odds = (after[wide] / after[UNKNOWN]) / (before[wide] / before[UNKNOWN])
+    assert odds == pytest.approx(np.exp((4.0 + 4.0) / 4.0))  # a scale of 4 m
 
 
-def test_the_error_is_the_mean_distance_as_far_as_the_ego_was_seen_and_10_m_at_most() -> None:
+def test_another_driver_is_believed_only_if_it_is_clearly_likelier() -> None:
+    driver = DriverIdentification(UNKNOWN)  # 0.25 against 0.2 for the automatic brake
+    braked = [np.array([2.0])] + [np.array([0.0])] + [np.array([9.0])] * 4
+    assert driver.observe(braked) is False  # 0.25 exp(-0.5) = 0.15 against 0.2: 1.3 times
+    assert driver.observe(braked) is True  # 0.092 against 0.2
+    assert driver.model.guard is not None and [w for _, w in driver.likely] == pytest.approx([0.685, 0.315], abs=1e-3)
+
+
+def test_the_distance_is_the_mean_in_each_second_that_was_seen() -> None:
     seen, predicted = (np.array([0.0, 3.0, 50.0, 9.0]), np.zeros(4)), (np.zeros(5), np.array([1.0, 4.0, 0.0, 0.0, 0.0]))
-    assert apart(seen, predicted, course([0.0] * 4, 2)) == pytest.approx((1.0 + 5.0) / 2)
-    assert apart(seen, predicted, course([0.0] * 4, 3)) == pytest.approx((1.0 + 5.0 + 10.0) / 3)
+    assert apart(seen, predicted, course([0.0] * 4, 2), 0.5) == pytest.approx([(1.0 + 5.0) / 2])
+    assert apart(seen, predicted, course([0.0] * 4, 3), 0.5) == pytest.approx([3.0, 50.0])
 
 
 def test_an_unknown_ego_seen_braking_for_a_vehicle_beside_its_lane_is_predicted_to_do_so(sandbox: Sandbox) -> None:

@@ -54,7 +54,8 @@ def judged(
     """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    (found,) = judge_all(replace(scene(bv, others), left=left), [PROPOSAL], rollouts, drivable, Limits(), WEIGHTS)
+    now = {0.0: replace(scene(bv, others), left=left)}
+    (found,) = judge_all(now, [PROPOSAL], rollouts, drivable, Limits(), WEIGHTS)
     return {"score": found[0], **asdict(found[1])}
 
 
@@ -261,6 +262,6 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     now = changed(scene(bv, [follower]), reacting=reacting)
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
     road = Drivable(box(-100.0, -4.8, 500.0, 2.3))
-    ((score, found),) = judge_all(now, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)
+    ((score, found),) = judge_all({0.0: now}, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)
     assert found.third_party is third
     assert (score == THIRD) is third

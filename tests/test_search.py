@@ -34,6 +34,9 @@ class Same:
     def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
 
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        return list(proposals)
+
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         return False
 
@@ -43,6 +46,9 @@ class Best:
 
     def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.05, nominal=0.05) for p in proposals]
+
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        return list(proposals)
 
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         return False
@@ -158,6 +164,9 @@ class Changed(Same):
 
     def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         return [replace(p, score=0.9 if self.attempts else 0.5, prediction=Prediction(hit=True)) for p in proposals]
+
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        return list(proposals)
 
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         self.attempts += 1

@@ -64,6 +64,9 @@ class ByGap:
             for p in proposals
         ]  # fmt: skip
 
+    def expected(self, proposals):
+        return list(proposals)
+
     def observe(self, tried, motion):
         return False
 
@@ -93,6 +96,9 @@ class InTurn:
         return [
             replace(p, score=self.scores[min(k, len(self.scores) - 1)]) for k, p in zip(places, proposals, strict=True)
         ]
+
+    def expected(self, proposals):
+        return list(proposals)
 
     def observe(self, tried, motion):
         return False

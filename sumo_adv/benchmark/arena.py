@@ -11,6 +11,7 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
+from sumo_adv.benchmark.perturbed import robustness_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, succeeded
@@ -122,6 +123,12 @@ class Arena:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
         return episode
+
+    def robustness(self, episode: Episode) -> dict[str, Any] | None:
+        """How the attempt that counts fares with other timing; see ``robustness_of``."""
+        if episode.found is None:
+            return None
+        return robustness_of(episode, self._brain(episode.found), episode.settings.seed)
 
     def _one(self, opponent: Opponent, episode: Episode, found: FoundEncounter, clock: _Clock) -> bool:
         done = episode.refinement

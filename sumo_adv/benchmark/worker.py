@@ -99,19 +99,19 @@ class Bencher:
     def _cell(self, job: Job, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
         method = method_of(row)
         if method is None:
-            return self._filled(job, row, arena.by_opponent(make_row(row), bank))
+            return self._filled(job, row, arena.by_opponent(make_row(row), bank), arena)
         if method.name == RAW:
             return self._unattacked(job, row, arena)
         if arena.found is None:
-            return self._filled(job, row, arena.fresh())
+            return self._filled(job, row, arena.fresh(), arena)
         settings = arena.episode.settings
         with (
             bank_of(method, job, self._setup, bank, scratch) as own,
             self._setup.parts.open_agents(settings, arena.sandbox, scratch / f"{slug(row)}.jsonl") as agents,
         ):
-            return self._filled(job, row, arena.by_program(own, agents))
+            return self._filled(job, row, arena.by_program(own, agents), arena)
 
-    def _filled(self, job: Job, row: str, episode: Episode) -> Cell:
+    def _filled(self, job: Job, row: str, episode: Episode, arena: Arena) -> Cell:
         """The cell of a row that attacked, or could not."""
         outcome = self._setup.parts.full_outcome(episode)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
@@ -123,7 +123,7 @@ class Bencher:
             with suppress(UsageError):  # what cannot be drawn is no failure of the row
                 self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
         return cell | {
-            "timing": timing,
+            "timing": timing, "robust": arena.robustness(episode),
             "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
             "encounter": outcome["encounter"],
         }  # fmt: skip

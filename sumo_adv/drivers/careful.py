@@ -27,7 +27,7 @@ from sumo_adv.drivers.sumo_driven import MODELS, known_model, sumo_type
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.paths import EgoPaths
-from sumo_adv.metrics.reference.cc_human import PERCEPTION, REACTION, CcHuman
+from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.view import HISTORY, View
 
 HALF_LANE = 1.6  # m, half of SUMO's default lane
@@ -182,15 +182,12 @@ class CarefulEgo:
 class CarefulDrivers:
     """N predicted drivers, each of which watches one adversary of a length and width [m], ``(N,)``."""
 
-    def __init__(
-        self, ego: tuple[float, float], length: Floats, width: Floats, dt: float, reaction: float | None = None
-    ) -> None:
-        """``ego``: length and width [m]; ``reaction``: from a danger to the first braking [s], None = UN R157's."""
+    def __init__(self, ego: tuple[float, float], length: Floats, width: Floats, dt: float) -> None:
+        """``ego``: length and width [m]."""
         self._ego, self._length, self._width, self._dt = ego, length[:, None], width[:, None], dt
         self._history = max(1, round(HISTORY / dt))
         self._past: list[tuple[Floats, Floats, Floats]] = []  # offset, heading, speed of the last steps, (N, 1)
-        decision = REACTION if reaction is None else max(reaction - PERCEPTION, 0.0)
-        self._drivers = CcHuman((len(length), 1), dt, decision)
+        self._drivers = CcHuman((len(length), 1), dt)
 
     def bound(
         self, ego: tuple[Floats, Floats, Floats], adversary: tuple[Floats, Floats, Floats], speed: Floats

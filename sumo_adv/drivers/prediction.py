@@ -15,6 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import EMERGENCY, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
+from sumo_adv.drivers.guard import Guards
 from sumo_adv.drivers.junctions import AtJunction, Junctions
 from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
@@ -64,7 +65,9 @@ class PredictedEgos:
         self._junctions = Junctions(scenes, self._driver)
         self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model.kind == "careful"
-        self._careful = CarefulDrivers(size, length, width, scenes.dt, self.model.reaction) if careful else None
+        self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
+        guard = self.model.guard
+        self._guards = None if guard is None else Guards(guard, size, length, width, scenes.dt)
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
@@ -146,6 +149,8 @@ class PredictedEgos:
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))
+        if self._guards is not None:
+            bound = np.minimum(bound, self._guards.bound((self.s, self.d, self.v), adversary, speed))
         if at_junction is not None:
             bound = np.minimum(bound, self._junctions.bound(at_junction, self.s, self.v))
         return np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))

@@ -1,7 +1,8 @@
-"""Which driver model fits an ego with an unknown driver, judged by its motions in the attempts so far.
+"""Which drivers an ego may be, judged by how it went without an attack and in the attempts so far.
 
-Several models are held against each attempt. The model with the least prediction error over all attempts is used for
-predictions from then on. A known driver has one model.
+A known driver has one model. For an unknown one a family of simple drivers is held against everything that was
+observed. Each has a weight (Bayes' rule, with an exponential law for the distance between the predicted and the real
+ego). Predictions are made for the most likely driver; the best candidates are scored by all likely ones.
 """
 
 from __future__ import annotations
@@ -11,20 +12,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
+from sumo_adv.datatypes import DriverModel, Floats, Guard, ObservedMotion
 
-FAR = 10.0  # m: a larger error counts as this
-ALERT = 0.1  # s until an alert driver brakes for a vehicle that comes its way
-CLEARLY = 0.9  # switch models when a rival's error is below this fraction of the current model's error
-WIDE = 2.5  # m to either side within which a wary driver takes a vehicle ahead for its leader
+FAR = 10.0  # m: a larger distance counts as this
+SCALE = 4.0  # m: mean distance of a good model's prediction from the real ego, for each observed second
+CLEARLY = 1.5  # another driver is believed once it is so many times as likely, since all is predicted again then
+LIKELY, MOST = 0.1, 3  # a driver with a smaller weight is left out, and so are all but the most likely ones
+WIDE = 2.5  # m to either side within which a driver takes a vehicle ahead for its leader
+AUTOMATIC = Guard(ttc=1.5, reaction=0.1, deceleration=8.0)  # an automatic emergency brake
+FORESIGHT = Guard(ttc=3.0, reaction=0.5, deceleration=4.0)  # a driver that brakes early and gently
 
 
 class DriverIdentification:
     """``models``: all that are considered, the default first."""
 
     def __init__(self, model: DriverModel) -> None:
-        self.models = models_of(model)
-        self._errors = np.zeros(len(self.models))
+        family = family_of(model)
+        self.models = [m for m, _ in family]
+        self._log = np.log([prior for _, prior in family])
         self._current = 0
 
     @property
@@ -37,30 +42,49 @@ class DriverIdentification:
         """The model that is believed now."""
         return self.models[self._current]
 
-    def observe(self, errors: Sequence[float]) -> bool:
-        """Add each model's error [m] in an attempt; whether another model is believed from now on. Only a clearly
-        better one is, since everything is predicted again then."""
-        self._errors += errors
-        nearest = int(np.argmin(self._errors))
-        if self._errors[nearest] >= CLEARLY * self._errors[self._current]:
+    @property
+    def weights(self) -> Floats:
+        """How likely each model is; the sum is 1."""
+        relative = np.exp(self._log - self._log.max())
+        return np.asarray(relative / relative.sum())
+
+    @property
+    def likely(self) -> list[tuple[DriverModel, float]]:
+        """The models that count for the scores, the believed one first, with weights whose sum is 1."""
+        weights = self.weights
+        order = sorted(range(len(weights)), key=lambda k: (k != self._current, -weights[k]))
+        chosen = [k for k in order if k == self._current or weights[k] >= LIKELY][:MOST]
+        return [(self.models[k], float(weights[k] / weights[chosen].sum())) for k in chosen]
+
+    def observe(self, distances: Sequence[Floats]) -> bool:
+        """Take note of how far from the real ego each model is in each observed second [m]; whether another model is
+        believed from now on."""
+        self._log = self._log - np.array([np.minimum(d, FAR).sum() for d in distances]) / SCALE
+        nearest = int(np.argmax(self._log))
+        if self._log[nearest] < self._log[self._current] + np.log(CLEARLY):
             return False
         self._current = nearest
         return True
 
 
-def models_of(model: DriverModel) -> list[DriverModel]:
-    """The model of a known driver alone; for an unknown driver, four: the default, an alert driver that brakes at once
-    for a vehicle that comes its way, a wary driver that takes a vehicle beside its lane for a leader, and a driver
-    that never reacts."""
+def family_of(model: DriverModel) -> list[tuple[DriverModel, float]]:
+    """The model of a known driver alone. For an unknown one: drivers that differ in where they look and when they
+    brake, with their weights before anything is observed."""
     if model.known or model.kind == "replay":
-        return [model]
+        return [(model, 1.0)]
     return [
-        model, replace(model, kind="careful", reaction=ALERT), replace(model, sees=WIDE), replace(model, kind="replay")
-    ]  # fmt: skip
+        (model, 0.25),
+        (replace(model, guard=AUTOMATIC), 0.2),
+        (replace(model, guard=FORESIGHT), 0.2),
+        (replace(model, sees=WIDE), 0.15),
+        (replace(model, kind="lattice"), 0.1),  # it swerves
+        (replace(model, kind="replay"), 0.1),  # it never reacts
+    ]
 
 
-def apart(real: tuple[Floats, Floats], predicted: tuple[Floats, Floats], motion: ObservedMotion) -> float:
-    """Mean distance [m] of a predicted ego from the real one, x and y by step, over the observed steps of a motion."""
+def apart(real: tuple[Floats, Floats], predicted: tuple[Floats, Floats], motion: ObservedMotion, dt: float) -> Floats:
+    """Mean distance [m] of a predicted ego from the real one in each observed second; x and y by step of ``dt`` [s]."""
     steps = max(1, min(motion.seen, len(real[0]), len(predicted[0])))
     distance = np.hypot(real[0][:steps] - predicted[0][:steps], real[1][:steps] - predicted[1][:steps])
-    return float(np.minimum(distance, FAR).mean())
+    second = max(1, round(1.0 / dt))
+    return np.array([distance[k : k + second].mean() for k in range(0, steps, second)])

@@ -6,14 +6,13 @@ search must not know, so that their answers say something about it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
-from sumo_adv.geometry import Path
 from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.human import envelope_left
@@ -51,36 +50,46 @@ class Danger:
     acceleration: Floats  # the largest of the adversary up to the contact [m/s2]
 
 
-def danger_of(
-    situation: Situation, bvs: Sequence[str], ego: Boxes, adversary: Boxes, last: Ints,
-    at_contact: tuple[Boxes, Boxes], drivable: Drivable, weights: ScoreSettings,
-) -> Danger:  # fmt: skip
-    """The level of each predicted collision.
+@dataclass(frozen=True, slots=True)
+class Collisions:
+    """Predicted collisions, row by row.
 
-    ego, adversary: ``(n, steps)`` from the start of the attack on. last: the step of the contact ``(n,)``; at_contact:
-    both boxes then, ``(n,)``. bvs: the adversary of each row.
+    situations: those at the start of the attacks; bvs: the adversaries. ego, adversary: ``(n, steps)`` from the start
+    on. last: the step of the contact ``(n,)``; at_contact: both boxes then, ``(n,)``.
     """
-    n, dt = len(last), situation.dt
-    onward = _onward(situation.baseline.path, ego, last)
-    check = _check(situation, ego, adversary, last, onward, None)
+
+    situations: Sequence[Situation]
+    bvs: Sequence[str]
+    ego: Boxes
+    adversary: Boxes
+    last: Ints
+    at_contact: tuple[Boxes, Boxes]
+
+
+def danger_of(collisions: Collisions, drivable: Drivable, weights: ScoreSettings) -> Danger:
+    """The level of each predicted collision. All are judged together, which takes less time than one by one."""
+    situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
+    n, dt = len(last), situations[0].dt
+    onward = _onward(situations, ego, last)
+    check = _check(collisions, onward, np.arange(n))
     normal = check.braking(CcHuman)
     contact = last * dt
     warning = np.where(normal.alarm < contact, contact - normal.alarm, 0.0)
     conclusive = (warning > 0.0) & ~check.unchanged().avoids
     careful = normal.avoids & conclusive
-    everything = situation, bvs, ego, adversary, last, onward
-    for rows, counterfactual in _with_others(*everything, np.flatnonzero(careful)):
-        careful[rows] = counterfactual.braking(CcHuman).avoids
+    if len(rows := np.flatnonzero(careful)):
+        careful[rows] = _check(collisions, onward, rows, with_others=True).braking(CcHuman).avoids
     late = careful.copy()
-    if careful.any():
-        rows = np.flatnonzero(careful)
-        again = _check(situation, some_rows(ego, rows), some_rows(adversary, rows), last[rows], onward[rows], None)
-        late[rows] = again.braking(partial(CcHuman, reaction=REACTION + weights.later)).avoids
+    if len(rows := np.flatnonzero(careful)):
+        later = partial(CcHuman, reaction=REACTION + weights.later)
+        late[rows] = _check(collisions, onward, rows).braking(later).avoids
     manoeuvre = careful.copy()
-    warned = np.flatnonzero(conclusive & ~careful & (warning >= LEAST_WARNING))
-    for rows, counterfactual in _with_others(*everything, warned):
-        manoeuvre[rows] = counterfactual.manoeuvring(normal.alarm[rows], drivable)[0].avoids
-    impacts = [crash_of(*_single(at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)]
+    if len(rows := np.flatnonzero(conclusive & ~careful & (warning >= LEAST_WARNING))):
+        room = _check(collisions, onward, rows, with_others=True)
+        manoeuvre[rows] = room.manoeuvring(normal.alarm[rows], drivable)[0].avoids
+    impacts = [
+        crash_of(*_single(collisions.at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)
+    ]
     delta_v = np.array([impact.ego_delta_v for impact in impacts])
     human = _human(check, adversary, last, dt)
     span = np.arange(ego.x.shape[1])
@@ -106,42 +115,59 @@ def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
     return largest_acceleration(until, change, np.asarray(np.arange(steps.shape[1]) * dt, float))
 
 
-def _check(
-    situation: Situation, ego: Boxes, adversary: Boxes, last: Ints, onward: Floats, others: Boxes | None
-) -> Counterfactual:
-    """The counterfactual of the rows: the ego as predicted until the contact, the adversary as planned after it too."""
+def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: bool = False) -> Counterfactual:
+    """The counterfactual of some rows: the ego as predicted until the contact, the adversary as planned after it too.
+
+    with_others: with the other vehicles near, which may leave a reference driver no room.
+    """
+    last, situation = collisions.last[rows], collisions.situations[0]
     until = int(last.max()) + 1
     stop = until + round(BEYOND / situation.dt)
+    ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
     given = Encounters(
         some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, stop)), np.zeros(len(last), np.intp), last,
-        situation.dt, others, situation.road.lane_width / 2, onward,
+        situation.dt, _others(collisions, rows) if with_others else None, situation.road.lane_width / 2, onward[rows],
     )  # fmt: skip
     return Counterfactual(given)
 
 
-def _onward(path: Path, ego: Boxes, last: Ints) -> Floats:
+def _onward(situations: Sequence[Situation], ego: Boxes, last: Ints) -> Floats:
     """Points ``(n, P, 2)`` of the ego's way past the contact: its unattacked path, beside it by the ego's offset."""
     ahead = np.arange(WAY_STEP, WAY, WAY_STEP)
     points = np.full((len(last), len(ahead), 2), np.nan)
     for row, k in enumerate(last.tolist()):
+        path = situations[row].baseline.path
         station, offset = path.project(float(ego.x[row, k]), float(ego.y[row, k]))
         x, y, _ = path.at(station + ahead, np.full(len(ahead), offset))
         points[row] = np.stack([x, y], axis=-1)
     return points
 
 
-def _with_others(
-    situation: Situation, bvs: Sequence[str], ego: Boxes, adversary: Boxes, last: Ints, onward: Floats, rows: Ints
-) -> Iterator[tuple[Ints, Counterfactual]]:
-    """``rows`` by their adversary, with the counterfactual that contains the other vehicles near: they may leave a
-    reference driver no room."""
-    names = np.array([bvs[k] for k in rows])
-    time = np.asarray(situation.time + np.arange(ego.x.shape[1]) * situation.dt, float)
-    for bv in np.unique(names):
-        k = rows[names == bv]
-        tracks = [t for t in situation.traffic.others if t.id != bv and _comes_near(t.x, t.y, ego, last, k)]
-        others = on_grid(tracks, time) if tracks else None
-        yield k, _check(situation, some_rows(ego, k), some_rows(adversary, k), last[k], onward[k], others)
+def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
+    """The other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if there are none."""
+    steps = collisions.ego.x.shape[1]
+    found: dict[tuple[int, str], Boxes | None] = {}
+    names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
+    for key, row in zip(names, rows.tolist(), strict=True):
+        if key in found:
+            continue
+        situation, (_, bv) = collisions.situations[row], key
+        same = rows[[n == key for n in names]]
+        tracks = [
+            t for t in situation.traffic.others
+            if t.id != bv and _comes_near(t.x, t.y, collisions.ego, collisions.last, same)
+        ]  # fmt: skip
+        time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
+        found[key] = on_grid(tracks, time) if tracks else None
+    most = max(0 if b is None else len(b.x) for b in found.values())
+    if not most:
+        return None
+    motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
+    for row, key in enumerate(names):
+        if (b := found[key]) is not None:
+            motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
+            size[:, row, : len(b.x)] = [np.broadcast_to(v, (len(b.x), 1)) for v in (b.length, b.width)]
+    return Boxes(*motion, *size)
 
 
 def _comes_near(x: Floats, y: Floats, ego: Boxes, last: Ints, rows: Ints) -> bool:

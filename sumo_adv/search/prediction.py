@@ -6,13 +6,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import Level, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.search.driver_identification import DriverIdentification, apart
-from sumo_adv.search.rollouts import Rollouts, part, predict
+from sumo_adv.search.rollouts import Rollouts, predict
 from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -48,6 +50,30 @@ class Predictor:
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """Predicted candidates with the scores that are expected over the likely drivers, and ``likely``: how likely a
+        valid collision is. A known driver is the case of one.
+
+        A score that was corrected by the ego's own motion stays.
+        """
+        scored, likely = list(proposals), self._driver.likely
+        if len(likely) == 1 or not scored:
+            return scored
+        worst = self._weights.expected_worst
+        sums = np.array([[min(p.score, worst), _is_valid(p)] for p in scored]) * likely[0][1]
+        before = self._situations
+        for model, weight in likely[1:]:
+            self._situations = {k: s.driven_by(model) for k, s in before.items()}
+            sums += weight * np.array([[min(p.score, worst), _is_valid(p)] for p in self.score(scored)])
+        self._situations = before
+        results = []
+        for p, (score, valid) in zip(scored, sums.tolist(), strict=True):
+            assert p.prediction is not None
+            own = p.score if p.uncorrected is not None or p.prediction.hopeless else score
+            told = replace(p.prediction, likely=valid)
+            results.append(replace(p, score=own, nominal=p.nominal_score, prediction=told))
+        return results
+
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         """Hold the driver models against the ego's motion in an attempt; whether another one is believed from now on,
         so that predictions must be repeated."""
@@ -55,11 +81,11 @@ class Predictor:
             return False
         began, situation = time.perf_counter(), self._situations[tried.delay]
         real = situation.baseline.path.at(motion.s, motion.d)
-        errors = []
+        distances = []
         for model in self._driver.models:
             ego = self.rolled({tried.delay: situation.driven_by(model)}, [tried]).ego
-            errors.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion))
-        changed = self._driver.observe(errors)
+            distances.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion, situation.dt))
+        changed = self._driver.observe(distances)
         if changed:
             model = self._driver.model
             self._situations = {k: s.driven_by(model) for k, s in self._situations.items()}
@@ -68,7 +94,8 @@ class Predictor:
 
     def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
         rollouts, failures = self._rolled(self._situations, proposals, motions)
-        judged = self._judged(proposals, rollouts)
+        limits = self._settings.limits.limits()
+        judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
         for k, failure in failures.items():
             judged[k] = self._weights.failed, Prediction(failure)
         return [replace(p, score=score, prediction=made) for p, (score, made) in zip(proposals, judged, strict=True)]
@@ -96,16 +123,9 @@ class Predictor:
         failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}
         return rollouts, {**sessions.broken, **failed}
 
-    def _judged(self, proposals: Sequence[Proposal], rollouts: Rollouts) -> list[tuple[float, Prediction]]:
-        """Score and prediction of each rollout; those that start at the same time are judged together."""
-        results: dict[int, tuple[float, Prediction]] = {}
-        limits = self._settings.limits.limits()
-        for delay in dict.fromkeys(p.delay for p in proposals):
-            rows = [k for k, p in enumerate(proposals) if p.delay == delay]
-            candidates, situation = [proposals[k] for k in rows], self._situations[delay]
-            judged = judge_all(situation, candidates, part(rollouts, rows), self._drivable, limits, self._weights)
-            results |= dict(zip(rows, judged, strict=True))
-        return [results[k] for k in range(len(proposals))]
+
+def _is_valid(p: Proposal) -> float:
+    return float(p.prediction is not None and p.prediction.level >= Level.VALID)
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:

@@ -15,6 +15,10 @@ class Scorer(Protocol):
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
         ...
 
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """Predicted candidates with the scores that are expected over all drivers that the ego may be."""
+        ...
+
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         """Take note of the ego's motion in an attempt; whether predictions differ from now on."""
         ...

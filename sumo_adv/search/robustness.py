@@ -39,6 +39,7 @@ def weighed_with_neighbours(
         group = [p, *(replace(q, is_neighbour=True) for q in near[k * count : (k + 1) * count])]
         mean = sum(min(q.score, settings.worst) for q in group) / len(group)
         weighed += [
-            replace(q, score=settings.own * q.score + (1.0 - settings.own) * mean, nominal=q.score) for q in group
+            replace(q, score=settings.own * q.score + (1.0 - settings.own) * mean, nominal=q.nominal_score)
+            for q in group
         ]
     return weighed

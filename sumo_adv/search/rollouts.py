@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -34,12 +33,6 @@ class Rollouts:
     ego: tuple[Floats, Floats, Floats, Floats]
     adversary: tuple[Floats, Floats, Floats, Floats]
     disturbed: Bools
-
-
-def part(rollouts: Rollouts, rows: Any) -> Rollouts:
-    """Some of the rows."""
-    ego, adversary = (tuple(q[rows] for q in motion) for motion in (rollouts.ego, rollouts.adversary))
-    return Rollouts(rollouts.time, ego, adversary, rollouts.disturbed[rows])
 
 
 def predict(

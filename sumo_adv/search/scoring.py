@@ -8,12 +8,12 @@ and rear-ends follow in this order.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Level, Limits, Prediction, Proposal, Role
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role
 from sumo_adv.drivers.third_parties import braking
 from sumo_adv.metrics.boxes import between_steps, gap, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
@@ -21,7 +21,7 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.metrics.levels import SERIOUS_DELTA_V
 from sumo_adv.search.novelty import TRACE_STEP
-from sumo_adv.search.predicted_level import Danger, danger_of, some_rows, some_steps
+from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
 from sumo_adv.search.rollouts import Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -34,59 +34,104 @@ LEAST_STEPS = 3  # before a contact, for a hazard to show
 
 
 def judge_all(
-    situation: Situation, proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable, limits: Limits,
-    weights: ScoreSettings,
+    situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable,
+    limits: Limits, weights: ScoreSettings,
 ) -> list[tuple[float, Prediction]]:  # fmt: skip
-    """The score and the prediction of each rollout, row by row."""
-    n, steps = rollouts.ego[0].shape
-    brakes = _brakes(rollouts.adversary[3], situation.dt)
-    lengths = np.array([[situation.targets[p.bv].state.length] for p in proposals])
-    widths = np.array([[situation.targets[p.bv].state.width] for p in proposals])
-    ego = Boxes(*rollouts.ego, situation.ego.length, situation.ego.width)
-    adversary = Boxes(*rollouts.adversary, lengths, widths)
+    """The score and the prediction of each rollout, row by row; ``situations``: by delay [s]."""
+    seen = _look_at(situations, proposals, rollouts, drivable, limits, weights)
+    missed = weights.miss_by_ttc * np.minimum(seen.least, 10.0) + weights.miss_by_gap * np.minimum(seen.nearest, 30.0)
+    score = np.where(seen.hit, weights.no_warning, weights.miss + missed)
+    score = np.where(seen.leaves, weights.off_road, np.where(seen.beyond, weights.beyond_limits, score))
+    score = np.where(seen.third, weights.third_party, np.where(seen.rear, weights.rear_end, score))
+    predictions = [_prediction(seen, k) for k in range(len(proposals))]
+    rows = np.flatnonzero(seen.counts & (seen.contact >= LEAST_STEPS))
+    if len(rows):
+        own, foe = (some_rows(b, rows) for b in (seen.ego, seen.adversary))
+        one, other = (pick(b, rows) for b in seen.at_contact)
+        names = [proposals[k].bv for k in rows.tolist()]
+        begun = [situations[proposals[k].delay] for k in rows.tolist()]
+        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other)), drivable, weights)
+        score[rows] = _score(danger, seen.firm[rows], weights)
+        for i, k in enumerate(rows.tolist()):
+            predictions[k] = _with_danger(predictions[k], danger, i)
+    return list(zip(score.tolist(), predictions, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What rollouts come to, row by row.
+
+    contact: the step of the first contact; last: that step or the last one that is judged; end: the last one that may
+    be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. firm: a smaller box touches,
+    too. third, leaves, beyond, rear: what rules a row out.
+    """
+
+    ego: Boxes
+    adversary: Boxes
+    dt: float
+    contact: Ints
+    hit: Bools
+    firm: Bools
+    end: Ints
+    last: Ints
+    at_contact: tuple[Boxes, Boxes]
+    third: Bools
+    leaves: Bools
+    beyond: Bools
+    rear: Bools
+    least: Floats
+    nearest: Floats
+    nearest_step: Ints
+
+    @property
+    def counts(self) -> Bools:
+        """Which are collisions that nothing rules out."""
+        return self.hit & ~(self.third | self.leaves | self.beyond | self.rear)
+
+
+def _look_at(
+    situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable,
+    limits: Limits, weights: ScoreSettings,
+) -> _Seen:  # fmt: skip
+    steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
+    states = [now.targets[p.bv].state for now, p in zip(begun, proposals, strict=True)]
+    mine, dt = begun[0].ego, begun[0].dt
+    lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
+    ego, adversary = Boxes(*rollouts.ego, mine.length, mine.width), Boxes(*rollouts.adversary, lengths, widths)
+    left = np.array([now.left for now in begun])
     contact = _first(touching(ego, adversary))
-    hit = contact < min(steps, situation.left + 1)
+    hit = contact < np.minimum(steps, left + 1)
     smaller = Boxes(*rollouts.adversary, lengths - weights.graze, widths - weights.graze)
-    firm = np.asarray(touching(ego, smaller).any(axis=1))
-    end = int(min(steps - 1, situation.left))
+    end = np.minimum(steps - 1, left).astype(np.intp)
     last = np.minimum(contact, end)
     end_time, at_contact = _ends(ego, adversary, last, hit, rollouts.time)
     judged = (rollouts.time > 0) & (rollouts.time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
-    before = np.array([situation.targets[p.bv].state.acceleration for p in proposals])
-    third = _third_party(situation, proposals, adversary, rollouts.time, end_time)
-    leaves = _leaves_road(adversary, judged, drivable)
-    beyond = _beyond_limits(adversary, before, rollouts.time, judged, limits)
-    rear = hit & rear_end(*at_contact)
+    before = np.array([s.acceleration for s in states])
+    third = np.zeros(len(proposals), bool)
+    for delay in dict.fromkeys(p.delay for p in proposals):
+        rows = np.array([k for k, p in enumerate(proposals) if p.delay == delay])
+        there = [proposals[k].bv for k in rows.tolist()]
+        third[rows] = _third_party(situations[delay], there, some_rows(adversary, rows), rollouts.time, end_time[rows])
     least, nearest, nearest_step = _least(ego, adversary, last)
-    good = np.flatnonzero(hit & ~third & ~leaves & ~beyond & ~rear & (contact >= LEAST_STEPS))
-    missed = weights.miss_by_ttc * np.minimum(least, 10.0) + weights.miss_by_gap * np.minimum(nearest, 30.0)
-    score = np.where(hit, weights.no_warning, weights.miss + missed)
-    score = np.where(leaves, weights.off_road, np.where(beyond, weights.beyond_limits, score))
-    score = np.where(third, weights.third_party, np.where(rear, weights.rear_end, score))
-    found: dict[int, int] = {}
-    danger = None
-    if len(good):
-        names = [proposals[k].bv for k in good.tolist()]
-        own, foe = (some_rows(b, good) for b in (ego, adversary))
-        meeting = tuple(pick(b, good) for b in at_contact)
-        danger = danger_of(situation, names, own, foe, last[good], meeting, drivable, weights)  # type: ignore[arg-type]
-        score[good] = _score(danger, firm[good], weights)
-        found = {int(k): i for i, k in enumerate(good)}
-    closest = np.where(hit, last, nearest_step)
-    predictions = []
-    for k in range(n):
-        made = Prediction(
-            hit=bool(hit[k]), min_ttc=0.0 if hit[k] else float(least[k]), gap=float(nearest[k]),
-            time=float(last[k] * situation.dt), spare=float((end - last[k]) * situation.dt),
-            braking=float(brakes[k, : max(int(last[k]), 1)].mean()), third_party=bool(third[k]),
-            off_road=bool(leaves[k]), beyond_limits=bool(beyond[k]),
-            level=Level.COLLISION if hit[k] and not (third[k] or leaves[k] or beyond[k] or rear[k]) else Level.NONE,
-            trace=_trace(adversary, k, int(closest[k]), situation.dt), closest=float(closest[k] * situation.dt),
-        )  # fmt: skip
-        if danger is not None and k in found:
-            made = _with_danger(made, danger, found[k])
-        predictions.append((float(score[k]), made))
-    return predictions
+    return _Seen(
+        ego, adversary, dt, contact, hit, np.asarray(touching(ego, smaller).any(axis=1)), end, last, at_contact, third,
+        _leaves_road(adversary, judged, drivable), _beyond_limits(adversary, before, rollouts.time, judged, limits),
+        hit & rear_end(*at_contact), least, nearest, nearest_step,
+    )  # fmt: skip
+
+
+def _prediction(seen: _Seen, k: int) -> Prediction:
+    """The prediction of row ``k``, without what ``danger_of`` adds."""
+    hit, last, dt = bool(seen.hit[k]), int(seen.last[k]), seen.dt
+    closest = last if hit else int(seen.nearest_step[k])
+    braking_share = (np.diff(seen.adversary.speed[k, : max(last, 1) + 1]) / dt < -GENTLY).mean()
+    return Prediction(
+        hit=hit, min_ttc=0.0 if hit else float(seen.least[k]), gap=float(seen.nearest[k]), time=last * dt,
+        spare=float(seen.end[k] - last) * dt, braking=float(braking_share), third_party=bool(seen.third[k]),
+        off_road=bool(seen.leaves[k]), beyond_limits=bool(seen.beyond[k]),
+        level=Level.COLLISION if seen.counts[k] else Level.NONE, trace=_trace(seen.adversary, k, closest, dt),
+        closest=closest * dt,
+    )  # fmt: skip
 
 
 def _with_danger(made: Prediction, danger: Danger, row: int) -> Prediction:
@@ -103,11 +148,6 @@ def _trace(adversary: Boxes, row: int, until: int, dt: float) -> tuple[tuple[flo
     steps = slice(0, until + 1, max(1, round(TRACE_STEP / dt)))
     x, y = np.round(adversary.x[row, steps], 2).tolist(), np.round(adversary.y[row, steps], 2).tolist()
     return tuple(zip(x, y, strict=True))
-
-
-def _brakes(speed: Floats, dt: float) -> Bools:
-    """Whether it brakes by more than ``GENTLY``, step by step."""
-    return np.asarray(np.diff(speed, axis=1) / dt < -GENTLY)
 
 
 def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
@@ -175,18 +215,16 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any
     return least, np.asarray(gap(pick(a, at), pick(b, at))), steps[at[1]]
 
 
-def _third_party(
-    situation: Situation, proposals: Sequence[Proposal], adversary: Boxes, time: Floats, end: Floats
-) -> Bools:
+def _third_party(situation: Situation, bvs: Sequence[str], adversary: Boxes, time: Floats, end: Floats) -> Bools:
     """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it."""
     tracks = situation.traffic.others
-    touched = np.zeros(len(proposals), bool)
+    touched = np.zeros(len(bvs), bool)
     if not tracks:
         return touched
     around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
     mine, theirs, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
     rows, others = near_pairs(mine, theirs, when, end)
-    is_other = np.array([t.id for t in tracks])[others] != np.array([p.bv for p in proposals])[rows]
+    is_other = np.array([t.id for t in tracks])[others] != np.array(bvs)[rows]
     rows, others = rows[is_other], others[is_other]
     meets = third_party(some_rows(mine, rows), some_rows(theirs, others), when, end[rows])
     rows, others = rows[meets], others[meets]

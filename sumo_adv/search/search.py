@@ -112,7 +112,8 @@ class AttackSearch:
             return p.score
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
-        return p.score + late + weights.harsh * seen.braking
+        tells = 0.0 if seen.likely is None else 4.0 * seen.likely * (1.0 - seen.likely)
+        return p.score + late + weights.harsh * seen.braking - weights.tells * tells
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -204,7 +205,8 @@ class AttackSearch:
             open_ = self._open()
         if not open_:
             return None
-        closed = [p for p in self.pool if id(p) not in {id(q) for q in open_}]
+        opened = {id(q) for q in open_}
+        closed = [p for p in self.pool if id(p) not in opened]
         robustness = self._settings.robustness
         open_ = self._made_robust(open_, self._choice, robustness.later if self._tried else robustness.first)
         self.pool = closed + open_
@@ -277,6 +279,10 @@ class AttackSearch:
         """All predicted together, which takes less time than one by one."""
         return self._correction.corrected(self._scorer.score(proposals)) if proposals else []
 
+    def _expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """As ``_scored``, with the scores that are expected over the likely drivers."""
+        return self._correction.corrected(self._scorer.expected(self._scorer.score(proposals))) if proposals else []
+
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
         settings, sampling = self._settings, self._settings.sampling
@@ -298,7 +304,9 @@ class AttackSearch:
             loose = [p for p in selected if p is not first and not is_robust(p) and p.score < settings.avoidable]
             best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
             taken = {id(p) for p in best}
-            weighed = weighed_with_neighbours(best, self._scored, self._sampler.random, settings.robustness)
+            weighed = weighed_with_neighbours(
+                self._scorer.expected(best), self._expected, self._sampler.random, settings.robustness
+            )
             selected = weighed + [p for p in selected if id(p) not in taken]  # of equals a robust one comes first
         return selected
 

@@ -28,6 +28,7 @@ class ScoreSettings:
     third_party: float = 4.0  # touches another vehicle first
     rear_end: float = 5.0  # runs into the back of the ego
     failed: float = 9.0  # the planner failed
+    expected_worst: float = 1.8  # a score above it counts as this in the mean over the drivers that the ego may be
     later: float = 0.4  # s by which ``cc_human`` may react later and still avoid it:
     not_late: float = 0.04  # added where it may not
     not_hard: float = 0.05  # added to a serious collision, up to twice the delta-v of one
@@ -48,6 +49,7 @@ class PriceSettings:
     late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
     at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
+    tells: float = 0.05  # taken off if the likely drivers make different things of a candidate: it tells them apart
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.3  # for each place in a model's ranking
 

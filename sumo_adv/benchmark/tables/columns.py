@@ -186,14 +186,6 @@ def _to_first_valid(cell: Cell) -> Value:
     return None if seconds is None or c.first_valid(cell) is None else float(seconds)
 
 
-def _margin(cell: Cell, tier: str, names: Sequence[str]) -> Value:
-    verdict = c.counted(cell)
-    sensitivity = verdict.get("sensitivity")
-    if verdict.get(tier) is not True or not sensitivity:
-        return None
-    return any(bool(sensitivity.get(name)) for name in names)
-
-
 COLUMNS: tuple[Column, ...] = (
     Column("collision", "collision", "Verdicts", "the adversary touched the ego", of=_verdict("collided"), raw=True),
     Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
@@ -278,10 +270,9 @@ COLUMNS: tuple[Column, ...] = (
     Column("tokens", "tokens", "Cost", "an encounter, prompt and completion", MEAN, _tokens, digits=0),
     Column("memory_hit", "memory hits", "Cost", "of encounters in which the bank was asked", of=c.remembered,
            asked_of_all=False),
-    Column("margin_valid", "valid at +0.4 s", "Margin", "of valid ones: still valid if both tiers begin 0.4 s later",
-           of=lambda cell: _margin(cell, "valid", ("careful_+0.4", "manoeuvre_+0.4")), asked_of_all=False),
-    Column("margin_strict", "strict at +0.4 s", "Margin", "of strict ones: still strict if braking begins 0.4 s later",
-           of=lambda cell: _margin(cell, "strict", ("careful_+0.4",)), asked_of_all=False),
+    Column("robust", "robust", "Margin",
+           "of valid ones: at least 4 of 6 with other timing are valid (0.4 s later; five times up to 10 % in pace)",
+           of=lambda cell: (cell.get("robust") or {}).get("robust"), asked_of_all=False),
 )  # fmt: skip
 
 BY_PART = ("collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc")

@@ -36,7 +36,8 @@ class Encounters:
     """N encounters on one grid of step ``dt`` [s].
 
     ego ``(N, T)``: recorded, its motion after the step ``last`` ``(N,)`` does not count; adversary ``(N, T')``: as
-    recorded and planned; others ``(K, T'')``: the same surrounding for all N, NaN = absent; None = empty.
+    recorded and planned; others ``(N, K, T'')``, or ``(K, T'')`` if they are the same for all N: NaN = absent; None =
+    nobody.
     start ``(N,)``: the step from which a driver may act.  Views begin at step 0, so that drivers have some history.
     onward ``(N, P, 2)``: points of the egos' ways past the step ``last`` [m]; without them they go straight on.
     """
@@ -72,7 +73,9 @@ class Counterfactual:
         self.time: Floats = np.asarray(np.arange(self.steps) * dt, dtype=np.float64)
         self.ego = _along(_extended(_cut(given.ego, given.last, dt), self.steps, dt), given)
         self.adversary = _extended(given.adversary, self.steps, dt)
-        self.others = None if given.others is None else _extended(given.others, self.steps, dt)
+        self.others = (
+            None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
+        )
         self.paths = EgoPaths(self.ego)
         self.views = Views(self.paths, self._everybody(), self._ego_size(), dt, given.lane_half_width)
 
@@ -114,7 +117,7 @@ class Counterfactual:
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
         """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
         n, dt = len(self.ego.x), self.given.dt
-        m = 1 if self.others is None else 1 + len(self.others.x)
+        m = 1 if self.others is None else 1 + self.others.x.shape[1]
         drivers = driver((n, m), dt)
         recorded, pace = self.paths.station, self.ego.speed
         change = np.diff(pace, axis=1, append=pace[:, -1:]) / dt
@@ -158,11 +161,12 @@ class Counterfactual:
 
     def _clear_of_others(self, poses: Boxes, which: Ints, row: int, first: int) -> Bools:
         """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane."""
-        if self.others is None or not len(which) or not len(self.others.x):
+        if self.others is None or not len(which) or not self.others.x.shape[1]:
             return np.ones(len(which), bool)
         o = self.others
         part = slice(first, first + poses.x.shape[-1])
-        near = Boxes(o.x[:, part], o.y[:, part], o.heading[:, part], o.speed[:, part], o.length, o.width)
+        there_x, there_y, turned, pace = (v[row][:, part] for v in (o.x, o.y, o.heading, o.speed))
+        near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
         x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
         mine = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
         time = self.time[: poses.x.shape[-1]]
@@ -177,21 +181,16 @@ class Counterfactual:
         """The adversary and the others, ``(N, 1 + K, steps)``."""
         a, n = self.adversary, len(self.ego.x)
         sizes = [_size(a.length, n), _size(a.width, n)]
-        if self.others is None or not len(self.others.x):
+        if self.others is None:
             x, y, heading, speed = (v[:, None, :] for v in (a.x, a.y, a.heading, a.speed))
             return Boxes(x, y, heading, speed, *sizes)
         o = self.others
         x, y, heading, speed = (
-            np.concatenate([p[:, None, :], np.broadcast_to(q, (n, *q.shape))], axis=1)
+            np.concatenate([p[:, None, :], q], axis=1)
             for p, q in ((a.x, o.x), (a.y, o.y), (a.heading, o.heading), (a.speed, o.speed))
         )
-        count = len(o.x)
-        for k, own in enumerate((o.length, o.width)):
-            theirs = np.broadcast_to(
-                np.reshape(np.broadcast_to(np.asarray(own, float), (count, 1)), (1, count, 1)), (n, count, 1)
-            )
-            sizes[k] = np.concatenate([sizes[k], theirs], axis=1)
-        return Boxes(x, y, heading, speed, *sizes)
+        length, width = (np.concatenate(pair, axis=1) for pair in zip(sizes, (o.length, o.width), strict=True))
+        return Boxes(x, y, heading, speed, length, width)
 
     def _ego_size(self) -> tuple[float, float]:
         return float(np.ravel(self.ego.length)[0]), float(np.ravel(self.ego.width)[0])
@@ -257,14 +256,28 @@ def _along(ego: Boxes, given: Encounters) -> Boxes:
 
 
 def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
-    """Motions that go straight on at constant speed past their end, up to ``steps``."""
-    have = b.x.shape[1]
+    """Motions (time is the last axis) that go straight on at constant speed past their end, up to ``steps``."""
+    have = b.x.shape[-1]
     if have >= steps:
-        return Boxes(b.x[:, :steps], b.y[:, :steps], b.heading[:, :steps], b.speed[:, :steps], b.length, b.width)
-    on = np.arange(1, steps - have + 1) * dt * b.speed[:, -1:]
-    x = np.concatenate([b.x, b.x[:, -1:] + on * np.cos(b.heading[:, -1:])], axis=1)
-    y = np.concatenate([b.y, b.y[:, -1:] + on * np.sin(b.heading[:, -1:])], axis=1)
+        x, y, heading, speed = (v[..., :steps] for v in (b.x, b.y, b.heading, b.speed))
+        return Boxes(x, y, heading, speed, b.length, b.width)
+    on = np.arange(1, steps - have + 1) * dt * b.speed[..., -1:]
+    x = np.concatenate([b.x, b.x[..., -1:] + on * np.cos(b.heading[..., -1:])], axis=-1)
+    y = np.concatenate([b.y, b.y[..., -1:] + on * np.sin(b.heading[..., -1:])], axis=-1)
     heading, speed = (
-        np.concatenate([v, np.repeat(v[:, -1:], steps - have, axis=1)], axis=1) for v in (b.heading, b.speed)
+        np.concatenate([v, np.repeat(v[..., -1:], steps - have, axis=-1)], axis=-1) for v in (b.heading, b.speed)
     )
     return Boxes(x, y, heading, speed, b.length, b.width)
+
+
+def _for_all(others: Boxes, n: int) -> Boxes:
+    """Others as ``(N, K, steps)`` with sizes ``(N, K, 1)``."""
+    k = others.x.shape[-2]
+    sizes = (np.asarray(v, float) for v in (others.length, others.width))
+    length, width = (
+        np.broadcast_to(v if v.ndim == 3 else np.reshape(np.broadcast_to(v, (k, 1)), (k, 1)), (n, k, 1)) for v in sizes
+    )
+    x, y, heading, speed = (
+        np.broadcast_to(v, (n, *v.shape[-2:])) for v in (others.x, others.y, others.heading, others.speed)
+    )
+    return Boxes(x, y, heading, speed, length, width)
