@@ -125,7 +125,7 @@ class Bencher:
         return cell | {
             "timing": timing, "robust": arena.robustness(episode),
             "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
-            "encounter": outcome["encounter"],
+            "encounter": outcome["encounter"], "driver_known": _is_known(episode),
         }  # fmt: skip
 
     def _run_folder(self, job: Job, row: str) -> Path:
@@ -172,6 +172,11 @@ def _recall(outcome: Mapping[str, Any]) -> str | None:
     if intent is None:
         return None
     return "generated" if intent.get("source") == "generated" else "hit"
+
+
+def _is_known(episode: Episode) -> bool | None:
+    """Whether the ego is predicted by its own rules; None without an encounter."""
+    return None if episode.found is None else episode.found.first.baseline.model.known
 
 
 _bencher: list[Bencher] = []

@@ -167,6 +167,30 @@ def label(
     _say(means, cells, files, f"{len(labels)} of {len(request.suite.cases)} encounters labelled.", as_json=as_json)
 
 
+@app.command("league", epilog="Example: sumo-adv bench league --suite suite81 --ego idm,careful,my_driver:Mine")
+def league(
+    suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = 25, until: Until = "serious",
+    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+) -> None:  # fmt: skip
+    """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
+    from sumo_adv.benchmark.methods import REFERENCE
+    from sumo_adv.benchmark.tables import league as tables
+    from sumo_adv.benchmark.tables.write import as_json as text_of
+    from sumo_adv.benchmark.tables.write import manifest, write_texts
+
+    request, means = _order(suite, ego, [REFERENCE], seed, attempts, until, setting, memory, workers, out, False)
+    cells = _run(request, means, as_json=as_json)
+    places, duels = tables.league(cells, attempts)
+    text = tables.to_markdown(places, duels, f"{request.suite.name}, {len(request.suite.cases)} encounters")
+    about = manifest(_about(request, means), cells, ["league.md", "league.json"])
+    made = {
+        "league.md": text,
+        "league.json": text_of(tables.document(places, duels)),
+        "league.manifest.json": text_of(about),
+    }
+    _say(means, cells, write_texts(means.folder, made), text, as_json=as_json)
+
+
 @app.command("make", epilog="Example: sumo-adv bench make --seed 2 --out suites/other")
 def make(
     seed: Annotated[int, typer.Option(min=0, help="Another seed: other encounters of the same kinds.")],

@@ -12,7 +12,17 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import BUILT_IN, ROLES
-from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Intent, Planner, Proposal, Verdict, plain_acceleration
+from sumo_adv.datatypes import (
+    ENDING_SENTENCES,
+    Attempt,
+    Intent,
+    Level,
+    Planner,
+    Prediction,
+    Proposal,
+    Verdict,
+    plain_acceleration,
+)
 from sumo_adv.episode.episode import Episode
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.playback_spec import PlaybackSpec
@@ -134,7 +144,8 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
         "parameters": {k: number(q) for k, q in p.parameters.items()},
         "acceleration": plain_acceleration(p.acceleration),
-        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), "min_ttc": number(v.min_ttc),
+        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), **_predicted(p.prediction),
+        "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
         "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
@@ -144,6 +155,14 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
+
+
+def _predicted(made: Prediction | None) -> dict[str, Any]:
+    """The level that was predicted for the most likely driver, and how likely a valid collision was."""
+    if made is None:
+        return {"predicted_level": None, "predicted_valid": None}
+    likely = float(made.level >= Level.VALID) if made.likely is None else made.likely
+    return {"predicted_level": str(made.level), "predicted_valid": number(likely)}
 
 
 def _successes(episode: Episode) -> list[dict[str, Any]]:
