@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from situation_samples import KRAUSS, neighbour, situation
+from situation_samples import KRAUSS, changed, neighbour, situation
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Limits, ObservedMotion, Proposal
+from sumo_adv.datatypes import Limits, ObservedMotion, Proposal, Role, Track
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.driver_identification import WIDE, DriverIdentification, apart, family_of
+from sumo_adv.search.driver_identification import AUTOMATIC, WIDE, DriverIdentification, apart, family_of, in_traffic
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import predict
 
@@ -68,6 +68,18 @@ def test_another_driver_is_believed_only_if_it_is_clearly_likelier() -> None:
     assert driver.observe(braked) is False  # 0.25 exp(-0.5) = 0.15 against 0.2: 1.3 times
     assert driver.observe(braked) is True  # 0.092 against 0.2
     assert driver.model.guard is not None and [w for _, w in driver.likely] == pytest.approx([0.685, 0.315], abs=1e-3)
+
+
+def test_a_brake_that_would_have_acted_without_an_attack_counts_against_the_driver_that_has_it() -> None:
+    """A car on the next road comes straight at the ego's path and turns away at the last moment; the real ego keeps its
+    10 m/s. An ego that looks 1.5 s ahead brakes for a while."""
+    time = np.round(100.0 + 0.1 * np.arange(51), 6)
+    south, still = np.minimum(-14.0 + 0.8 * np.arange(51), -6.0), np.zeros(51)
+    heading = np.where(np.arange(51) < 10, np.pi / 2, 0.0)
+    turns = Track("bv", Role.BACKGROUND, time, still + 22.0, south, heading, still + 8.0, still, 5.0, 2.0)
+    now = changed(situation([neighbour()], model=UNKNOWN), others=(turns,))
+    assert in_traffic(now, UNKNOWN).max() == pytest.approx(0.0, abs=0.01)
+    assert in_traffic(now, replace(UNKNOWN, guard=AUTOMATIC)).max() > 1.0
 
 
 def test_the_distance_is_the_mean_in_each_second_that_was_seen() -> None:

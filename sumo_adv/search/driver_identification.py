@@ -13,11 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, Floats, Guard, ObservedMotion
+from sumo_adv.drivers.prediction import PredictedEgos
+from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.situation import Situation, on_path
 
 FAR = 10.0  # m: a larger distance counts as this
 SCALE = 4.0  # m: mean distance of a good model's prediction from the real ego, for each observed second
 CLEARLY = 1.5  # another driver is believed once it is so many times as likely, since all is predicted again then
 LIKELY, MOST = 0.1, 3  # a driver with a smaller weight is left out, and so are all but the most likely ones
+LOOKED_AT = 6.0  # s of the unattacked run
+AWAY = 1e4  # m: the station of a vehicle that is not there
 WIDE = 2.5  # m to either side within which a driver takes a vehicle ahead for its leader
 AUTOMATIC = Guard(ttc=1.5, reaction=0.1, deceleration=8.0)  # an automatic emergency brake
 FORESIGHT = Guard(ttc=3.0, reaction=0.5, deceleration=4.0)  # a driver that brakes early and gently
@@ -82,9 +87,37 @@ def family_of(model: DriverModel) -> list[tuple[DriverModel, float]]:
     ]
 
 
+def in_traffic(situation: Situation, model: DriverModel) -> Floats:
+    """How far [m] the model is from the real ego in each second without an attack, while the others drive as they did:
+    a driver that brakes where the real one did not is less likely."""
+    real, dt = situation.baseline, situation.dt
+    others = situation.traffic.others
+    steps = min(len(real.s), round(LOOKED_AT / dt))
+    if not others or steps < 2:
+        return np.zeros(1)
+    tracks = [on_path(t, situation.time, dt, steps, real.path) for t in others]
+    motion = np.array([[t.s, t.d, t.heading, t.speed] for t in tracks])
+    motion[:, 0] = np.where(np.isfinite(motion[:, 0]), motion[:, 0], AWAY)
+    motion = np.nan_to_num(motion)
+    scenes = Scenes([situation.driven_by(model)] * len(others))
+    length, width = (np.array([getattr(t, size) for t in others]) for size in ("length", "width"))
+    egos = PredictedEgos(scenes, [t.id for t in others], length, width)
+    distance = np.zeros(steps)
+    for k in range(steps - 1):
+        s, d, h, v = motion[:, :, k].T
+        egos.step(k * dt, (s, d, h), v)
+        distance[k + 1] = np.abs(egos.s - real.s[k + 1]).max()
+    return by_second(distance, dt)
+
+
 def apart(real: tuple[Floats, Floats], predicted: tuple[Floats, Floats], motion: ObservedMotion, dt: float) -> Floats:
     """Mean distance [m] of a predicted ego from the real one in each observed second; x and y by step of ``dt`` [s]."""
     steps = max(1, min(motion.seen, len(real[0]), len(predicted[0])))
     distance = np.hypot(real[0][:steps] - predicted[0][:steps], real[1][:steps] - predicted[1][:steps])
+    return by_second(distance, dt)
+
+
+def by_second(distance: Floats, dt: float) -> Floats:
+    """The means of each second of values that are ``dt`` [s] apart."""
     second = max(1, round(1.0 / dt))
-    return np.array([distance[k : k + second].mean() for k in range(0, steps, second)])
+    return np.array([distance[k : k + second].mean() for k in range(0, len(distance), second)])

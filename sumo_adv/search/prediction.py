@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Level, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import DriverModel, Level, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
-from sumo_adv.search.driver_identification import DriverIdentification, apart
+from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
 from sumo_adv.search.rollouts import Rollouts, predict
 from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
@@ -33,7 +33,10 @@ class Predictor:
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
-        self._driver = DriverIdentification(next(iter(situations.values())).baseline.model)
+        first = next(iter(situations.values()))
+        self._driver = DriverIdentification(first.baseline.model)
+        if self._driver.open and self._driver.observe([in_traffic(first, m) for m in self._driver.models]):
+            self._situations = self._all_driven_by(self._driver.model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
 
@@ -63,7 +66,7 @@ class Predictor:
         sums = np.array([[min(p.score, worst), _is_valid(p)] for p in scored]) * likely[0][1]
         before = self._situations
         for model, weight in likely[1:]:
-            self._situations = {k: s.driven_by(model) for k, s in before.items()}
+            self._situations = self._all_driven_by(model)
             sums += weight * np.array([[min(p.score, worst), _is_valid(p)] for p in self.score(scored)])
         self._situations = before
         results = []
@@ -87,10 +90,12 @@ class Predictor:
             distances.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion, situation.dt))
         changed = self._driver.observe(distances)
         if changed:
-            model = self._driver.model
-            self._situations = {k: s.driven_by(model) for k, s in self._situations.items()}
+            self._situations = self._all_driven_by(self._driver.model)
         self.seconds += time.perf_counter() - began
         return changed
+
+    def _all_driven_by(self, model: DriverModel) -> dict[float, Situation]:
+        return {delay: situation.driven_by(model) for delay, situation in self._situations.items()}
 
     def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
         rollouts, failures = self._rolled(self._situations, proposals, motions)
