@@ -121,12 +121,12 @@ def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: b
     with_others: with the other vehicles near, which may leave a reference driver no room.
     """
     last, situation = collisions.last[rows], collisions.situations[0]
-    until = int(last.max()) + 1
-    stop = until + round(BEYOND / situation.dt)
+    until, more = int(last.max()) + 1, round(BEYOND / situation.dt)
     ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
     given = Encounters(
-        some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, stop)), np.zeros(len(last), np.intp), last,
+        some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, until + more)), np.zeros(len(last), np.intp), last,
         situation.dt, _others(collisions, rows) if with_others else None, situation.road.lane_width / 2, onward[rows],
+        last + more,
     )  # fmt: skip
     return Counterfactual(given)
 

@@ -40,6 +40,7 @@ class Encounters:
     nobody.
     start ``(N,)``: the step from which a driver may act.  Views begin at step 0, so that drivers have some history.
     onward ``(N, P, 2)``: points of the egos' ways past the step ``last`` [m]; without them they go straight on.
+    until ``(N,)``: the last step that is checked; without it, all are.
     """
 
     ego: Boxes
@@ -50,6 +51,7 @@ class Encounters:
     others: Boxes | None = None
     lane_half_width: float = 1.6
     onward: Floats | None = None
+    until: Ints | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,7 @@ class Counterfactual:
         dt = given.dt
         planned = given.adversary.x.shape[1]
         self.steps = int(max(int(given.last.max(initial=0)) + round(beyond / dt), planned - 1)) + 1
+        self._until = np.full(len(given.last), self.steps - 1) if given.until is None else given.until
         self.time: Floats = np.asarray(np.arange(self.steps) * dt, dtype=np.float64)
         self.ego = _along(_extended(_cut(given.ego, given.last, dt), self.steps, dt), given)
         self.adversary = _extended(given.adversary, self.steps, dt)
@@ -99,7 +102,7 @@ class Counterfactual:
         contact = np.where(np.isfinite(alarm), np.inf, self.unchanged().contact)
         for row in rows.tolist():
             index = np.array([round(float(alarm[row]) / self.given.dt)])
-            steps = self.steps - 1 - int(index[0])
+            steps = int(self._until[row]) - int(index[0])
             if steps < 2:
                 contact[row] = 0.0
                 continue
@@ -148,7 +151,8 @@ class Counterfactual:
             _size(ego.length, n), _size(ego.width, n),
         )  # fmt: skip
         when = first_contact(wide, self._everybody(), self.time)
-        when = np.where(when >= (self.given.start * self.given.dt)[:, None] - 1e-9, when, np.inf)
+        first, last = (steps[:, None] * self.given.dt for steps in (self.given.start, self._until))
+        when = np.where((when >= first - 1e-9) & (when <= last + 1e-9), when, np.inf)
         rows, cols = np.nonzero(np.isfinite(when))
         for i, j in zip(rows, cols, strict=True):
             k = min(int(np.floor(when[i, j] / self.given.dt + 1e-9)), self.steps - 1)
