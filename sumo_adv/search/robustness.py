@@ -32,11 +32,19 @@ def weighed_with_neighbours(
     random: Random,
     settings: RobustnessSettings,
 ) -> list[Proposal]:
-    """Each candidate followed by its neighbours, all with scores that count how the neighbours do."""
+    """Each candidate followed by its neighbours, all with scores that count how the neighbours do.
+
+    Where a candidate's score is the expected one over several drivers, its neighbours are taken to differ from their
+    nominal score by as much.
+    """
     count, weighed = settings.neighbours, list[Proposal]()
     near = score([varied(p, random, settings.spread) for p in proposals for _ in range(count)])
     for k, p in enumerate(proposals):
-        group = [p, *(replace(q, is_neighbour=True) for q in near[k * count : (k + 1) * count])]
+        by_drivers = p.score - p.nominal_score
+        around = near[k * count : (k + 1) * count]
+        group = [
+            p, *(replace(q, is_neighbour=True, score=q.score + by_drivers, nominal=q.nominal_score) for q in around)
+        ]  # fmt: skip
         mean = sum(min(q.score, settings.worst) for q in group) / len(group)
         weighed += [
             replace(q, score=settings.own * q.score + (1.0 - settings.own) * mean, nominal=q.nominal_score)

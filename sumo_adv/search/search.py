@@ -279,10 +279,6 @@ class AttackSearch:
         """All predicted together, which takes less time than one by one."""
         return self._correction.corrected(self._scorer.score(proposals)) if proposals else []
 
-    def _expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """As ``_scored``, with the scores that are expected over the likely drivers."""
-        return self._correction.corrected(self._scorer.expected(self._scorer.score(proposals))) if proposals else []
-
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
         settings, sampling = self._settings, self._settings.sampling
@@ -304,9 +300,8 @@ class AttackSearch:
             loose = [p for p in selected if p is not first and not is_robust(p) and p.score < settings.avoidable]
             best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
             taken = {id(p) for p in best}
-            weighed = weighed_with_neighbours(
-                self._scorer.expected(best), self._expected, self._sampler.random, settings.robustness
-            )
+            expected = self._scorer.expected(best)
+            weighed = weighed_with_neighbours(expected, self._scored, self._sampler.random, settings.robustness)
             selected = weighed + [p for p in selected if id(p) not in taken]  # of equals a robust one comes first
         return selected
 
