@@ -124,9 +124,9 @@ def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: b
     until, more = int(last.max()) + 1, round(BEYOND / situation.dt)
     ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
     given = Encounters(
-        some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, until + more)), np.zeros(len(last), np.intp), last,
-        situation.dt, _others(collisions, rows) if with_others else None, situation.road.lane_width / 2, onward[rows],
-        last + more,
+        some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, until + more)), np.zeros(len(last), np.intp),
+        last, situation.dt, _others(collisions, rows) if with_others else None, situation.road.lane_width / 2,
+        onward[rows], last + more,
     )  # fmt: skip
     return Counterfactual(given)
 
