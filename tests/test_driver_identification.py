@@ -14,7 +14,15 @@ from sumo_adv.datatypes import Limits, ObservedMotion, Proposal, Role, Track
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.driver_identification import AUTOMATIC, WIDE, DriverIdentification, apart, family_of, in_traffic
+from sumo_adv.search.driver_identification import (
+    AUTOMATIC,
+    FORESIGHT,
+    WIDE,
+    DriverIdentification,
+    apart,
+    family_of,
+    in_traffic,
+)
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import predict
 
@@ -44,10 +52,10 @@ def course(x: list[float], seen: int) -> ObservedMotion:
 
 
 def test_a_driver_that_is_known_has_one_model_and_an_unknown_one_a_family_without_our_own_careful_driver() -> None:
-    assert [m for m, _ in family_of(IDM)] == [IDM] and not DriverIdentification(IDM).open
+    assert [m.model for m in family_of(IDM)] == [IDM] and not DriverIdentification(IDM).open
     family = family_of(UNKNOWN)
-    assert sum(prior for _, prior in family) == pytest.approx(1.0)
-    assert family[0][0] == UNKNOWN and "careful" not in {m.kind for m, _ in family}
+    assert sum(m.weight for m in family) == pytest.approx(1.0)
+    assert family[0].model == UNKNOWN and "careful" not in {m.model.kind for m in family}
     assert len(family_of(replace(UNKNOWN, kind="replay"))) == 1  # a forecast at constant velocity was asked for
 
 
@@ -80,6 +88,14 @@ def test_a_brake_that_would_have_acted_without_an_attack_counts_against_the_driv
     now = changed(situation([neighbour()], model=UNKNOWN), others=(turns,))
     assert in_traffic(now, UNKNOWN).max() == pytest.approx(0.0, abs=0.01)
     assert in_traffic(now, replace(UNKNOWN, guard=AUTOMATIC)).max() > 1.0
+
+
+def test_what_earlier_encounters_showed_is_seven_tenths_of_the_first_weights() -> None:
+    driver = DriverIdentification(UNKNOWN, {"swerves": 0.5, "foresight": 0.5, "of another version": 0.9})
+    weights = dict(zip(driver.names, driver.weights, strict=True))
+    assert weights["swerves"] == pytest.approx(0.3 * 0.1 + 0.7 * 0.5)
+    assert weights["car_following"] == pytest.approx(0.3 * 0.25)
+    assert driver.model.guard == FORESIGHT  # 0.3 * 0.2 + 0.35
 
 
 def test_the_distance_is_the_mean_in_each_second_that_was_seen() -> None:

@@ -15,9 +15,7 @@ from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import NOTHING, succeeded
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.memory_access import (
-    learn,
-)
+from sumo_adv.episode.memory_access import learn, learn_driver
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
 from sumo_adv.episode.task import FoundEncounter, Task
@@ -114,6 +112,7 @@ def pursue(
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
     learn(episode, bank, entries)
+    learn_driver(episode, bank, planned.predictor.driver_weights)
 
 
 def replay_episode(

@@ -11,7 +11,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.drivers.car_following import exact
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.memory_access import read_library, recall, remembered, retrieve, signature
+from sumo_adv.episode.memory_access import read_library, recall, remembered, retrieve, signature, weights_of_driver
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
@@ -67,7 +67,8 @@ def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, 
     modified = episode.agents is not None and episode.agents.by_model("modifier")
     share = settings.per_planner if modified else settings.attempts
     weights = SearchSettings(proposals=settings.proposals, share=share)
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score)
+    shown = {} if settings.learn == "off" else weights_of_driver(bank, episode.task.ego_driver)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed)
     search, known = searched(episode, found, predictor, library, bank, weights)

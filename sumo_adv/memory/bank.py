@@ -253,6 +253,12 @@ class MemoryBank:
             known_intent = rows.read_intent(self._connection, label) or known_intent
         self._remember(rows.stored(evidence, known_intent.label, stamp), known_intent, *known_planner)
 
+    def keep(self, key: str, value: object) -> None:
+        """Set one setting, a JSON value, in one transaction. Raises BankError."""
+        with self._writing():
+            rows.write_setting(self._connection, key, value)
+        self.refresh()
+
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
         """Add an intent and planners without evidence, in one transaction. Existing ones are not changed.
 

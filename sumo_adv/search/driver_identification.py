@@ -7,8 +7,8 @@ ego). Predictions are made for the most likely driver; the best candidates are s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from sumo_adv.situation import Situation, on_path
 FAR = 10.0  # m: a larger distance counts as this
 SCALE = 4.0  # m: mean distance of a good model's prediction from the real ego, for each observed second
 CLEARLY = 1.5  # another driver is believed once it is so many times as likely, since all is predicted again then
+KEPT = 0.7  # share of the first weights that comes from earlier encounters with the same driver
 LIKELY, MOST = 0.1, 3  # a driver with a smaller weight is left out, and so are all but the most likely ones
 LOOKED_AT = 6.0  # s of the unattacked run
 AWAY = 1e4  # m: the station of a vehicle that is not there
@@ -29,13 +30,19 @@ FORESIGHT = Guard(ttc=3.0, reaction=0.5, deceleration=4.0)  # a driver that brak
 
 
 class DriverIdentification:
-    """``models``: all that are considered, the default first."""
+    """``models`` and their ``names``: all that are considered, the default first."""
 
-    def __init__(self, model: DriverModel) -> None:
+    def __init__(self, model: DriverModel, shown: Mapping[str, float] | None = None) -> None:
+        """``shown``: weights by name that earlier encounters ended with. They count for ``KEPT`` of the first weights,
+        since the next encounter may be of another kind."""
         family = family_of(model)
-        self.models = [m for m, _ in family]
-        self._log = np.log([prior for _, prior in family])
-        self._current = 0
+        self.names, self.models = [m.name for m in family], [m.model for m in family]
+        first, shown = np.array([m.weight for m in family]), shown or {}
+        before = np.array([shown.get(name, 0.0) for name in self.names])
+        if before.sum() > 0.0:
+            first = (1.0 - KEPT) * first + KEPT * before / before.sum()
+        self._log = np.log(first)
+        self._current = int(np.argmax(first))
 
     @property
     def open(self) -> bool:
@@ -72,18 +79,27 @@ class DriverIdentification:
         return True
 
 
-def family_of(model: DriverModel) -> list[tuple[DriverModel, float]]:
+@dataclass(frozen=True, slots=True)
+class Possible:
+    """A driver that the ego may be, and its weight before anything is observed."""
+
+    name: str
+    model: DriverModel
+    weight: float
+
+
+def family_of(model: DriverModel) -> list[Possible]:
     """The model of a known driver alone. For an unknown one: drivers that differ in where they look and when they
     brake, with their weights before anything is observed."""
     if model.known or model.kind == "replay":
-        return [(model, 1.0)]
+        return [Possible(model.kind, model, 1.0)]
     return [
-        (model, 0.25),
-        (replace(model, guard=AUTOMATIC), 0.2),
-        (replace(model, guard=FORESIGHT), 0.2),
-        (replace(model, sees=WIDE), 0.15),
-        (replace(model, kind="lattice"), 0.1),  # it swerves
-        (replace(model, kind="replay"), 0.1),  # it never reacts
+        Possible("car_following", model, 0.25),
+        Possible("emergency_brake", replace(model, guard=AUTOMATIC), 0.2),
+        Possible("foresight", replace(model, guard=FORESIGHT), 0.2),
+        Possible("looks_to_the_side", replace(model, sees=WIDE), 0.15),
+        Possible("swerves", replace(model, kind="lattice"), 0.1),
+        Possible("never_reacts", replace(model, kind="replay"), 0.1),
     ]
 
 

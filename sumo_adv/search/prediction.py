@@ -28,17 +28,24 @@ class Predictor:
 
     def __init__(
         self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation],
-        weights: ScoreSettings | None = None,
+        weights: ScoreSettings | None = None, driver_weights: Mapping[str, float] | None = None,
     ) -> None:  # fmt: skip
+        """``driver_weights``: what earlier encounters showed of an unknown driver."""
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
         first = next(iter(situations.values()))
-        self._driver = DriverIdentification(first.baseline.model)
+        self._driver = DriverIdentification(first.baseline.model, driver_weights or {})
+        self._situations = self._all_driven_by(self._driver.model)
         if self._driver.open and self._driver.observe([in_traffic(first, m) for m in self._driver.models]):
             self._situations = self._all_driven_by(self._driver.model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
+
+    @property
+    def driver_weights(self) -> dict[str, float]:
+        """How likely each driver is that the ego may be."""
+        return dict(zip(self._driver.names, self._driver.weights.tolist(), strict=True))
 
     def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
