@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.human import envelope_left
 from sumo_adv.metrics.levels import SERIOUS_DELTA_V, STATIONARY, STATIONARY_FOR
-from sumo_adv.metrics.reference.cc_human import REACTION, CcHuman
+from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
 from sumo_adv.metrics.severity import crash_of
-from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -34,13 +32,12 @@ WAY_STEP = 2.0
 class Danger:
     """What predicted collisions come to, row by row, arrays ``(n,)``.
 
-    level: ``COLLISION`` or higher. late: ``cc_human`` avoids it even if it reacts later than it does. warning: from
-    its alarm to the contact [s], 0 without an alarm. delta_v: of the ego [m/s]. human: the adversary stays within the
-    human envelope. careful, manoeuvre: whether this reference driver avoids it. sides: the side of the ego that is hit.
+    level: ``COLLISION`` or higher. warning: from the alarm of ``cc_human`` to the contact [s], 0 without an alarm.
+    delta_v: of the ego [m/s]. human: the adversary stays within the human envelope. careful, manoeuvre: whether this
+    reference driver avoids it. sides: the side of the ego that is hit.
     """
 
     level: Ints
-    late: Bools
     warning: Floats
     delta_v: Floats
     human: Bools
@@ -66,7 +63,7 @@ class Collisions:
     at_contact: tuple[Boxes, Boxes]
 
 
-def danger_of(collisions: Collisions, drivable: Drivable, weights: ScoreSettings) -> Danger:
+def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     """The level of each predicted collision. All are judged together, which takes less time than one by one."""
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
@@ -79,10 +76,6 @@ def danger_of(collisions: Collisions, drivable: Drivable, weights: ScoreSettings
     careful = normal.avoids & conclusive
     if len(rows := np.flatnonzero(careful)):
         careful[rows] = _check(collisions, onward, rows, with_others=True).braking(CcHuman).avoids
-    late = careful.copy()
-    if len(rows := np.flatnonzero(careful)):
-        later = partial(CcHuman, reaction=REACTION + weights.later)
-        late[rows] = _check(collisions, onward, rows).braking(later).avoids
     manoeuvre = careful.copy()
     if len(rows := np.flatnonzero(conclusive & ~careful & (warning >= LEAST_WARNING))):
         room = _check(collisions, onward, rows, with_others=True)
@@ -101,7 +94,7 @@ def danger_of(collisions: Collisions, drivable: Drivable, weights: ScoreSettings
     level[counts & careful] = Level.STRICT
     level[counts & careful & human & (delta_v >= SERIOUS_DELTA_V)] = Level.SERIOUS
     sides = [str(impact.ego_side) for impact in impacts]
-    return Danger(level, late, warning, delta_v, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
+    return Danger(level, warning, delta_v, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
 
 
 def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:

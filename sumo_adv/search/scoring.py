@@ -50,8 +50,8 @@ def judge_all(
         one, other = (pick(b, rows) for b in seen.at_contact)
         names = [proposals[k].bv for k in rows.tolist()]
         begun = [situations[proposals[k].delay] for k in rows.tolist()]
-        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other)), drivable, weights)
-        score[rows] = _score(danger, seen.firm[rows], weights)
+        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other)), drivable)
+        score[rows] = _score(danger, weights)
         for i, k in enumerate(rows.tolist()):
             predictions[k] = _with_danger(predictions[k], danger, i)
     return list(zip(score.tolist(), predictions, strict=True))
@@ -62,8 +62,8 @@ class _Seen:
     """What rollouts come to, row by row.
 
     contact: the step of the first contact; last: that step or the last one that is judged; end: the last one that may
-    be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. firm: a smaller box touches,
-    too. third, leaves, beyond, rear: what rules a row out.
+    be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third, leaves, beyond, rear:
+    what rules a row out.
     """
 
     ego: Boxes
@@ -71,7 +71,6 @@ class _Seen:
     dt: float
     contact: Ints
     hit: Bools
-    firm: Bools
     end: Ints
     last: Ints
     at_contact: tuple[Boxes, Boxes]
@@ -101,7 +100,6 @@ def _look_at(
     left = np.array([now.left for now in begun])
     contact = _first(touching(ego, adversary))
     hit = contact < np.minimum(steps, left + 1)
-    smaller = Boxes(*rollouts.adversary, lengths - weights.graze, widths - weights.graze)
     end = np.minimum(steps - 1, left).astype(np.intp)
     last = np.minimum(contact, end)
     end_time, at_contact = _ends(ego, adversary, last, hit, rollouts.time)
@@ -114,7 +112,7 @@ def _look_at(
         third[rows] = _third_party(situations[delay], there, some_rows(adversary, rows), rollouts.time, end_time[rows])
     least, nearest, nearest_step = _least(ego, adversary, last)
     return _Seen(
-        ego, adversary, dt, contact, hit, np.asarray(touching(ego, smaller).any(axis=1)), end, last, at_contact, third,
+        ego, adversary, dt, contact, hit, end, last, at_contact, third,
         _leaves_road(adversary, judged, drivable), _beyond_limits(adversary, before, rollouts.time, judged, limits),
         hit & rear_end(*at_contact), least, nearest, nearest_step,
     )  # fmt: skip
@@ -173,21 +171,20 @@ def _first(holds: Bools) -> Any:
     return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
 
 
-def _score(danger: Danger, firm: Bools, weights: ScoreSettings) -> Floats:
+def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
     warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
     hard = np.clip(danger.delta_v / SERIOUS_DELTA_V, 0.0, 1.0)
-    harder = np.clip(danger.delta_v / SERIOUS_DELTA_V - 1.0, 0.0, 1.0)
-    spare = weights.not_late * ~danger.late + weights.not_hard * (1.0 - harder)
-    to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human + weights.not_late * ~danger.late
+    to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human
     to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
     to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)
     levels = (Level.SERIOUS, Level.STRICT, Level.VALID)
     bases = (weights.serious, weights.strict, weights.valid)
     score = weights.collision + to_valid
-    for level, base, rest in zip(levels, bases, (spare, to_serious, to_strict), strict=True):
+    missing = (np.zeros(len(score)), to_serious, to_strict)
+    for level, base, rest in zip(levels, bases, missing, strict=True):
         score = np.where(danger.level == level, base + rest, score)
-    return np.asarray(score + np.where(firm, 0.0, weights.grazes))
+    return np.asarray(score)
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:

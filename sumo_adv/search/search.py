@@ -220,7 +220,7 @@ class AttackSearch:
         """
         if not self._tried:  # the first attempt shows something in any case
             return list(self.pool)
-        over, bound = self._used_up(), self._settings.bound(self._best) + self._settings.nearly
+        over, bound = self._used_up(), self._settings.bound(self._best)
         promising = [p for p in self.pool if p.nominal_score < bound and self._is_worth(p)]
         promising = [p for p in promising if self._share_of(p.planner) not in over]
         return [p for p in promising if not any(is_copy(p, tried, self._settings.differs) for tried in self._tried)]

@@ -29,16 +29,11 @@ class ScoreSettings:
     rear_end: float = 5.0  # runs into the back of the ego
     failed: float = 9.0  # the planner failed
     expected_worst: float = 1.8  # a score above it counts as this in the mean over the drivers that the ego may be
-    later: float = 0.4  # s by which ``cc_human`` may react later and still avoid it:
-    not_late: float = 0.04  # added where it may not
-    not_hard: float = 0.05  # added to a serious collision, up to twice the delta-v of one
     to_delta_v: float = 0.2  # added to a strict one: the share of a serious delta-v that is missing
     not_human: float = 0.06  # added to a strict collision if no person would drive so
     to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
     to_delta_v_early: float = 0.05  # added to a valid one: the share of a serious delta-v that is missing
     warned_enough: float = 2.0  # s from the alarm of ``cc_human`` to the contact
-    graze: float = 0.3  # m; a contact that a box this much smaller does not make may become a near miss,
-    grazes: float = 0.1  # which costs this
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,12 +90,11 @@ class SearchSettings:
 
     proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
     modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
-    spare: what a candidate's score must be below that of its level, so that no better one is looked for. nearly: by
-    how much a score may miss a level and the candidate still be tried for it. differs: another attempt must differ
-    from those before by this [m] at the contact (``novelty.py``). same_gate: a mode is given up after this many
-    attempts that failed the same gate. few: with fewer avoidable candidates, intents that the library lacks are
-    composed. diverse_every: each time this number of attempts is reached, the template that was tried least has its
-    turn.
+    spare: what a candidate's score must be below that of its level, so that no better one is looked for. differs:
+    another attempt must differ from those before by this [m] at the contact (``novelty.py``). same_gate: a mode is
+    given up after this many attempts that failed the same gate. few: with fewer avoidable candidates, intents that the
+    library lacks are composed. diverse_every: each time this number of attempts is reached, the template that was tried
+    least has its turn.
     """
 
     proposals: int = 80
@@ -108,7 +102,6 @@ class SearchSettings:
     reaches: float = 1.5
     avoidable: float = 0.9
     spare: float = 0.15
-    nearly: float = 0.08
     differs: float = 1.0
     same_gate: int = 3
     few: int = 5

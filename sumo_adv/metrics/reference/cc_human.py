@@ -73,9 +73,9 @@ class CcHuman:
     name: ClassVar[str] = "cc_human"
     source: ClassVar[str] = "UN R157, careful and competent human driver"
 
-    def __init__(self, shape: tuple[int, int], dt: float, reaction: float = REACTION) -> None:
-        """``shape``: (N, M); ``dt`` [s]; ``reaction``: s from the decision to the first braking."""
-        self._dt, self._reaction, self._now = dt, reaction, 0.0
+    def __init__(self, shape: tuple[int, int], dt: float) -> None:
+        """``shape``: (N, M); ``dt`` [s]."""
+        self._dt, self._now = dt, 0.0
         self._drift = np.zeros(shape)
         self._perceived_since = np.full(shape, np.inf)
         self.danger: Bools = np.zeros(shape, bool)
@@ -110,7 +110,7 @@ class CcHuman:
         long_enough = now - self._perceived_since >= PERCEPTION - 1e-9
         seen = danger & long_enough
         self._seen_at = np.where(seen, now, self._seen_at)
-        braking = now - self._decided_at >= self._reaction - 1e-9
+        braking = now - self._decided_at >= REACTION - 1e-9
         lasts = ~self._is_over(view) & (braking | (now - self._seen_at <= LAPSE + 1e-9))
         self.danger = seen | (self.danger & lasts)
         self._last = np.where(self.danger, now, self._last)
@@ -121,7 +121,7 @@ class CcHuman:
         self._first_alarm = np.where(shown, now, self._first_alarm)
         self._now = round(now + dt, 9)
         earliest = np.where(self.danger, self._decided_at, np.inf).min(axis=1, initial=np.inf)
-        pressed = np.where(np.isfinite(earliest), now - earliest - self._reaction, -np.inf)
+        pressed = np.where(np.isfinite(earliest), now - earliest - REACTION, -np.inf)
         lost = speed_lost(pressed + dt) - speed_lost(pressed)
         return np.where(lost > 1e-9, -lost / dt, np.nan)
 
