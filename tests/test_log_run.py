@@ -101,7 +101,21 @@ def test_where_nobody_is_near_it_ends_with_the_log_and_says_so(program: Program,
     run = program("run", case, "--ego", "replay", "--json", "--out", "out")
     assert run.status == 0
     assert json.loads(run.out)["ending"] == "no_encounter"
+    assert "No vehicle comes within 70 m of the ego. Try another --ego-id." in run.outcome["reason"]
     assert {"outcome.json", "manifest.json", "inputs"} <= {p.name for p in run.folder.iterdir()}
+
+
+def test_where_no_moment_is_risky_enough_the_best_one_is_attacked_and_the_run_says_so(
+    program: Program, tmp_path: Path
+) -> None:
+    """The leader drives away at 0.5 m/s and is 62.25 m ahead at 1.5 s, the first look. Its risk is
+    0.8 exp(-(62.25 + 0.5 - 12) / 35) = 0.19, and then it falls; an encounter needs 0.20."""
+    tracks = [moving("e", 60.0, RIGHT, 14.0), moving("lead", 121.5, RIGHT, 14.5)]
+    case = write_scenario(tmp_path, tracks, routed=("e", "lead"))
+    run = program("run", case, "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
+    assert run.status == 0 and run.outcome["ending"] != "no_encounter"
+    (note,) = [n for n in run.outcome["notes"] if "No moment of the recording" in n]
+    assert "the best one (0.19, at 1.5 s) is attacked" in note
 
 
 def test_an_ego_that_is_never_on_a_lane_cannot_be_taken_over(program: Program, tmp_path: Path) -> None:

@@ -54,6 +54,15 @@ class RankedVehicle:
         return self.relation in MEET_AHEAD
 
 
+@dataclass(slots=True)
+class _Seen:
+    """What was there at some look: a path of the ego, an ego that moves, a vehicle near."""
+
+    path: bool = False
+    moved: bool = False
+    near: bool = False
+
+
 class EncounterDetector:
     """Watches one ego. Call ``look`` every half second."""
 
@@ -63,31 +72,54 @@ class EncounterDetector:
         self.shortlist = shortlist
         self.only = only
         self.best = 0.0
-        self._looks = 0
+        self.moments: list[tuple[float, int]] = []  # of a recording, below the threshold: risk, step
+        self._looks, self._recorded = 0, recorded
         self._on, self._needed = (ON_RECORDED, 1) if recorded else (ON, LOOKS)
         self._slowest = SLOWEST_RECORDED if recorded else SLOWEST_EGO
+        self._seen = _Seen()
 
     def look(self, drive: Drive) -> list[RankedVehicle] | None:
         """The ranking, highest risk first, if an encounter begins now; else None."""
         ranking = self.rank(drive)
         top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
+        if self._recorded and top < self._on:
+            slow = ranking or self.rank(drive, slow_too=True)
+            if slow:
+                self.moments.append((slow[0].risk, len(drive.recording.snapshots)))
         if top >= self._on or (self._looks and top >= OFF):
             self._looks += 1
         else:
             self._looks = 0
         return ranking if self._looks >= self._needed else None
 
-    def rank(self, drive: Drive) -> list[RankedVehicle]:
-        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow."""
+    def rank(self, drive: Drive, *, slow_too: bool = False) -> list[RankedVehicle]:
+        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow.
+
+        slow_too: also for an ego that stands.
+        """
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
-        if path is None or ego.speed < self._slowest:
+        self._seen.path |= path is not None
+        self._seen.moved |= ego.speed >= self._slowest
+        if path is None or (ego.speed < self._slowest and not slow_too):
             return []
         names = self._near(drive, ego)
+        self._seen.near |= bool(names)
         placed = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
         return sorted(placed, key=lambda c: (-c.risk, c.id))[: self.shortlist]
+
+    @property
+    def missing(self) -> str:
+        """What kept the ego from an encounter, in a sentence."""
+        if not self._seen.path:
+            return "The ego is on no road, or does not move in what is left of its log."
+        if not self._seen.near:
+            return f"No vehicle comes within {NEAR:.0f} m of the ego."
+        if not self._seen.moved:
+            return f"The ego is never faster than {self._slowest:g} m/s, and no vehicle can reach it where it stands."
+        return "No vehicle near the ego can reach its path in time."
 
     def _placed(
         self, drive: Drive, names: Sequence[str], ego: VehicleState, path: Path, ahead: float

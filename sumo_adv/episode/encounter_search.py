@@ -12,7 +12,6 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import (
     LOOK_EVERY,
     ON,
-    ON_RECORDED,
     EncounterDetector,
     RankedVehicle,
     ego_path,
@@ -54,8 +53,18 @@ class EncounterSearch:
 
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
         self.drive, self.road, self.task = drive, road, task
+        self._moments: list[tuple[float, int]] = []
         drive.on_load = self.begin
         self.begin()
+
+    @property
+    def moments(self) -> list[tuple[float, int]]:
+        """Risk and step of the moments of a recording that no encounter began at, highest risk first."""
+        return sorted(self._moments, key=lambda m: (-m[0], m[1]))
+
+    def rank_now(self) -> list[RankedVehicle]:
+        """The ranking of this moment, whatever its risk."""
+        return self._watch().rank(self.drive, slow_too=True)
 
     def begin(self) -> None:
         """Prepare a simulation that was just loaded: forget the road ahead, and insert the ego if it has a route."""
@@ -107,7 +116,8 @@ class EncounterSearch:
                     drive.release()
             if not drive.to_come():
                 break
-        return self._nothing(requested, detector.best)
+        self._moments += detector.moments
+        return self._nothing(requested, detector)
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(
@@ -122,17 +132,19 @@ class EncounterSearch:
         """Seconds for which an ego is driven before the first look: the history, and a scenario's warm-up."""
         return max(self.task.settings.history, self.task.warm_up if requested is not None else 0.0)
 
-    def _nothing(self, requested: str | None, best: float) -> NoEncounter:
+    def _nothing(self, requested: str | None, detector: EncounterDetector) -> NoEncounter:
         if requested is not None and self.drive.ego is None and requested not in self.drive.simulation.fleet.sizes:
             raise UsageError(f"No vehicle '{requested}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
         self._refuse_unknown()
         if requested is not None and self.drive.ego is None:
             why = f"The recorded vehicle '{requested}' was on no lane where a driver could have taken it over."
             return NoEncounter(Ending.NO_ENCOUNTER, why)
+        if self.drive.recorded():
+            return NoEncounter(Ending.NO_ENCOUNTER, f"{detector.missing} Try another --ego-id.")
         return NoEncounter(
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
-            f"(highest risk seen {best:.2f}, {ON_RECORDED if self.drive.recorded() else ON:.2f} is needed); "
+            f"(highest risk seen {detector.best:.2f}, {ON:.2f} is needed); "
             "try a longer --end, more --density, another --seed or --ego-id.",
         )
 

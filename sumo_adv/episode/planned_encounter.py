@@ -10,6 +10,7 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.drivers.car_following import exact
+from sumo_adv.episode.encounter_detector import ON_RECORDED
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import read_library, recall, remembered, retrieve, signature, weights_of_driver
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
@@ -130,5 +131,10 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
         return None
     episode.found, episode.prefix = found, engine.request("prefix")
     episode.lanes = engine.request("lanes", *found.area)
+    if found.below_threshold is not None:
+        episode.notes.append(
+            f"No moment of the recording reaches the risk {ON_RECORDED:.2f}, at which an encounter begins; "
+            f"the best one ({found.below_threshold:.2f}, at {found.time:.1f} s) is attacked."
+        )
     tell("encounter", found)
     return found

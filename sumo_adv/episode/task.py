@@ -57,6 +57,7 @@ class FoundEncounter:
     sizes: Mapping[str, tuple[float, float]]
     area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
     last: bool = False  # no other encounter comes
+    below_threshold: float | None = None  # the highest risk, where no moment of a recording reaches the threshold
 
     @property
     def first(self) -> Situation:

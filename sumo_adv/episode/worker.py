@@ -97,6 +97,8 @@ class Worker:
             if isinstance(ranking, NoEncounter):
                 if self._unreached is not None and self._drive.recorded():
                     return self._back(*self._unreached)
+                if self._drive.recorded() and self._best_moment():
+                    return self._encounter
                 if passed:
                     return NoEncounter(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
                 return ranking
@@ -114,6 +116,15 @@ class Worker:
         self._trigger_step, self._baseline_ego, self._moved = step, baseline_ego, False
         self._drive.rewind(step)
         return self._encounter
+
+    def _best_moment(self) -> bool:
+        """Go to the moment of a recording with the highest risk below the threshold; False if none can be attacked."""
+        for risk, step in self._search.moments:
+            self._drive.rewind(step)
+            if not self._survey(self._search.rank_now()):
+                self._encounter = replace(self._encounter, below_threshold=risk, last=True)
+                return True
+        return False
 
     def _cool_down(self) -> None:
         for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
