@@ -386,15 +386,13 @@ KINDS: Mapping[str, Kind] = {
 """What the prediction copies."""
 CHOSEN: Mapping[str, Chosen] = {
     "a foe speeds up": Chosen(("FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "CLEARANCE"), "giving_way", "krauss", 17, 0,
-        (0.2, 0.05, 0.2)),
-    "the line is in sight": Chosen(("SEES",), "giving_way", "krauss", 14, 2, (0.2, 0.05, 0.2)),
+        (0.02, 0.02, 0.02)),
+    "the line is in sight": Chosen(("SEES", "STOPS_BEFORE"), "giving_way", "krauss", 14, 2, (0.015, 0.02, 0.02)),
     "a vehicle turns across": Chosen(("ACROSS",), "crossing", "krauss", 13, 2, (0.02, 0.02, 0.02)),
-    "a side just in a strip": Chosen(("WITHIN",), "beside", "idm", 2, 2, (0.02, 0.02, 0.02)),
     "an emergency": Chosen(("EMERGENCY", "AMPLIFIED"), "cut_in", "krauss", 2, 1, (0.02, 0.02, 0.02)),
     "back over the middle": Chosen(("BACK",), "over_the_middle", "idm", 4, 4, (0.03, 0.02, 0.03)),
-    "room to one side": Chosen(("GAP",), "beside", "idm", 19, 2, (0.02, 0.03, 0.02)),
-    "room is made fast": Chosen(("ACCELERATION",), "beside", "krauss", 4, 2, (0.02, 0.1, 0.02)),
+    "room to one side": Chosen(("GAP",), "beside", "idm", 19, 2, (0.02, 0.02, 0.02)),
+    "room is made fast": Chosen(("LATERAL_ACCELERATION",), "beside", "krauss", 4, 2, (0.02, 0.02, 0.02)),
     "where ways part": Chosen(("SUMO_TURN_COST", "SUMO_LOYALTY"), "crossing", "idm", 20, 5, (0.02, 0.02, 0.02)),
-    "room is made": Chosen(("RATE",), "beside", "krauss", 5, 2, (0.02, 0.055, 0.02)),
 }  # fmt: skip
 """Single scenes, by what they show."""
