@@ -351,7 +351,7 @@ KINDS: Mapping[str, Kind] = {
         ((0.02, 0.02, 0.02), (0.02, 0.02, 0.09), (0.01, 0.02, 0.02))),
     "beside": Kind("making room within the lane, and the strips that are looked at (lateral_gap.py, prediction.py)",
         _beside, _come_back,
-        ((0.02, 0.1, 2.5), (0.02, 0.11, 0.72), (0.02, 0.02, 1.3))),
+        ((0.02, 0.02, 0.03), (0.02, 0.02, 0.65), (0.02, 0.02, 0.07))),
     "left": Kind("not overtaking on the right above 60 km/h (leaders.py: JAM)", _left, _in_the_left,
         ((0.02, 0.02, 0.27), (0.02, 0.02, 0.02), (0.02, 0.02, 0.66))),
     "over_the_middle": Kind("going over to a lane of the other direction (prediction.py: OVER, TURNED, BACK)",
