@@ -240,24 +240,25 @@ def chosen_faults(name: str, driven: Sequence[Driven]) -> list[str]:
 
 COPIED = {
     "drivers.car_following": ("EMERGENCY", "AMPLIFIED"),
-    "drivers.prediction": ("WITHIN", "OVER", "TURNED", "BACK"),
-    "drivers.lateral_gap": ("SUBLANE", "GAP", "OVERLAP", "RATE", "ACCELERATION", "DECELERATION"),
+    "drivers.prediction": ("OVER", "TURNED", "BACK"),
+    "drivers.lateral_gap": ("SUBLANE", "GAP", "LATERAL_SPEED", "LATERAL_ACCELERATION"),
     "drivers.leaders": ("JAM",),
-    "drivers.junctions": ("FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "SEES", "CLEARANCE", "CRAWL"),
+    "drivers.junctions": ("AHEAD", "SEES", "STOPS_BEFORE"),
     "planners.adversary_batch": ("SUMO_TURN_COST", "SUMO_LOYALTY", "JOINED"),
 }
-"""The constants that copy SUMO, from its source or measured in it, by module. ``NUMERICAL`` of ``car_following.py`` is
-one more, a millimetre, and is not changed here."""
+"""The constants that copy SUMO, from its source or measured in it, by module. Two more are not
+changed here: ``NUMERICAL`` of ``car_following.py``, a millimetre, and ``HALTING`` of ``junctions.py``, which only
+keeps a divisor from zero."""
 OWN = {
     "drivers.prediction": ("ACROSS", "SAME_WAY"),
     "drivers.leaders": ("HELD_UP", "ALONG", "BRAKES", "LATE", "NOTICED"),
-    "drivers.junctions": ("CAN_STOP", "LONGEST"),
+    "drivers.junctions": ("FOE_ACCELERATION", "FOE_SPEED", "CLEARANCE", "LONGEST"),
     "planners.adversary_batch": ("AFTER",),
 }
-"""Other constants of the same modules, which SUMO does not seem to have: judged by our code, not by SUMO's source.
-Angles stand for the lanes by which SUMO knows which way a vehicle drives. Tolerances say from when on an ego counts as
-disturbed or held up. ``LONGEST`` and ``AFTER`` stand for the end of a junction, which the prediction does not know;
-``CAN_STOP`` for braking in steps."""
+"""Other constants of the same modules, which SUMO's source does not have. Angles stand for the lanes by which SUMO
+knows which way a vehicle drives. Tolerances say from when on an ego counts as disturbed or held up.
+``FOE_ACCELERATION`` and ``FOE_SPEED`` stand for what SUMO knows of the other vehicle and of its road. ``CLEARANCE``,
+``LONGEST`` and ``AFTER`` stand for the end of a junction, which the prediction does not know."""
 WHERE = {
     "drivers.car_following": ("following", "cut_in"),
     "drivers.prediction": ("cut_in", "beside", "left", "over_the_middle", "oncoming_intrusion"),

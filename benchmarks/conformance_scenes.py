@@ -351,7 +351,7 @@ KINDS: Mapping[str, Kind] = {
         ((0.02, 0.02, 0.02), (0.02, 0.02, 0.09), (0.01, 0.02, 0.02))),
     "beside": Kind("making room within the lane, and the strips that are looked at (lateral_gap.py, prediction.py)",
         _beside, _come_back,
-        ((0.02, 0.1, 2.5), (0.02, 0.11, 0.72), (0.02, 0.02, 1.3))),
+        ((0.02, 0.02, 0.03), (0.02, 0.02, 0.65), (0.02, 0.02, 0.07))),
     "left": Kind("not overtaking on the right above 60 km/h (leaders.py: JAM)", _left, _in_the_left,
         ((0.02, 0.02, 0.27), (0.02, 0.02, 0.02), (0.02, 0.02, 0.66))),
     "over_the_middle": Kind("going over to a lane of the other direction (prediction.py: OVER, TURNED, BACK)",
@@ -386,15 +386,13 @@ KINDS: Mapping[str, Kind] = {
 """What the prediction copies."""
 CHOSEN: Mapping[str, Chosen] = {
     "a foe speeds up": Chosen(("FOE_ACCELERATION", "FOE_SPEED", "AHEAD", "CLEARANCE"), "giving_way", "krauss", 17, 0,
-        (0.2, 0.05, 0.2)),
-    "the line is in sight": Chosen(("SEES",), "giving_way", "krauss", 14, 2, (0.2, 0.05, 0.2)),
+        (0.02, 0.02, 0.02)),
+    "the line is in sight": Chosen(("SEES", "STOPS_BEFORE"), "giving_way", "krauss", 14, 2, (0.015, 0.02, 0.02)),
     "a vehicle turns across": Chosen(("ACROSS",), "crossing", "krauss", 13, 2, (0.02, 0.02, 0.02)),
-    "a side just in a strip": Chosen(("WITHIN",), "beside", "idm", 2, 2, (0.02, 0.02, 0.02)),
     "an emergency": Chosen(("EMERGENCY", "AMPLIFIED"), "cut_in", "krauss", 2, 1, (0.02, 0.02, 0.02)),
     "back over the middle": Chosen(("BACK",), "over_the_middle", "idm", 4, 4, (0.03, 0.02, 0.03)),
-    "room to one side": Chosen(("GAP",), "beside", "idm", 19, 2, (0.02, 0.03, 0.02)),
-    "room is made fast": Chosen(("ACCELERATION",), "beside", "krauss", 4, 2, (0.02, 0.1, 0.02)),
+    "room to one side": Chosen(("GAP",), "beside", "idm", 19, 2, (0.02, 0.02, 0.02)),
+    "room is made fast": Chosen(("LATERAL_ACCELERATION",), "beside", "krauss", 4, 2, (0.02, 0.02, 0.02)),
     "where ways part": Chosen(("SUMO_TURN_COST", "SUMO_LOYALTY"), "crossing", "idm", 20, 5, (0.02, 0.02, 0.02)),
-    "room is made": Chosen(("RATE",), "beside", "krauss", 5, 2, (0.02, 0.055, 0.02)),
 }  # fmt: skip
 """Single scenes, by what they show."""

@@ -307,6 +307,12 @@ class Verdict:
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
 
+    @property
+    def counts(self) -> bool:
+        """Whether the attempt can reach a level: the motion is feasible, and the adversary does not run into the ego's
+        back."""
+        return self.feasible and not self.rear_end
+
 
 @dataclass(frozen=True, slots=True)
 class Guard:

@@ -32,10 +32,6 @@ def wrap_below_pi(angle: Angle) -> Angle:
     return (angle + math.pi) % math.tau - math.pi
 
 
-wrap_all = wrap
-"""The former name of :func:`wrap` for arrays; ``search/scoring.py`` still uses it."""
-
-
 @dataclass(frozen=True, slots=True)
 class Pose:
     """Where a vehicle is put after a step: box centre [m], heading [rad], speed [m/s]."""

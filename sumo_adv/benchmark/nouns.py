@@ -69,3 +69,8 @@ class Opponent(Protocol):
 def course_proposal(row: str, bv: str, delay: float, course: PrescribedMotion) -> Proposal:
     """An attack that is a motion given in advance. ``delay`` [s]: of the encounter; ``bv``: one of its targets."""
     return Proposal(bv, row, Planner(row, "course", "", (), row), {}, 0.0, delay, by=row, course=course)
+
+
+def counts(verdict: Mapping[str, Any]) -> bool:
+    """``Verdict.counts`` of a stored verdict: feasible and not rear-end."""
+    return bool(verdict.get("feasible")) and not verdict.get("rear_end")

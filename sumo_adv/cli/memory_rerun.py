@@ -65,6 +65,6 @@ def rerun(
             bank.add(source.intent, [planner])
             episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     own = [a.verdict for a in episode.refinement.attempts if a.proposal.planner.hash == planner.hash]
-    good = any(v.critical and v.feasible and not v.rear_end for v in own)
+    good = any(v.critical and v.counts for v in own)
     nearest = min((v.min_ttc for v in own), default=math.inf)
     return Rerun(good, len(own), nearest if math.isfinite(nearest) else None)

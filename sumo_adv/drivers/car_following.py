@@ -51,7 +51,7 @@ class CarFollowing:
         was measured in SUMO.
         """
         if self.krauss:
-            speed = self._safe(gap - self.min_gap + self._standstill(leader), self.tau)
+            speed = self._safe(gap - self.min_gap + self._braking(leader), self.tau)
         else:
             speed = self.behind(v, gap, leader)
         speed = np.where((leader < v) | (gap >= self.min_gap), speed, np.inf)
@@ -72,17 +72,14 @@ class CarFollowing:
         distance = 0.5 * n * (n - 1.0) * b * dt + n * b * t
         return np.asarray(np.where(room < NUMERICAL, 0.0, n * b + (usable - distance) / (n * dt + t)))
 
-    def _standstill(self, v: Floats) -> Floats:
-        """The distance [m] to a standstill with even braking in steps (``brakeGapEuler``)."""
-        b = self.deceleration * self._dt
-        steps = np.floor(v / b)
-        return self._dt * (steps * v - b * steps * (steps + 1.0) / 2.0)
+    def _braking(self, v: Floats) -> Floats:
+        return brake_gap(v, self.deceleration, self._dt)
 
     def _safe_behind(self, v: Floats, room: Floats, leader: Floats) -> Floats:
         """Krauss's safe speed (``maximumSafeFollowSpeed``). Where comfortable braking is not enough, the driver brakes
         harder than necessary by ``AMPLIFIED``."""
         dt = self._dt
-        safe = self._safe(np.maximum(room, 0.0) + self._standstill(leader), self.tau)
+        safe = self._safe(np.maximum(room, 0.0) + self._braking(leader), self.tau)
         safe = np.where(room >= 0.0, safe, v - EMERGENCY * dt)
         hard = (v - safe) / dt
         if not (hard > self.deceleration + NUMERICAL).any():
@@ -99,3 +96,10 @@ class CarFollowing:
 
     def _twice_root(self) -> float:
         return float(2 * np.sqrt(self.acceleration * self.deceleration))
+
+
+def brake_gap(v: Floats, deceleration: float, dt: float) -> Floats:
+    """The distance [m] to a standstill from speeds ``v`` with even braking in steps of ``dt`` s (``brakeGapEuler``)."""
+    b = deceleration * dt
+    steps = np.floor(v / b)
+    return dt * (steps * v - b * steps * (steps + 1.0) / 2.0)

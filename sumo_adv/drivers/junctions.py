@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.drivers.car_following import CarFollowing
+from sumo_adv.drivers.car_following import CarFollowing, brake_gap
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.situation import Situation
 
@@ -22,10 +22,10 @@ AHEAD = 1.0  # s by which a driver that gives way wants to be across before anot
 GOES = ("", "M", "O", "o", "w")  # right of way letters with which the ego waits for no adversary. At an all-way stop
 # (w) the vehicle that stood first goes first, and an approaching adversary does not stand.
 SEES = 4.5  # m before the line where a driver decides (SUMO's visibility distance); until then it brakes as to stop
-CAN_STOP = 0.5  # m by which the ego may be too near for even braking, and still stops: it brakes step by step
 CLEARANCE = 2.0  # m before and behind the meeting place that a vehicle on the other way takes up
 LONGEST = 60.0  # m from the beginning of a junction; a meeting place farther away is on another junction
-CRAWL = 0.1  # m/s, SUMO's haltingSpeed
+STOPS_BEFORE = 0.1  # m before the line or the junction at which a driver stops (SUMO's POSITION_EPS)
+HALTING = 0.1  # m/s: the least speed at which a driver expects another one to leave (SUMO's haltingSpeed)
 
 
 class AtJunction(NamedTuple):
@@ -105,7 +105,7 @@ class Junctions:
         gap = adversary.rear_station - front
         beside = (front < adversary.joins_at) & (self._ego_first_at != begins)
         in_zone = (front < adversary.meets_at) & (adversary.front_to_zone < 0.0)
-        entry = np.where(np.isfinite(begins), begins - front - CRAWL, 0.0)
+        entry = np.where(np.isfinite(begins), begins - front - STOPS_BEFORE, 0.0)
         follow = self._driver.behind(v, np.minimum(gap, FAR), adversary.speed)
         speed = np.where(gap >= self._driver.min_gap, follow, self._driver.stopping(v, entry))
         return np.where(adversary.on_junction & (beside | in_zone), speed, np.inf)
@@ -121,10 +121,10 @@ class Junctions:
             return np.full(len(v), np.inf)
         driver, gap = self._driver, to_zone - self._driver.min_gap - to_clear
         room = to_zone - driver.min_gap
-        entry = np.where(np.isfinite(begins), begins - front - CRAWL, room)
+        entry = np.where(np.isfinite(begins), begins - front - STOPS_BEFORE, room)
         follow = driver.behind(v, gap + driver.min_gap, adversary.speed)
         speed = np.where(gap >= 0.0, follow, driver.stopping(v, entry))
-        time = np.maximum(to_clear, 1e-3) / np.maximum(adversary.speed, CRAWL)
+        time = np.maximum(to_clear, 1e-3) / np.maximum(adversary.speed, HALTING)
         later = v + (np.maximum(v, 2 * room / time - v) - v) / time * self._dt
         speed = np.where(to_zone >= 0.0, np.maximum(speed, np.minimum(later, driver.stopping(v, room))), speed)
         before_bay = np.isfinite(self._bay) & (front < begins)
@@ -138,7 +138,7 @@ class Junctions:
         """
         room = np.where(np.isfinite(self._line), self._line - front, -FAR)
         left = adversary.meets_at - front
-        stops = (room > -0.5) & (room < self._sees) & (room > v * v / (2 * self._driver.deceleration) - CAN_STOP)
+        stops = (room > -0.5) & (room < self._sees) & (room > brake_gap(v, self._driver.deceleration, self._dt))
         arrival = seconds(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION)
         gone = seconds(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION)
         at_line = seconds(room, v, self._driver.acceleration)
@@ -154,7 +154,7 @@ class Junctions:
             & (across + AHEAD > arrival)
             & (gone > at_line)
         )
-        return np.where(waits, self._driver.stopping(v, np.maximum(room, 0.0)), np.inf)
+        return np.where(waits, self._driver.stopping(v, np.maximum(room - STOPS_BEFORE, 0.0)), np.inf)
 
 
 def _has_priority(situation: Situation) -> float:

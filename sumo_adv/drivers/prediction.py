@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, ObservedMotion
-from sumo_adv.drivers.car_following import EMERGENCY, CarFollowing
+from sumo_adv.drivers.car_following import EMERGENCY, NUMERICAL, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.guard import Guards
 from sumo_adv.drivers.junctions import AtJunction, Junctions
@@ -22,7 +22,6 @@ from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
 
-WITHIN = 0.037  # m that a side must be inside a strip to count as in it (measured: between 0.034 and 0.04)
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
 OVER = 0.365  # m beyond the line to the opposite lane up to which SUMO keeps a vehicle in its lane (measured)
@@ -71,7 +70,8 @@ class PredictedEgos:
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
-        self._edges_at, self._edges = self.d, seen_edges(self._lane, scenes.ego.width, self.d)
+        self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
+        self._edges = seen_edges(self._lane, scenes.ego.width, self.d)
         self._sees = np.maximum(self._lane / 2, self.model.sees)
 
     def step(
@@ -100,6 +100,7 @@ class PredictedEgos:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
             self.d, self.turn = self._lattice.d, self._lattice.turn
+            self._looks_from = self.d
             return
         held_up = self._leaders.held_up(self.s)
         self.disturbed |= (bound < next_v - NOTICED) | (held_up & (bound > next_v + NOTICED))
@@ -111,8 +112,10 @@ class PredictedEgos:
         free = np.minimum(self._driver.free(self.v), pace)
         v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
         v = np.maximum(v, 0.0)
-        self._lateral_gap.step(sumo_s - self.s, front_d, self._was_inside)
-        self.d, self.a = self._lateral_gap.d, (v - self.v) / dt
+        next_ahead = sumo_s - self.s + dt * (speed * np.cos(h) - v)
+        self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
+        self.d, self.turn, self.a = self._lateral_gap.d, self._lateral_gap.turn, (v - self.v) / dt
+        self._looks_from = self._lateral_gap.front
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
 
@@ -163,10 +166,11 @@ class PredictedEgos:
         that the ego takes up.
         """
         inside, half = self._inside(front_d, h), self._width / 2
-        if self.d is not self._edges_at:
-            self._edges_at, self._edges = self.d, seen_edges(self._lane, self.scenes.ego.width, self.d)
+        if self._looks_from is not self._edges_at:
+            self._edges_at = self._looks_from
+            self._edges = seen_edges(self._lane, self.scenes.ego.width, self._edges_at)
         left, right = self._edges
-        partly = (front_d - half < left) & (front_d + half > -right)
+        partly = (front_d - half + NUMERICAL < left) & (front_d + half - NUMERICAL > -right)
         self._was_inside |= inside
         return inside | (self._was_inside & partly & np.where(front_d > 0.0, self._has_left, self._has_right))
 
@@ -204,7 +208,7 @@ def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floa
     It looks in the strips of ``SUBLANE`` that it takes up, counted from the lane's right edge (``MSLeaderInfo``).
     lane: widths [m]; offset: of the ego [m].
     """
-    wide, middle = width - 2 * WITHIN, lane / 2 + offset
+    wide, middle = width - 2 * NUMERICAL, lane / 2 + offset
     right = np.maximum(np.floor((middle - wide / 2) / SUBLANE), 0.0) * SUBLANE
     left = np.minimum((np.floor((middle + wide / 2) / SUBLANE) + 1.0) * SUBLANE, lane)
     return left - lane / 2, lane / 2 - right

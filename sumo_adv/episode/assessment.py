@@ -23,10 +23,9 @@ NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, 
 def rank(verdict: Verdict) -> tuple[float, float]:
     """A key that sorts attempts: collisions by level, serious first; then feasible ones by min TTC; then infeasible
     ones, collisions first."""
-    honest = verdict.feasible and not verdict.rear_end
     if verdict.collided:
-        return (float(Level.SERIOUS - verdict.level), 0.0) if honest else (5, 0.0)
-    return (4, verdict.min_ttc) if honest else (6, verdict.min_ttc)
+        return (float(Level.SERIOUS - verdict.level), 0.0) if verdict.counts else (5, 0.0)
+    return (4, verdict.min_ttc) if verdict.counts else (6, verdict.min_ttc)
 
 
 def succeeded(verdict: Verdict, until: Until) -> bool:

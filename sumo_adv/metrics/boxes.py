@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
-from sumo_adv.geometry import wrap_below_pi as wrap  # hazard.py and levels.py import it from here
+from sumo_adv.geometry import wrap_below_pi
 
 LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
 TOUCH = 1e-9  # m, below this two boxes touch
@@ -131,7 +131,7 @@ def sweep(a: Boxes, b: Boxes) -> Floats:
     near = np.hypot(x0 + nearest * vx, y0 + nearest * vy) <= reach
     out = np.full(near.shape, np.inf)
     if near.any():
-        motion = [v[near] for v in (x0, y0, vx, vy, ha, wrap(ha1 - ha), hb, wrap(hb1 - hb), *sizes)]
+        motion = [v[near] for v in (x0, y0, vx, vy, ha, wrap_below_pi(ha1 - ha), hb, wrap_below_pi(hb1 - hb), *sizes)]
         out[near] = _advance(motion)
     return out
 
@@ -209,7 +209,7 @@ def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
     x, y, speed = (
         p + share * (q - p) for p, q in ((before.x, after.x), (before.y, after.y), (before.speed, after.speed))
     )
-    heading = before.heading + share * wrap(after.heading - before.heading)
+    heading = before.heading + share * wrap_below_pi(after.heading - before.heading)
     return Boxes(x, y, heading, speed, after.length, after.width)
 
 

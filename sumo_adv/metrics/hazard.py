@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats
-from sumo_adv.metrics.boxes import wrap
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.criticality import ttc
 
 LEFT_LANE_KEEPING = 0.375  # m towards the ego's path, UN R157
@@ -71,8 +71,8 @@ def hazard_index(
     inside = (steps >= trigger[:, None]) & (steps <= contact[:, None])
     lateral, path_heading = path_frame(ego, adversary.x, adversary.y)
     offset = np.abs(lateral)
-    turn = np.abs(wrap(np.broadcast_to(adversary.heading, offset.shape) - path_heading))
-    facing = np.abs(wrap(np.broadcast_to(adversary.heading - ego.heading, offset.shape)))[rows, contact]
+    turn = np.abs(wrap_below_pi(np.broadcast_to(adversary.heading, offset.shape) - path_heading))
+    facing = np.abs(wrap_below_pi(np.broadcast_to(adversary.heading - ego.heading, offset.shape)))[rows, contact]
     peak = _last(np.where(inside, offset, -np.inf))
     kind = np.where(facing < SAME, 0, np.where(facing > OPPOSITE, 1, 2))
     kind = np.where((kind == 0) & (turn[rows, peak] > SAME), 2, kind)

@@ -22,8 +22,9 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Level, Preventability, Track, Verdict
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import on_grid, row_of, wrap
+from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.human import outside
 from sumo_adv.metrics.paths import EgoPaths
@@ -97,7 +98,7 @@ def onward_of(ego: Track, unattacked: Track) -> Floats:
     px, py, ph = unattacked.x[moved], unattacked.y[moved], unattacked.heading[moved]
     nearest = int(np.argmin(np.hypot(px - x, py - y)))
     left = (y - py[nearest]) * np.cos(ph[nearest]) - (x - px[nearest]) * np.sin(ph[nearest])
-    if abs(left) > SAME_WAY or abs(float(wrap(np.asarray(ph[nearest] - heading)))) > SAME_DIRECTION:
+    if abs(left) > SAME_WAY or abs(float(wrap_below_pi(np.asarray(ph[nearest] - heading)))) > SAME_DIRECTION:
         return np.empty((0, 2))
     px, py = px - left * np.sin(ph), py + left * np.cos(ph)
     ahead = (px - x) * np.cos(heading) + (py - y) * np.sin(heading) > 1.0
@@ -174,7 +175,7 @@ def judged(verdict: Verdict) -> Verdict:
 
 def level_of(verdict: Verdict) -> Level:
     """The highest level that a verdict reaches."""
-    if not verdict.feasible or verdict.rear_end:
+    if not verdict.counts:
         return Level.NONE
     if not verdict.collided:
         return Level.CRITICAL if verdict.critical else Level.NONE
@@ -197,7 +198,7 @@ def same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:
     if not len(e.time) or not len(a.time):
         return False
     count = min(len(e.time), len(a.time))
-    return bool((np.abs(wrap(a.heading[-count:] - e.heading[-count:])) < SAME_DIRECTION).all())
+    return bool((np.abs(wrap_below_pi(a.heading[-count:] - e.heading[-count:])) < SAME_DIRECTION).all())
 
 
 def _stationary(ego: Track, contact_time: float) -> bool:
@@ -236,5 +237,5 @@ def _ahead_in_lane(ego: Track, adversary: Track, lane_half_width: float) -> Bool
     station, left, heading = (v[0] for v in paths.locate(adversary.x[None], adversary.y[None]))
     ahead = station > paths.station[0, common]
     return np.asarray(
-        ahead & (np.abs(left) < lane_half_width) & (np.abs(wrap(adversary.heading - heading)) < SAME_DIRECTION)
+        ahead & (np.abs(left) < lane_half_width) & (np.abs(wrap_below_pi(adversary.heading - heading)) < SAME_DIRECTION)
     )

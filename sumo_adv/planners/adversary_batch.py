@@ -33,7 +33,7 @@ AROUND = np.arange(1 - COARSE, COARSE)
 SUMO_TURN_COST, SUMO_LOYALTY = 2.2, 2.0  # m per rad, m: SUMO's costs of heading and of another way (moveToXY)
 AFTER = 10.0  # m behind the place where ways meet, up to which a vehicle counts as on the junction
 BESIDE = np.arange(-12, 13)  # samples of a way around a vehicle's front
-JOINED = 0.78  # share of a lane's width: ways this near to each other have become one (measured in SUMO)
+JOINED = 2.5  # m: ways this near to each other have become one (SUMO's DIVERGENCE_MIN_WIDTH; at most a lane's width)
 
 
 class AdversaryBatch:
@@ -289,7 +289,7 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
     wide = 2.0 / abs(math.sin(c.angle)) - 1.0 if c.kind == "crossing" else 0.0
     at = int(c.bv_s / PATH_STEP)
-    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > JOINED * lane)
+    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > min(JOINED, lane))
     joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
     return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins
 

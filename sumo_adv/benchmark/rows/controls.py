@@ -110,8 +110,7 @@ def objective(verdict: Verdict) -> float:
     for an infeasible motion and for running into the ego's back."""
     if verdict.valid:
         return 0.0
-    honest = verdict.feasible and not verdict.rear_end
-    if verdict.collided and honest:
+    if verdict.collided and verdict.counts:
         return 1.0
     near = min(verdict.min_distance, FARTHEST) / 10.0 + min(verdict.min_ttc, LONGEST) / 10.0
     return 2.0 + near + 3.0 * (not verdict.feasible) + 3.0 * verdict.rear_end

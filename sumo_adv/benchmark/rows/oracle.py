@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sumo_adv.benchmark.nouns import Cell, Encounter
+from sumo_adv.benchmark.nouns import Cell, Encounter, counts
 from sumo_adv.datatypes import Attempt, Proposal
 from sumo_adv.search.templates import BRAKING_LABEL, AttackTemplate, templates_of
 
@@ -133,13 +133,9 @@ def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
 
 def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
     """Whether a simulation counts: a valid collision, or a feasible one that is not rear-end."""
-    return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and _honest(attempt)
-
-
-def _honest(attempt: Mapping[str, Any]) -> bool:
-    return bool(attempt["feasible"]) and not attempt["rear_end"]
+    return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and counts(attempt)
 
 
 def _time(attempt: Mapping[str, Any]) -> float:
     least = attempt["min_ttc"]
-    return min(float(least), CAP) if least is not None and _honest(attempt) else CAP
+    return min(float(least), CAP) if least is not None and counts(attempt) else CAP

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from sumo_adv.benchmark.nouns import GROUPS, Cell
+from sumo_adv.benchmark.nouns import GROUPS, Cell, counts
 from sumo_adv.datatypes import Ending
 
 RAW, ORACLE = "raw", "oracle"
@@ -57,7 +57,7 @@ def attempts(cell: Cell) -> Sequence[Mapping[str, Any]]:
 
 def no_rear(verdict: Mapping[str, Any]) -> bool:
     """A feasible collision in which the adversary does not run into the ego's back."""
-    return bool(verdict.get("collided") and verdict.get("feasible") and not verdict.get("rear_end"))
+    return bool(verdict.get("collided")) and counts(verdict)
 
 
 def capped_ttc(verdict: Mapping[str, Any]) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.nouns import Cell, counts
 from sumo_adv.benchmark.tables import cells as c
 from sumo_adv.benchmark.tables.realism import distance, step_share
 from sumo_adv.datatypes import Level
@@ -145,7 +145,7 @@ def _unseen(cell: Cell) -> Value:
 
 
 def _critical(attempt: Mapping[str, Any]) -> bool:
-    return bool(attempt.get("critical") and attempt.get("feasible") and not attempt.get("rear_end"))
+    return bool(attempt.get("critical")) and counts(attempt)
 
 
 def _raw_critical(cell: Cell) -> Value:

@@ -20,11 +20,12 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.manoeuvre import escapes
-from sumo_adv.metrics.reference.view import SAME, Views
+from sumo_adv.metrics.reference.view import Views
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
@@ -158,7 +159,8 @@ class Counterfactual:
             k = min(int(np.floor(when[i, j] / self.given.dt + 1e-9)), self.steps - 1)
             there, left = self.views.lateral(k)
             behind = there[i, j] < station[i, k] and abs(left[i, j]) < self.given.lane_half_width
-            same = abs(self.views.at(k, station[:, k], ego.speed[:, k], 0.0 * station[:, k]).heading[i, j]) < SAME
+            view = self.views.at(k, station[:, k], ego.speed[:, k], 0.0 * station[:, k])
+            same = abs(view.heading[i, j]) < SAME_DIRECTION
             if behind and same:
                 when[i, j] = np.inf
         return np.asarray(when.min(axis=1))

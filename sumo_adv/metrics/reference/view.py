@@ -11,7 +11,6 @@ from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 
-SAME = SAME_DIRECTION  # counterfactual.py imports it by this name
 HISTORY = 0.5  # s over which yaw rates are measured
 
 
@@ -117,7 +116,7 @@ class Views:
         """In which steps each vehicle is in the lane of an ego at ``ego_station`` ``(N, T)`` [m], ahead of it, and goes
         its way, ``(N, M, T)``."""
         ahead = self._station > ego_station[:, None, :]
-        return np.asarray(ahead & (np.abs(self._left) < self._half) & (np.abs(self._heading) < SAME))
+        return np.asarray(ahead & (np.abs(self._left) < self._half) & (np.abs(self._heading) < SAME_DIRECTION))
 
     def lateral(self, step: int) -> tuple[Floats, Floats]:
         """Station and offset of all vehicles in a step, ``(N, M)``."""
