@@ -20,9 +20,9 @@ from sumo_adv.womd.record import Record
 
 REACH = 10.0  # m from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
 KNOWN = 20.0  # m from an edge within which it says something of a place; two lanes and the middle of a junction
-BESIDE = 5.0  # m further to which edges are taken, since they tell to whose side a place belongs
+BESIDE = 5.0  # m further to which edges are taken, because the nearest edge decides about a place
 ONWARD = 30.0  # m by which an edge is thought to go on straight beyond its end, more than KNOWN
-SPACING = 1.0  # m between the points of edges whose cells are cut
+SPACING = 1.0  # m between the points of edges around which Voronoi cells are cut
 APRON = 0.3  # m by which a driveway is widened: its polygon ends a little before the road edge
 SEAM = 0.05  # m: half the width of cracks that are closed
 EXACT = 0.02  # m that the outline may be off for the sake of fewer points
@@ -30,14 +30,14 @@ ON_LINE = 0.01  # m of a centre line that a part of its lane must hold
 
 
 def drivable_ground(record: Record, roads: Roads) -> Any:
-    """The drivable area [shapely polygons, m]; None if the record has no road edge."""
+    """The drivable area [shapely polygons, m]; None if the record has no road edge or no lane for cars."""
     from shapely import LineString, MultiPolygon, Polygon, make_valid, union_all
 
     edges = [line.points[:, :2] for line in record.lines.values() if line.edge and len(line.points) > 1]
-    if not edges:
-        return None
     lanes = [(lane.shape, lane.width) for edge in roads.edges.values() for lane in edge.lanes if not lane.bike]
-    lanes += [(link.shape, link.width) for link in roads.links]
+    lanes += [(k.shape, k.width) for k in roads.links if not roads.edges[k.source].lanes[k.from_lane].bike]
+    if not edges or not lanes:
+        return None
     near = union_all([LineString(shape).simplify(0.2).buffer(REACH, quad_segs=4) for shape, _ in lanes])
     driveways = [
         make_valid(Polygon(area.points[:, :2])).buffer(APRON)
@@ -96,7 +96,7 @@ def _extended(line: Any) -> Any:
 def _on_the_left(places: Any, segments: Floats, tree: Any) -> Bools:
     """Whether each place lies to the left of its nearest segment ``(m, 2, 2)``.
 
-    At a corner two segments are equally near. The one that the place is further beside decides.
+    At a corner two segments are equally near. The segment that the place is further beside decides.
     """
     from shapely import get_coordinates
 
