@@ -197,7 +197,7 @@ class Worker:
 
     def _branch(self, works: Sequence[Callable[[], Any]]) -> list[Any]:
         if self._forks:
-            return in_forks(works)
+            return in_forks(works, self._reloaded)
         results = []
         for work in works:
             self._at_trigger()
@@ -205,6 +205,15 @@ class Worker:
             results.append(work())
         self._at_trigger()
         return results
+
+    def _reloaded(self, work: Callable[[], Any]) -> Callable[[], Any]:
+        """The same work after loading the simulation again: SUMO may crash in a fork of a state that it reached."""
+
+        def again() -> Any:
+            self._drive.rewind(self._trigger_step)
+            return work()
+
+        return again
 
     def _at_trigger(self) -> None:
         if self._moved:
