@@ -169,7 +169,8 @@ class Worker:
         snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
-        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond)
+        logged = None if drive.reacting() else settings.limits.limits()
+        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond, logged)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
         """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
