@@ -288,6 +288,7 @@ class Verdict:
     strict: bool | None
     avoidable: str | None  # careful_driver | any_manoeuvre | unavoidable
     failed_gates: tuple[str, ...] = ()
+    log_gates: tuple[str, ...] = ()  # broken by the log of the adversary before the take-over; they do not count
     min_ttc_any: float = float("inf")
     min_pet: float = float("inf")
     max_drac: float = 0.0

@@ -64,10 +64,24 @@ class Errands:
             "divides": lambda: 1 // 0,
             "refuses": self.wrong_use,
             "dies": lambda: os.kill(os.getpid(), signal.SIGKILL),
+            "crashes": lambda: os.kill(os.getpid(), signal.SIGSEGV),
             "cannot_be_sent": lambda: lambda: 0,
             "exits": lambda: os._exit(3),
         }
         return in_forks([lambda: 1, failures[what]])
+
+    def fork_again(self, numbers: list[int]) -> list[str]:
+        """Numbers as words. A negative one crashes until the simulation was loaded again, 0 always."""
+
+        def work(number: int, note: str = "") -> str:
+            if number == 0 or (number < 0 and not note):
+                os.kill(os.getpid(), signal.SIGSEGV)
+            return f"{number}{note}"
+
+        def reloaded(work: Callable[[], Any]) -> Callable[[], Any]:
+            return partial(work, note=" reloaded")
+
+        return in_forks([partial(work, n) for n in numbers], reloaded)
 
     def simulate(self, spec: SimulationSpec) -> float:
         """Start SUMO, take one step, stop."""

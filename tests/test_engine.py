@@ -90,8 +90,9 @@ def test_forks_give_their_results_in_order(engine: Engine) -> None:
     [
         ("divides", SimulationError, r"An attempt failed \(ZeroDivisionError: .*\)\."),
         ("refuses", UsageError, "The input is wrong; give another."),
-        ("dies", SimulationError, "A forked attempt died without a word."),
-        ("exits", SimulationError, "A forked attempt died without a word."),
+        ("dies", SimulationError, r"A forked attempt was killed \(SIGKILL\)\.$"),
+        ("crashes", SimulationError, r"SUMO or the ego's driver crashed in a forked attempt \(SIGSEGV\)\.$"),
+        ("exits", SimulationError, r"A forked attempt ended without a result \(exit status 3\)\.$"),
         ("cannot_be_sent", SimulationError, r"An attempt failed \(.*pickle.*\)\."),
     ],
 )
@@ -101,6 +102,14 @@ def test_a_fork_that_fails_is_an_error_and_the_engine_goes_on(
     with pytest.raises(kind, match=sentence):
         engine.request("fork_that", what)
     assert engine.request("add", 2, 2) == 4
+
+
+@needs_fork
+def test_a_fork_that_dies_is_repeated_once_by_reload(engine: Engine) -> None:
+    """The second piece of work crashes before the reload and does well after it; the third crashes both times."""
+    assert engine.request("fork_again", [1, -2, 3]) == ["1", "-2 reloaded", "3"]
+    with pytest.raises(SimulationError, match="also when the simulation was loaded again and the attempt repeated"):
+        engine.request("fork_again", [1, 0])
 
 
 @needs_fork

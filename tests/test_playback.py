@@ -316,3 +316,13 @@ def test_a_vehicle_unseen_before_the_attack_is_judged_by_what_came_after(tmp_pat
         assert case is not None
         assert case.adversary.time == pytest.approx(np.arange(15, 51) * 0.1)
         assert judge(case.ego, case.adversary, case.others, trigger_time=2.0).feasible
+
+
+def test_a_vehicle_that_sumo_refuses_is_inserted_slower_and_brought_to_its_speed(tmp_path: Path) -> None:
+    """SUMO's default type has 55.6 m/s at most, so it refuses a departure at 60 m/s. The log has it there anyway."""
+    rocket = moving("rocket", 200.0, LEFT, 60.0, gone=(range(20),))  # first seen at 2.0 s
+    with playing(tmp_path, [EGO, rocket], routed=("e", "rocket")) as drive:
+        go(drive, 2.5)
+        state = drive.state("rocket")
+    assert state.x == pytest.approx(200.0 + 60.0 * 2.5, abs=0.01)
+    assert state.speed == pytest.approx(60.0, abs=0.01)

@@ -130,12 +130,30 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path) -> None:
     assert not made.folder.exists()
 
 
-def test_what_fails_leaves_nothing_in_the_cache(tmp_path: Path) -> None:
-    slow = straight()
+def test_a_record_of_another_rate_is_resampled_and_reported(tmp_path: Path) -> None:
+    """91 steps of 0.05 s are 4.5 s: 46 steps of 0.1 s. The current step, 10, is at 0.5 s."""
+    fast = straight()
     for i in range(91):
-        slow.timestamps_seconds[i] = 0.2 * i
-    record = read(write(tmp_path / "a.tfrecord", slow))
-    with pytest.raises(UsageError, match="10 Hz"), conversion(record, traffic=False, cache=tmp_path / "cache"):
+        fast.timestamps_seconds[i] = 0.05 * i
+    record = read(write(tmp_path / "a.tfrecord", fast))
+    with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
+        sampling = made.report["sampling"]
+        assert made.report["steps"] == 46 and made.report["current"] == 5
+        assert load_input(made.scenario).warm_up == 0.5
+    assert sampling["resampled"] and sampling["step"] == pytest.approx(0.05)
+    assert sampling["note"].startswith("resampled to 10 Hz: steps 0.050 s apart")
+    assert sampling["note"] in shortfalls(made.report)
+
+
+def test_what_fails_leaves_nothing_in_the_cache(tmp_path: Path) -> None:
+    unseen = straight()
+    for state in unseen.tracks[0].states:
+        state.valid = False
+    record = read(write(tmp_path / "a.tfrecord", unseen))
+    with (
+        pytest.raises(UsageError, match="never sees its ego"),
+        conversion(record, traffic=False, cache=tmp_path / "cache"),
+    ):
         pass
     assert [p for p in (tmp_path / "cache").rglob("*") if p.is_file()] == []
 

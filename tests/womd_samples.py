@@ -118,10 +118,10 @@ def straight(name: str = "straight") -> Any:
     n = len(right) - 1
     made = [lane(message, 11, left), lane(message, 12, right)]
     beside(made[0], made[1], 11, 12, (0, n), (0, n))
-    for number, y in ((21, 3.5 + HALF), (22, -HALF)):
+    for number, y, course in ((21, 3.5 + HALF, (300.0, 150.0, 0.0)), (22, -HALF, (0.0, 150.0, 300.0))):
         edge = message.map_features.add(id=number).road_edge
         edge.type = 1
-        for x in (0.0, 150.0, 300.0):
+        for x in course:  # the road is on the left
             edge.polyline.add(x=x, y=y)
     dashes = message.map_features.add(id=23).road_line
     dashes.type = 1

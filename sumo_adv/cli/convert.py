@@ -53,7 +53,8 @@ def convert(
             tell(error)
         else:
             if not as_json:
-                typer.echo(f"{record.scenario_id}: {reports[-1]['folder']}")
+                note = reports[-1]["sampling"]["note"]
+                typer.echo(f"{record.scenario_id}: {reports[-1]['folder']}{f' ({note})' if note else ''}")
     if as_json:
         typer.echo(json.dumps({"records": reports, "failed": failed}, allow_nan=False))
     elif reports:

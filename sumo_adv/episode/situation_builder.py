@@ -16,6 +16,7 @@ from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
 from sumo_adv.episode.start_times import delays, spent
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
+from sumo_adv.metrics.log_noise import smoothed
 from sumo_adv.simulation.network import Connection, RoadMap, Way
 from sumo_adv.situation import (
     SHIFT_STEP,
@@ -114,7 +115,10 @@ def build_situation(
     junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
     targets = {}
     for ranked in ranking:
-        target = _target(road, tracks.get(ranked.id), ranked, time, path, first, trigger.routes.get(ranked.id, ()))
+        track = tracks.get(ranked.id)
+        if track is not None and not trigger.reacting:  # a log moves it: the adversary is to begin without its noise
+            track = smoothed(track, time, settings.limits.limits())
+        target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
         if target is not None:
             targets[ranked.id] = target
     if not targets:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track, Verdict
 from sumo_adv.episode.attempt import Driven
@@ -22,7 +24,8 @@ def gate_verdict(
     """
     assert drive.ego is not None
     first = first_judged(found, settings, trigger_step, start)
-    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond)
+    logged = None if drive.reacting() else settings.limits.limits()
+    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond, logged)
     if case is None:
         return None
     half = found.first.road.lane_width / 2
@@ -30,6 +33,7 @@ def gate_verdict(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.ttc,
         limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=half,
     )  # fmt: skip
+    verdict = replace(verdict, log_gates=case.log_gates)
     return with_level(
         verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
         lane_half_width=half, unattacked=unattacked(found, settings),

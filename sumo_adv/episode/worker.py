@@ -180,7 +180,8 @@ class Worker:
         snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
-        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond)
+        logged = None if drive.reacting() else settings.limits.limits()
+        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond, logged)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
         """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
@@ -208,7 +209,7 @@ class Worker:
 
     def _branch(self, works: Sequence[Callable[[], Any]]) -> list[Any]:
         if self._forks:
-            return in_forks(works)
+            return in_forks(works, self._reloaded)
         results = []
         for work in works:
             self._at_trigger()
@@ -216,6 +217,15 @@ class Worker:
             results.append(work())
         self._at_trigger()
         return results
+
+    def _reloaded(self, work: Callable[[], Any]) -> Callable[[], Any]:
+        """The same work after loading the simulation again: SUMO may crash in a fork of a state that it reached."""
+
+        def again() -> Any:
+            self._drive.rewind(self._trigger_step)
+            return work()
+
+        return again
 
     def _at_trigger(self) -> None:
         if self._moved:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track
+from sumo_adv.datatypes import Floats, Limits, Track
+from sumo_adv.metrics.log_noise import log_breaches, smoothed
 
 NEAR = 60.0  # m between centres: others that never come so near are no third party
 LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
@@ -16,18 +17,24 @@ LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The arguments of both verdicts. ``adversary`` goes on past a contact as it was planned."""
+    """The arguments of both verdicts. ``adversary`` goes on past a contact as it was planned.
+
+    log_gates: the gates that the log of the adversary breaks before the take-over; empty if no log moved it."""
 
     ego: Track
     adversary: Track
     others: tuple[Track, ...]
+    log_gates: tuple[str, ...] = ()
 
 
-def make_case(tracks: Sequence[Track], ego: str, adversary: str, start: float, beyond: Track | None) -> Case | None:
+def make_case(
+    tracks: Sequence[Track], ego: str, adversary: str, start: float, beyond: Track | None, logged: Limits | None = None
+) -> Case | None:
     """The case of one attempt that began at ``start`` [s]; None where one of the two is gone before it moved.
 
     ``tracks`` lie on one grid and begin some steps before ``start``; ``beyond`` is the adversary's planned motion from
-    the last recorded step on.
+    the last recorded step on. ``logged``: the vehicle's limits, if a log moved the adversary up to ``start``; its noise
+    there is smoothed, because the gates judge what the adversary adds.
     """
     named = {t.id: t for t in tracks}
     one, two = named.get(ego), named.get(adversary)
@@ -40,7 +47,9 @@ def make_case(tracks: Sequence[Track], ego: str, adversary: str, start: float, b
         t for n, t in named.items()
         if n not in (ego, adversary) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
     )  # fmt: skip
-    return Case(one, two if beyond is None else joined(two, beyond), others)
+    breaches = () if logged is None else log_breaches(two, start, logged)
+    two = two if logged is None else smoothed(two, start, logged)
+    return Case(one, two if beyond is None else joined(two, beyond), others, breaches)
 
 
 def unbroken(track: Track, time: float) -> Track:

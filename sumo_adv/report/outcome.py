@@ -109,7 +109,7 @@ def verdict(v: Verdict) -> dict[str, Any]:
         "max_drac": number(v.max_drac), "min_distance": number(v.min_distance), "collided": v.collided,
         "critical": v.critical, "feasible": v.feasible, "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict,
         "avoidable": v.avoidable, "fault": v.fault, "failed_gates": list(v.failed_gates),
-        "contact_time": number(v.contact_time), "hazard_time": number(v.hazard_time),
+        "log_gates": list(v.log_gates), "contact_time": number(v.contact_time), "hazard_time": number(v.hazard_time),
         **level_figures(v),
     }  # fmt: skip
 
@@ -148,7 +148,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
-        "failed_gates": list(v.failed_gates), "ending": a.ending, "message": a.message,
+        "failed_gates": list(v.failed_gates), "log_gates": list(v.log_gates), "ending": a.ending, "message": a.message,
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,

@@ -47,7 +47,7 @@ FULL_KEYS = (
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
-    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk",
+    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "log_gates",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
@@ -70,7 +70,9 @@ def judge_best(episode: Episode) -> Judged | None:
         return None
     result = episode.refinement.results[episode.refinement.best or 0]
     tracks = _tracks(episode, best, found, prefix, result)
-    case = make_case(tracks, found.ego, best.proposal.bv, result.start, result.driven.beyond)
+    played = episode.task.playback
+    logged = episode.settings.limits.limits() if played is not None and played.background == "log" else None
+    case = make_case(tracks, found.ego, best.proposal.bv, result.start, result.driven.beyond, logged)
     if case is None:
         return Judged(None, (), {}, ())
     recorded = {t.id: t for t in tracks}

@@ -159,12 +159,26 @@ def can_fork() -> bool:
     return hasattr(os, "fork") and sys.platform.startswith("linux")
 
 
-def in_forks(works: Sequence[Callable[[], Any]]) -> list[Any]:
+def in_forks(
+    works: Sequence[Callable[[], Any]], reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None
+) -> list[Any]:
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
+    reloaded: makes of a piece of work one that loads the simulation again first. A fork that dies is repeated with it.
+
     Raises:
-        SimulationError: a fork died or failed.
+        SimulationError: a fork died, and again when it was repeated, or its work failed.
     """
+    results = _forked(works)
+    if reloaded is not None:
+        for k, (data, _) in enumerate(results):
+            if not data:
+                results[k] = _forked([reloaded(works[k])])[0]
+    return [_result(data, status, repeated=reloaded is not None) for data, status in results]
+
+
+def _forked(works: Sequence[Callable[[], Any]]) -> list[tuple[bytes, int]]:
+    """What each fork wrote, nothing if it died, and its exit code: negative for the signal that killed it."""
     children = []
     for work in works:
         inlet, outlet = os.pipe()
@@ -178,9 +192,8 @@ def in_forks(works: Sequence[Callable[[], Any]]) -> list[Any]:
     for pid, inlet in children:
         with os.fdopen(inlet, "rb") as pipe:
             data = pipe.read()
-        os.waitpid(pid, 0)
-        results.append(data)
-    return [_result(data) for data in results]
+        results.append((data, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
+    return results
 
 
 def _child(work: Callable[[], Any], outlet: int) -> None:
@@ -198,10 +211,21 @@ def _child(work: Callable[[], Any], outlet: int) -> None:
         os._exit(0)
 
 
-def _result(data: bytes) -> Any:
+def _result(data: bytes, status: int, *, repeated: bool) -> Any:
     if not data:
-        raise SimulationError("A forked attempt died without a word.")
+        again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
+        raise SimulationError(f"{_death(status)}{again}.")
     kind, value = pickle.loads(data)
     if kind == "error":
         raise value
     return value
+
+
+def _death(status: int) -> str:
+    """Why a fork ended without a result, from its exit code."""
+    if status >= 0:
+        return f"A forked attempt ended without a result (exit status {status})"
+    name = signal.Signals(-status).name
+    crash = name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
+    what = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
+    return f"{what} ({name})"

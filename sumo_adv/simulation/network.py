@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, along, make_path, wrap
+from sumo_adv.simulation.drivable import KEY, Drivable, area_of
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
@@ -72,12 +73,15 @@ class Way:
 
 @dataclass(frozen=True)
 class RoadMap:
-    """All lanes of a network, with what can be reached from where."""
+    """All lanes of a network, with what can be reached from where.
+
+    ground: the drivable area that the network carries (shapely polygons, m), None where it carries none."""
 
     name: str
     lanes: dict[str, Lane]
     edges: dict[str, tuple[str, ...]]  # edge -> its lane ids, rightmost first
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
+    ground: Any = field(repr=False, default=None)
 
     @cached_property
     def _tree(self) -> tuple[Any, list[str]]:
@@ -230,9 +234,11 @@ class RoadMap:
         ]  # fmt: skip
 
     def drivable(self, x: float, y: float, radius: float) -> Drivable:
-        """The carriageway within about ``radius`` metres of a place."""
+        """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions."""
         from shapely import LineString, Point, Polygon, union_all
 
+        if self.ground is not None:
+            return Drivable(self.ground)
         reach = Point(x, y).buffer(radius)
         shapes = []
         for lane in self.lanes.values():
@@ -247,24 +253,6 @@ class RoadMap:
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
         return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
-
-
-class Drivable:
-    """A test of points (arrays of any one shape) for lying on the carriageway; can be sent between processes."""
-
-    def __init__(self, area: Any) -> None:
-        from shapely import prepare
-
-        self.area = area
-        prepare(area)
-
-    def __call__(self, x: Floats, y: Floats) -> Bools:
-        from shapely import contains_xy
-
-        return np.asarray(contains_xy(self.area, x, y))
-
-    def __reduce__(self) -> tuple[type[Drivable], tuple[Any]]:
-        return Drivable, (self.area,)
 
 
 def _cut(points: Floats, position: float, length: float) -> Floats:
@@ -304,7 +292,15 @@ def read_network(path: FilePath) -> RoadMap:
                 bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
             )  # fmt: skip
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net))
+
+
+def _ground(path: FilePath, net: Any) -> Any:
+    """The drivable area that a network carries."""
+    try:
+        return area_of(node.getParam(KEY) for node in net.getNodes() if node.getParam(KEY))
+    except ValueError as error:
+        raise UsageError(f"The drivable area in {path} is damaged ({error}); convert the record again.") from error
 
 
 def _share(shape: Floats, x: Floats, y: Floats) -> Floats:

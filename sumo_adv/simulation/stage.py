@@ -29,20 +29,30 @@ class Stage:
     def spawn(self, name: str, edges: Sequence[str], pose: Pose, size: tuple[float, float]) -> None:
         """Insert a vehicle of ``size`` (length, width) [m]; it is to be injected at ``pose`` in the same step.
 
+        SUMO refuses a speed above ten times the limit of the route's first edge. Such a vehicle departs as fast as SUMO
+        lets it, and the injected pose brings it to its speed.
+
         Raises:
-            SimulationError: SUMO does not take it.
+            SimulationError: SUMO does not take it at any speed.
         """
         route = f"{name}.log" if edges else ""
         try:
             if route and route not in self._routes:
                 self._sumo.route.add(route, list(edges))
                 self._routes.add(route)
-            self._sumo.vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed=f"{max(0.0, pose.speed):.6f}")
+            self._add(name, route, max(0.0, pose.speed))
             self._sumo.vehicle.setLength(name, size[0])
             self._sumo.vehicle.setWidth(name, size[1])
         except self._simulation.errors as error:
             raise SimulationError(f"SUMO could not insert the recorded vehicle '{name}' ({error}).") from error
         self._simulation.fleet.sizes[name] = size
+
+    def _add(self, name: str, route: str, speed: float) -> None:
+        vehicle = self._sumo.vehicle
+        try:
+            vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed=f"{speed:.6f}")
+        except self._simulation.errors:
+            vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed="max")
 
     def remove(self, name: str) -> None:
         """Take a vehicle out."""

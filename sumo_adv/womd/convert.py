@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
@@ -51,9 +51,11 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
     from sumo_adv.womd.fidelity import measure
     from sumo_adv.womd.network import convert_network
     from sumo_adv.womd.picture import draw_fidelity
+    from sumo_adv.womd.sampling import evenly_sampled
     from sumo_adv.womd.sumonet import read_net
 
     began, cpu = perf_counter(), sum(os.times()[:4])  # our own and our children's, netconvert being one
+    record, sampling = evenly_sampled(record)
     converted = convert_network(record, folder)
     seconds = {"network": converted.seconds, "network_cpu": round(sum(os.times()[:4]) - cpu, 3)}
     net = read_net(converted.path)
@@ -65,7 +67,10 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
         "ego": record.tracks[record.sdc].id, "objects_of_interest": list(record.objects_of_interest),
         "to_predict": [record.tracks[i].id for i in record.to_predict],
     }  # fmt: skip
-    report = {**fidelity.report, "scenario": scenario, "traffic": None, "seconds": seconds}
+    report = {
+        **fidelity.report, "scenario": scenario, "sampling": {**asdict(sampling), "note": sampling.sentence},
+        "traffic": None, "seconds": seconds,
+    }  # fmt: skip
     return _with_traffic(folder, report) if traffic else _written(folder, report)
 
 

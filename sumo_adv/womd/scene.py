@@ -17,11 +17,10 @@ from sumo_adv.simulation.tracks import KINDS, LoggedTrack, TrackLog, write_track
 from sumo_adv.womd.matching import Stretch
 from sumo_adv.womd.record import TRACK_KINDS, ObjectTrack, Record
 from sumo_adv.womd.routes import Router
+from sumo_adv.womd.sampling import STEP
 from sumo_adv.womd.segments import Segments
 from sumo_adv.womd.sumonet import SumoNet
 
-STEP = 0.1  # s
-UNEVEN = 0.05  # s that a time stamp may be off its step
 STANDING = 1.0  # m that a parked vehicle may seem to move
 QUEUED = 1.5  # m from a lane's centre line within which a standing vehicle queues rather than parks
 QUEUED_TURN = 0.52  # rad between it and the lane
@@ -34,11 +33,8 @@ CROSSWALKS = "crosswalks.add.xml"
 def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Stretch]], folder: Path) -> None:
     """Scenario, tracks, routes and crosswalks into ``folder``, beside the network there.
 
-    Raises UsageError if the record's steps are not 0.1 s apart or its ego is never seen.
+    The record's steps are 0.1 s apart (``sampling.evenly_sampled``). Raises UsageError if its ego is never seen.
     """
-    uneven = np.abs(record.time - record.time[0] - STEP * np.arange(len(record.time))).max()
-    if uneven > UNEVEN:
-        raise UsageError(f"The record '{record.scenario_id}' is not sampled at 10 Hz: a step is {uneven:.2f} s off.")
     ego = record.tracks[record.sdc]
     if not ego.valid.any():
         raise UsageError(f"The record '{record.scenario_id}' never sees its ego, track {ego.id}.")

@@ -83,6 +83,7 @@ def shortfalls(report: Report) -> list[str]:
         f"{100 * (v['near_centre'] - v['inside']):.1f} points fewer vehicles inside lanes than near a centre line":
             v["inside"] < v["near_centre"] - 0.01,
         f"tracks {more} break, in the record they do not": bool(more),
+        report["sampling"]["note"]: report["sampling"]["resampled"],
     }  # fmt: skip
     events = report["traffic"]["events"] if report["traffic"] is not None else []
     return [phrase for phrase, holds in found.items() if holds] + list(events)

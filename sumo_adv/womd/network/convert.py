@@ -14,6 +14,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.womd.network.finish import finish
 from sumo_adv.womd.network.foes import bend_together, find_foes
+from sumo_adv.womd.network.ground import drivable_ground
 from sumo_adv.womd.network.lanes import keep
 from sumo_adv.womd.network.layout import make_layout
 from sumo_adv.womd.network.netconvert import run_netconvert
@@ -67,7 +68,7 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
         work = Path(name)
         write_plain(roads, work)
         run_netconvert(program, work, work / "raw.net.xml")
-        via = finish(work / "raw.net.xml", work / NAME, roads, order, signals.programs)
+        via = finish(work / "raw.net.xml", work / NAME, roads, order, signals.programs, drivable_ground(record, roads))
         unfinished = folder / f"{NAME}.part"
         shutil.copyfile(work / NAME, unfinished)
     path = unfinished.replace(folder / NAME)

@@ -1,15 +1,19 @@
-"""From what netconvert wrote to the network: exact shapes and lengths, right of way, signals, junction polygons."""
+"""From what netconvert wrote to the network.
+
+It gets exact shapes and lengths, right of way, signals, junction polygons, and the drivable area."""
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.drivable import KEY, area_text
 from sumo_adv.womd.network.plain import coordinates
 from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link, Roads
@@ -18,9 +22,13 @@ from sumo_adv.womd.network.signals import Program
 MIN_LENGTH = 0.1  # m, SUMO's shortest lane
 
 
-def finish(source: Path, target: Path, roads: Roads, order: RightOfWay, programs: Mapping[str, Program]) -> list[str]:
+def finish(
+    source: Path, target: Path, roads: Roads, order: RightOfWay, programs: Mapping[str, Program], ground: Any
+) -> list[str]:
     """Write ``target`` from ``source``; returns the internal lane of each link. Raises UsageError if netconvert left
-    something out."""
+    something out.
+
+    ground: the drivable area that the network is to carry (shapely polygons, m), or None."""
     tree = ET.parse(source)
     net = tree.getroot()
     lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge}
@@ -32,6 +40,8 @@ def finish(source: Path, target: Path, roads: Roads, order: RightOfWay, programs
             _shape(found, lane.shape, lane.width, lane.speed)
     via = _connections(net, lanes, roads, order, programs)
     _junctions(net, roads, order, programs, via)
+    if ground is not None:
+        ET.SubElement(net.findall("junction")[0], "param", key=KEY, value=area_text(ground))
     net.find("location").set("convBoundary", _boundary(roads))  # type: ignore[union-attr]
     ET.indent(tree, "    ")
     tree.write(target, encoding="UTF-8", xml_declaration=True)

@@ -1,0 +1,126 @@
+"""The ground that vehicles may drive on, from the map's road edges and driveways.
+
+A road edge of the dataset has the road on its left: 99.8 % of the lane points of 58 records lie to the left of their
+nearest edge. So a place near a lane is road if it lies to the left of the nearest road edge. The dataset's own metrics
+tell on-road from off-road in this way (``compute_distance_to_road_edge`` of the Waymo Open Dataset). Lanes count as
+road as far as the next edge beside them, because edges are missing in places and an overpass has others. Driveways
+always count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.womd.network.roads import Roads
+from sumo_adv.womd.record import Record
+
+REACH = 10.0  # m from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
+KNOWN = 20.0  # m from an edge within which it says something of a place; two lanes and the middle of a junction
+BESIDE = 5.0  # m further to which edges are taken, because the nearest edge decides about a place
+ONWARD = 30.0  # m by which an edge is thought to go on straight beyond its end, more than KNOWN
+SPACING = 1.0  # m between the points of edges around which Voronoi cells are cut
+APRON = 0.3  # m by which a driveway is widened: its polygon ends a little before the road edge
+SEAM = 0.05  # m: half the width of cracks that are closed
+EXACT = 0.02  # m that the outline may be off for the sake of fewer points
+ON_LINE = 0.01  # m of a centre line that a part of its lane must hold
+
+
+def drivable_ground(record: Record, roads: Roads) -> Any:
+    """The drivable area [shapely polygons, m]; None if the record has no road edge or no lane for cars."""
+    from shapely import LineString, MultiPolygon, Polygon, make_valid, union_all
+
+    edges = [line.points[:, :2] for line in record.lines.values() if line.edge and len(line.points) > 1]
+    lanes = [(lane.shape, lane.width) for edge in roads.edges.values() for lane in edge.lanes if not lane.bike]
+    lanes += [(k.shape, k.width) for k in roads.links if not roads.edges[k.source].lanes[k.from_lane].bike]
+    if not edges or not lanes:
+        return None
+    near = union_all([LineString(shape).simplify(0.2).buffer(REACH, quad_segs=4) for shape, _ in lanes])
+    driveways = [
+        make_valid(Polygon(area.points[:, :2])).buffer(APRON)
+        for area in record.areas if area.kind == "driveway" and len(area.points) > 2
+    ]  # fmt: skip
+    ground = union_all([left_of_edges(edges, near), *_lane_ground(lanes, edges), *driveways])
+    ground = ground.buffer(SEAM, join_style="mitre").buffer(-SEAM, join_style="mitre").simplify(EXACT)
+    return MultiPolygon([p for p in getattr(ground, "geoms", [ground]) if p.geom_type == "Polygon"])
+
+
+def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
+    """The part of the polygon ``near`` that lies to the left of the nearest of the edges ``(n, 2)`` [m]."""
+    import shapely
+
+    lines = [shapely.LineString(edge) for edge in edges]
+    close = [line for line in lines if bool(shapely.dwithin(line, near, BESIDE))]
+    if not close:
+        return shapely.Polygon()
+    near = near.intersection(shapely.union_all(shapely.buffer(shapely.simplify(close, 0.2), KNOWN, quad_segs=4)))
+    owner, sites = _sites(close)
+    cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(sites), extend_to=near.envelope))
+    site, cell = shapely.STRtree(cells).query(shapely.points(sites), predicate="intersects")
+    whose = np.full(len(cells), -1)
+    whose[cell] = owner[site]
+    regions = [shapely.coverage_union_all(cells[whose == k]) for k in np.unique(whose)]
+    cuts = [*shapely.boundary(regions), near.boundary, *close, *(_extended(line) for line in close)]
+    faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.union_all(cuts))))
+    inside = shapely.point_on_surface(faces)
+    segments = np.concatenate([np.stack([e[:-1], e[1:]], axis=1) for e in (np.asarray(c.coords) for c in close)])
+    tree = shapely.STRtree(shapely.linestrings(segments))
+    kept = near.contains(inside) & _on_the_left(inside, segments, tree)
+    return shapely.union_all(faces[kept])
+
+
+def _sites(lines: Sequence[Any]) -> tuple[Any, Floats]:
+    """Distinct points every ``SPACING`` along the lines ``(n, 2)``, and the number of the line of each ``(n,)``."""
+    from shapely import get_coordinates, segmentize
+
+    coordinates, owner = get_coordinates(segmentize(lines, SPACING), return_index=True)
+    sites, first = np.unique(np.round(coordinates, 3), axis=0, return_index=True)
+    return owner[first], sites
+
+
+def _extended(line: Any) -> Any:
+    """A line straight on over ``ONWARD`` from both ends of an open line: there the side changes as well."""
+    from shapely import MultiLineString
+
+    c = np.asarray(line.coords)
+    ends = []
+    for tip, inner in ((c[0], c[1]), (c[-1], c[-2])):
+        out = (tip - inner) / max(float(np.hypot(*(tip - inner))), 1e-6)
+        ends.append([tip, tip + ONWARD * out])
+    return MultiLineString([] if line.is_closed else ends)
+
+
+def _on_the_left(places: Any, segments: Floats, tree: Any) -> Bools:
+    """Whether each place lies to the left of its nearest segment ``(m, 2, 2)``.
+
+    At a corner two segments are equally near. The segment that the place is further beside decides.
+    """
+    from shapely import get_coordinates
+
+    where, hit = tree.query_nearest(places)
+    a, along = segments[hit, 0], segments[hit, 1] - segments[hit, 0]
+    to = get_coordinates(places)[where] - a
+    beside = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.maximum(np.hypot(*along.T), 1e-9)
+    order = np.argsort(np.abs(beside), kind="stable")  # the furthest beside is written last
+    left = np.zeros(len(places), bool)
+    left[where[order]] = beside[order] > 0.0
+    return left
+
+
+def _lane_ground(lanes: Sequence[tuple[Floats, float]], edges: Sequence[Floats]) -> list[Any]:
+    """Each lane's strip, without what lies beyond an edge as seen from its centre line."""
+    from shapely import LineString, STRtree, get_parts, intersection, length, polygonize, union_all
+
+    centres = [LineString(shape) for shape, _ in lanes]
+    strips = [line.buffer(width / 2, cap_style="flat") for line, (_, width) in zip(centres, lanes, strict=True)]
+    borders = [LineString(edge) for edge in edges]
+    crossed, by = STRtree(borders).query(strips, predicate="intersects")
+    for k in np.unique(crossed):
+        cuts = union_all([strips[k].boundary, *(borders[j] for j in by[crossed == k])])
+        parts = get_parts(polygonize(get_parts(cuts)))
+        held = length(intersection(intersection(parts, strips[k]), centres[k])) > ON_LINE
+        strips[k] = union_all(intersection(parts[held], strips[k]))
+    return strips
