@@ -1,7 +1,7 @@
 """Whether the ego must wait at a line: lights, signs, and vehicles with the right of way. One rule for all drivers.
 
-A vehicle with the right of way counts if it would be where its way meets the ego's together with the ego: the time
-windows of the two overlap. The margins and the expected acceleration are those of ``drivers/junctions.py``, which
+A vehicle with the right of way counts if it arrives where its way meets the ego's before the ego would be across, and
+has not left that place when the ego is at its line. The margins and the expected acceleration are those of ``drivers/junctions.py``, which
 copies SUMO's own drivers. A reason to wait, once there, stays until the other vehicle is gone or has clearly slowed
 down: the answer does not flicker while the ego brakes.
 """
@@ -136,10 +136,10 @@ class RightOfWay:
             if line.letter == "w" and not entered and foe.stood() <= stood:
                 continue
             mine = line.room + meeting.at - line.begin
-            enters = _seconds(mine - CLEARANCE, speed)
+            at_line = _seconds(line.room, speed)
             across = _seconds(mine + length + CLEARANCE, speed, line.limit)
             gone = to_clear / max(foe.speed, CRAWL)
-            if across + margin > _seconds(to_zone, foe.speed) and gone > enters:
+            if across + margin > _seconds(to_zone, foe.speed) and gone > at_line:
                 return True
         return False
 
