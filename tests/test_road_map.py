@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from road_samples import drive, steps
+from shapely import LineString, Point
 from sumo_samples import vehicle
 
 from sumo_adv.datatypes import VehicleState
@@ -75,8 +76,8 @@ def test_the_edges_bound_the_carriageway(before_crossing: Mapping[str, Any]) -> 
     """The road's sides are at x = 6.4 and -6.4, to the 0.05 m by which lanes are widened."""
     points = np.vstack(before_crossing["edges"])
     assert np.hypot(points[:, 0] - 1.6, points[:, 1] + 112.5).max() < 120.1
-    sides = points[np.abs(points[:, 1] + 150.0) < 50.0][:, 0]
-    assert np.abs(np.abs(sides) - 6.4).max() < 0.1
+    away = {x: min(LineString(line).distance(Point(x, -150.0)) for line in before_crossing["edges"]) for x in (0, 6.4)}
+    assert away[0] == pytest.approx(6.45) and away[6.4] == pytest.approx(0.05)
 
 
 def test_the_observation_says_where_the_ego_is_in_its_lane(before_crossing: Mapping[str, Any]) -> None:
@@ -129,6 +130,44 @@ def test_a_light_is_told_with_its_state_and_red_means_wait(tmp_path: Path) -> No
     told = {state for states in watcher.kept for state in states}
     assert told >= {("green", False)}
     assert ("red", False) not in told and ("green", True) not in told
+
+
+# ---- other vehicles
+
+
+def neighbours(seen: Observation) -> dict[str, tuple[Any, ...]]:
+    """What is told of the others: kind, indicator, brake light, yaw rate, visible."""
+    return {o.id: (o.kind, o.indicator, o.brake_light, o.yaw_rate, o.visible) for o in seen.others}  # type: ignore[attr-defined]
+
+
+def test_others_show_their_lamps_and_a_hidden_one_is_not_visible(tmp_path: Path) -> None:
+    """Two cars ahead in one lane, standing still: the far one is hidden behind the near one, of equal width."""
+    cars = [vehicle("ego", "west_in east_out", 1, 100.0, 5.0), vehicle("near", "west_in east_out", 1, 130.0, 5.0),
+            vehicle("far", "west_in north_out", 1, 160.0, 9.0)]  # fmt: skip
+    with drive(tmp_path, "priority_crossing", cars, neighbours) as (moving, watcher):
+        steps(moving, 60)
+    first = watcher.kept[0]
+    assert first["near"][0] == "passenger" and first["near"][4] and not first["far"][4]
+    turning = [told["far"] for told in watcher.kept if "far" in told]
+    assert "left" in {told[1] for told in turning} and True in {told[2] for told in turning}
+    assert max(told[3] for told in turning) > 0.2  # rad/s, to the left
+
+
+def test_a_driver_may_ask_for_visible_vehicles_only(tmp_path: Path) -> None:
+    house = tmp_path / "house.add.xml"
+    house.write_text('<additional><poly id="h" type="building" shape="-60,-20 -20,-20 -20,-60 -60,-60"/></additional>')
+    cars = [vehicle("ego", "south_in north_out", 1, 150.0, 5.0), vehicle("w", "west_in east_out", 0, 150.0, 5.0)]
+
+    def ids(seen: Observation) -> list[str]:
+        return [other.id for other in seen.others]
+
+    for sees_buildings, expected in ((True, []), (False, ["w"])):
+        with drive(
+            tmp_path, "priority_crossing", cars, ids, additional=(house,), visible_only=True,
+            sees_buildings=sees_buildings,
+        ) as (moving, watcher):  # fmt: skip
+            steps(moving, 2)
+        assert watcher.kept[0] == expected
 
 
 # ---- the path in a junction

@@ -17,12 +17,12 @@ def box(x: float, y: float, width: float = 2.0) -> VehicleState:
 
 
 def test_a_car_hides_the_one_behind_it() -> None:
-    """The near one ends at x = 7.5 and y = +-1: behind it, at x = 27.5, +-1 / 12.5 x 27.5 = 2.2 m and more are hidden."""
+    """The near one ends at x = 7.5 and y = +-1: behind it, at x = 27.5, 1 / 12.5 x 27.5 = 2.2 m are hidden."""
     assert Sight().visible(EYE, [box(10.0, 0.0), box(30.0, 0.0)]).tolist() == [True, False]
 
 
 def test_a_corner_that_shows_is_enough() -> None:
-    """The far corner of a box at y = 4 is at (32.5, 5); the line to it passes the near box's rear, x = 12.5, at 1.9 m."""
+    """The far corner of a box at y = 4 is at (32.5, 5): the line to it passes x = 12.5 at 1.9 m."""
     assert Sight().visible(EYE, [box(10.0, 0.0), box(30.0, 4.0)]).tolist() == [True, True]
     assert Sight().visible(EYE, [box(10.0, 0.0, width=4.6), box(30.0, 4.0)]).tolist() == [True, False]
 

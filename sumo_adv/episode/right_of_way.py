@@ -17,7 +17,7 @@ from sumo_adv.drivers.junctions import AHEAD, CAN_STOP, CLEARANCE, CRAWL, FOE_AC
 from sumo_adv.simulation.meetings import Link, Meeting, Meetings
 from sumo_adv.simulation.network import Connection
 
-COMFORTABLE = 3.0  # m/s2: who can stop with this braking stops at a yellow light
+COMFORTABLE = 3.0  # m/s2: who can stop with this braking stops at a yellow light, and keeps ``AHEAD``
 STOPS = 4.5  # m/s2: who cannot stop with this braking (SUMO's ``decel``) passes, unless it had to wait already
 RELAX = 1.0  # s more than ``AHEAD`` before a reason to wait goes away: SUMO's own margin once more
 PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
@@ -75,12 +75,14 @@ def sign_of(letter: str) -> str | None:
 
 
 class RightOfWay:
-    """State: for whom the ego waits, at which stop signs it has stood, and for which yellow light it stops."""
+    """State: for whom the ego waits, at which lines it has waited and may go, for how long it has stood at which stop
+    signs [s], and at which yellow lights it stops."""
 
     def __init__(self, meetings: Meetings) -> None:
         self._meetings = meetings
         self._waits: set[tuple[Link, str]] = set()
-        self._stood: set[Link] = set()
+        self._stood: dict[Link, float] = {}
+        self._let_go: set[Link] = set()
         self._yellow: set[Link] = set()
 
     def must_wait(self, line: Line, length: float, speed: float, stood: float, foes: Sequence[Foe]) -> bool:
@@ -96,16 +98,20 @@ class RightOfWay:
                 self._yellow.add(line.link)
             return line.link in self._yellow
         self._yellow.discard(line.link)
-        if sign_of(line.letter) == "stop" and line.link not in self._stood:
-            if speed >= CRAWL or line.room > AT_SIGN:
+        if sign_of(line.letter) == "stop":
+            if speed < CRAWL and line.room <= AT_SIGN:
+                self._stood[line.link] = max(stood, self._stood.get(line.link, 0.0))
+            elif line.link not in self._stood:
                 return True
-            self._stood.add(line.link)
         if sign_of(line.letter) is None:
             return False
-        stops = line.room > speed * speed / (2 * STOPS) - CAN_STOP
-        first = [foe for foe in foes if self._goes_first(line, length, speed, stood, foe, stops=stops)]
-        reasons = {(line.link, foe.id) for foe in first}
-        self._waits = {reason for reason in self._waits if reason[0] != line.link} | reasons
+        reasons = {(line.link, foe.id) for foe in foes if self._goes_first(line, length, speed, foe)}
+        before = {reason for reason in self._waits if reason[0] == line.link}
+        self._waits = self._waits - before | reasons
+        if reasons:
+            self._let_go.discard(line.link)
+        elif before:
+            self._let_go.add(line.link)
         return bool(reasons)
 
     def yields(self, line: Line, meeting: Meeting, letter: str) -> bool:
@@ -114,16 +120,22 @@ class RightOfWay:
 
     def _forget(self, link: Link) -> None:
         self._waits = {reason for reason in self._waits if reason[0] != link}
-        self._stood.discard(link)
+        self._stood.pop(link, None)
         self._yellow.discard(link)
+        self._let_go.discard(link)
 
-    def _goes_first(self, line: Line, length: float, speed: float, stood: float, foe: Foe, *, stops: bool) -> bool:
+    def _goes_first(self, line: Line, length: float, speed: float, foe: Foe) -> bool:
         """Whether the ego has to wait for a vehicle; one on the junction already counts whoever has the priority."""
-        waits = (line.link, foe.id) in self._waits
         entered = foe.to_line < 0.0
-        if not (stops or waits) or (foe.letter in "rRuyY" and not entered):
+        if foe.letter in "rRuyY" and not entered:
             return False
-        margin = AHEAD + (RELAX if waits else 0.0)
+        margin = AHEAD
+        if (line.link, foe.id) in self._waits:
+            margin = AHEAD + RELAX
+        elif line.room <= speed * speed / (2 * STOPS) - CAN_STOP:
+            return False
+        elif line.link in self._let_go or line.room <= speed * speed / (2 * COMFORTABLE) - CAN_STOP:
+            margin = 0.0
         for meeting in self._meetings.of(line.link):
             if meeting.other != foe.link or not (meeting.yields or entered) or meeting.at < line.begin:
                 continue
@@ -133,7 +145,7 @@ class RightOfWay:
                 continue
             if to_zone > 0.0 and foe.speed < CRAWL and foe.stood() >= LETS_GO:
                 continue
-            if line.letter == "w" and not entered and foe.stood() <= stood:
+            if line.letter == "w" and not entered and foe.stood() <= self._stood[line.link]:
                 continue
             mine = line.room + meeting.at - line.begin
             at_line = _seconds(line.room, speed)
