@@ -77,7 +77,7 @@ def test_who_cannot_stop_any_more_passes_and_who_had_to_wait_already_goes_on_wai
 
 
 def test_who_cannot_stop_comfortably_any_more_keeps_no_margin() -> None:
-    """From 10 m/s comfortable braking takes 100 / 6 = 16.7 m, less half a metre. Across are 17 + 7.6 + 5 + 2 m, 17.9 m of
+    """From 10 m/s comfortable braking takes 100 / 6 = 16.7 m, less half a metre. Across are 17 + 7.6 + 5 + 2 m, 17.9 of
     them up to 13.9 m/s in 1.5 s, the rest in 1 s: 2.5 s. The car is there after 42 m, 3 s: within 1 s of that."""
     easy, late = replace(LINE, room=17.0), replace(LINE, room=16.0)
     assert must_wait(RightOfWay(MEETINGS), comes(30.0), line=easy, speed=10.0)
