@@ -104,7 +104,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         where = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{where}.")
-    lines += [_overridden(result["ego_actions"])] if (result["ego_actions"] or {}).get("LaneSpeed") else []
+    lines += [_overridden(result["ego_actions"])] if (result.get("ego_actions") or {}).get("LaneSpeed") else []
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")

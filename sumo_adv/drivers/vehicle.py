@@ -35,7 +35,7 @@ class Vehicle(VehicleState):
     @cached_property
     def kind(self) -> str:
         """SUMO's vehicle class (``passenger``, ``truck``, ``bus``, ``bicycle``, ``pedestrian`` ...); ``obstacle`` for
-        an object that SUMO does not know."""
+        another object of a recording or a scenario."""
         return "passenger" if self.senses is None else self.senses.kind(self.id)
 
     @cached_property

@@ -156,6 +156,12 @@ class Drive:
         make = partial(Vehicle, senses=senses)
         return self.simulation.state_as(make, self.snapshot, name, self.recording.acceleration(name))
 
+    def kind(self, vehicle: str) -> str:
+        """SUMO's vClass of a vehicle; what an object is that is none."""
+        if self.playback is not None and vehicle in self.obstacles:
+            return self.playback.kind(vehicle)
+        return self.simulation.vehicle_class(vehicle)
+
     def pose(self, vehicle: str) -> tuple[float, float, float]:
         """x, y [m] of the centre of a vehicle's box and its heading [rad], now."""
         return pose_of(self.snapshot.raw[vehicle], self.simulation.fleet.sizes[vehicle][0])

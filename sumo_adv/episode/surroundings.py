@@ -113,7 +113,7 @@ class SensesNow:
     def kind(self, vehicle: str) -> str:
         """See ``Vehicle.kind``."""
         self.check()
-        return "obstacle" if self._unknown(vehicle) else self._drive.simulation.vehicle_class(vehicle)
+        return self._drive.kind(vehicle)
 
     def yaw_rate(self, vehicle: str) -> float:
         """See ``Vehicle.yaw_rate``."""
@@ -144,10 +144,7 @@ class SensesNow:
 
     def _lamps(self, vehicle: str) -> int:
         self.check()
-        return 0 if self._unknown(vehicle) else self._drive.simulation.lamps(vehicle)
-
-    def _unknown(self, vehicle: str) -> bool:
-        return vehicle in self._drive.obstacles
+        return 0 if vehicle in self._drive.obstacles else self._drive.simulation.lamps(vehicle)
 
     def check(self) -> None:
         """Raises SimulationError: the step is over."""
