@@ -24,6 +24,7 @@ from sumo_adv.drivers import (
     model_of,
 )
 from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.drivers.wishes import read_wishes, wishes_of
 from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -332,7 +333,35 @@ def test_a_class_without_the_methods_is_never_made(user_module: str, tmp_path: P
 
 
 def test_a_users_class_may_ask_for_the_road(user_module: str) -> None:
-    assert [make_ego(f"{user_module}:{n}", {}).needs_road for n in ("Good", "Looks")] == [False, True]
+    assert [wishes_of(make_ego(f"{user_module}:{n}", {})).needs_road for n in ("Good", "Looks")] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("attributes", "said"),
+    [
+        ({"wheelbase": 0.0}, "has wheelbase = 0.0; it must be a finite number above zero"),
+        ({"max_braking": math.inf}, "has max_braking = inf; it must be"),
+        ({"max_acceleration": "4"}, "has max_acceleration = '4'; it must be"),
+        ({"max_steering": 1.6}, "has max_steering = 1.6 rad; it must be below pi / 2"),
+    ],
+)
+def test_a_bicycle_that_cannot_be(attributes: dict[str, object], said: str) -> None:
+    driver = type("Driver", (), attributes)()
+    with pytest.raises(UsageError, match=said):
+        read_wishes(driver, "mine:Driver")
+
+
+def test_a_drivers_bicycle_moves_its_car() -> None:
+    """Twice the wheelbase turns half as far: 10 m/s for 0.1 s at tan d = 0.28 are 1 m x 0.28 / 5.6 m = 0.05 rad, times
+    the cosine of the slip, atan(0.14). With the centre on the rear axle there is no slip."""
+    steer, state = Steer(0.0, math.atan(0.28)), car("ego", 0, 0, speed=10.0)
+    long = read_wishes(type("Driver", (), {"wheelbase": 5.6})(), "mine:Driver").bicycle
+    assert apply_steer(state, steer, 0.1, long).heading == pytest.approx(0.05 * math.cos(math.atan(0.14)))
+    behind = replace(long, rear_axle=1e-9)
+    assert apply_steer(state, steer, 0.1, behind).heading == pytest.approx(0.05)
+    weak = replace(long, max_braking=3.0, max_acceleration=1.0)
+    assert apply_steer(state, Steer(-9.0, 0.0), 0.1, weak).speed == pytest.approx(9.7)
+    assert apply_steer(state, Steer(9.0, 0.0), 0.1, weak).speed == pytest.approx(10.1)
 
 
 def test_a_module_that_is_not_there() -> None:

@@ -4,7 +4,7 @@ A driver has ``reset(seed)`` and ``act(observation)``. Its constructor gets the 
 have these attributes and this method:
 
 - ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
-- ``needs_road`` (default False: ``observation.road`` is None);
+- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``wishes.py``);
 - ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
 """
 
@@ -21,22 +21,23 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.sumo_driven import sumo_type
+from sumo_adv.drivers.wishes import read_wishes
 from sumo_adv.errors import SimulationError, UsageError
 
 T = TypeVar("T")
+METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
 
 
 class UserEgo:
     """A user's driver: each of its errors becomes one sentence that names it."""
 
-    def __init__(self, spec: str, parameters: Mapping[str, Any]) -> None:
-        """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
-        self._driver = make_object("ego", spec, parameters, {"reset": "reset(seed)", "act": "act(observation)"})
-        self._spec = spec
+    def __init__(self, spec: str, driver: Any) -> None:
+        """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
+        self._driver, self._spec = driver, spec
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
         self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
-        self.needs_road = bool(getattr(self._driver, "needs_road", False))
+        self.wishes = read_wishes(self._driver, spec)
         attributes = getattr(self._driver, "sumo_type", None)
         self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
 
@@ -116,15 +117,18 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
         UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
     """
     user_class = find_class(kind, spec)
-    for method in methods:
-        if not callable(getattr(user_class, method, None)):
-            raise UsageError(
-                f"The {kind} {spec!r} has no method {method!r}; it needs {' and '.join(methods.values())}."
-            )
+    missing = lacking(user_class, methods)
+    if missing:
+        raise UsageError(f"The {kind} {spec!r} has no method {missing!r}; it needs {' and '.join(methods.values())}.")
     try:
         return user_class(**parameters)
     except Exception as error:  # user code
         raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
+
+
+def lacking(thing: Any, methods: Mapping[str, str]) -> str | None:
+    """The first of ``methods`` (name -> signature) that a class or an object does not have."""
+    return next((name for name in methods if not callable(getattr(thing, name, None))), None)
 
 
 def in_one_line(error: Exception) -> str:

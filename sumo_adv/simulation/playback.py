@@ -27,6 +27,7 @@ from sumo_adv.simulation.simulation import RawState, Simulation, heading_of, raw
 from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
+OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses
 ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
 
 
@@ -68,6 +69,11 @@ class Playback:
     def obstacles(self) -> frozenset[str]:
         """Ids of all that is no vehicle."""
         return self.spec.obstacles
+
+    def kind(self, obstacle: str) -> str:
+        """What an object that is no vehicle is: ``pedestrian``, ``bicycle`` or ``obstacle``."""
+        logged = None if self.log is None else self.log.tracks.get(obstacle)
+        return "obstacle" if logged is None else OBJECTS.get(logged.kind, "obstacle")
 
     # -- who drives -------------------------------------------------------------------------------------------------
 
