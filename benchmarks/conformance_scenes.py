@@ -375,7 +375,7 @@ KINDS: Mapping[str, Kind] = {
         ((0.02, 0.1, 0.59), (0.02, 0.02, 0.02), (0.02, 0.07, 2.09))),
     "giving_way": Kind("waiting at the line where the ego gives way (junctions.py)",
         _meeting(GIVING_WAY, (4.0, 7.0)), _rush((0.5, 3.5), "crossing", "merging"),
-        ((0.05, 0.15, 2.0), (0.03, 0.06, 0.06), (0.05, 0.12, 3.5)), ("krauss",), 0.5, 0.5, (0, 9)),
+        ((0.05, 0.15, 2.0), (0.03, 0.06, 0.06), (0.05, 0.15, 3.5)), ("krauss",), 0.5, 0.5, (0, 9)),
     "giving_way_idm": Kind("waiting at the line where an IDM driver gives way (junctions.py)",
         _meeting(GIVING_WAY, (4.0, 7.0)), _rush((0.5, 3.5), "crossing", "merging"),
         ((7.0, 17.0, 24.0), (0.03, 0.06, 0.06), (3.5, 6.5, 8.0)), ("idm",), 0.88, 0.1, (0, 2)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +18,7 @@ from sumo_adv.errors import UsageError
 if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.report.folder import RunFolder
+    from sumo_adv.simulation.inputs import RunInput
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
 FAILED = {
@@ -96,17 +97,10 @@ def run(
 ) -> None:
     """Turn an encounter into a dangerous one and write what happened."""
     if replay is not None:
-        if source is not None:
-            raise UsageError("Give either an INPUT or --replay DIR, not both.")
-        _refuse_what_a_replay_ignores(context)
+        _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)
         return
-    if source is None:
-        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
-    from sumo_adv.drivers.registry import trusted_driver
-
-    given = app.load(source, record)
-    driver = trusted_driver(ego, given.ego_controller, given.source)
+    given, driver = _input(source, record, ego)
     settings = load_settings(
         settings_file, ego=driver, ego_id=ego_id, adversary=adversary, trigger=trigger,
         begin=begin, end=end, until=until, attempts=attempts, diverse=diverse, ttc=ttc, tuner=tuner, learn=learn,
@@ -115,15 +109,29 @@ def run(
         density=density, background=background, horizon=given.horizon, fork=False if no_fork else None,
     )  # fmt: skip
     if show_prompts:
-        from sumo_adv.cli.prompts import show
-
-        show(given, settings, as_json=as_json)
+        _show_prompts(given, settings, as_json=as_json)
         return
     target = out or Path("runs") / f"{given.name}-{settings.seed}"
     _run(given, settings, target, force=force, as_json=as_json)
 
 
-def _run(given: Any, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
+def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
+    """The input and the driver of its ego. Raises UsageError without an input."""
+    from sumo_adv.drivers.registry import trusted_driver
+
+    if source is None:
+        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
+    given = app.load(source, record)
+    return given, trusted_driver(ego, given.ego_controller, given.source)
+
+
+def _show_prompts(given: RunInput, settings: Settings, *, as_json: bool) -> None:
+    from sumo_adv.cli.prompts import show
+
+    show(given, settings, as_json=as_json)
+
+
+def _run(given: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.report.folder import staged
@@ -156,8 +164,10 @@ def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -
         raise typer.Exit(1)
 
 
-def _refuse_what_a_replay_ignores(context: typer.Context) -> None:
-    """Raises UsageError for the first option on the command line that a replay takes from the manifest."""
+def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -> None:
+    """Raises UsageError for an INPUT, and for the first option that a replay takes from the manifest."""
+    if source is not None:
+        raise UsageError("Give either an INPUT or --replay DIR, not both.")
     for parameter in context.command.params:
         given = context.get_parameter_source(str(parameter.name))
         if parameter.name not in OF_A_REPLAY and given is not None and given.name == "COMMANDLINE":

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 import signal
 import tempfile
 from collections.abc import Callable, Mapping
@@ -23,14 +21,15 @@ from sumo_adv.serve.options import Mode, OnLoss, Options
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
-    from sumo_adv.serve.events import Events
+    from sumo_adv.serve.events import Events, Status
+    from sumo_adv.serve.gate import Gate
     from sumo_adv.serve.gate_events import GateEvent
     from sumo_adv.serve.result_writer import ResultWriter
+    from sumo_adv.serve.server import Server
 
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
 )
-SERVE_FILE = "serve.json"
 LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how long
 
 
@@ -88,13 +87,7 @@ def serve(
     ] = False,
 ) -> None:
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
-    from sumo_adv.simulation.inputs import load_input
-    from sumo_adv.simulation.programs import find_sumo
-
-    find_sumo()
-    given = load_input(source)
-    if given.playback is not None:
-        raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
+    given = _input(source)
     settings = load_settings(
         settings_file, ego="external", ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin, end=end,
         until=until, attempts=attempts, ttc=ttc, llm=llm, learn=learn, memory=memory, density=density, seed=seed,
@@ -110,6 +103,18 @@ def serve(
     _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
 
 
+def _input(source: Path) -> Any:
+    """The input. Raises UsageError if it plays a log back, or if SUMO's programs are not installed."""
+    from sumo_adv.simulation.inputs import load_input
+    from sumo_adv.simulation.programs import find_sumo
+
+    find_sumo()
+    given = load_input(source)
+    if given.playback is not None:
+        raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
+    return given
+
+
 def _words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
@@ -119,20 +124,17 @@ def _serve(
     status_port: int | None, *, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     from sumo_adv.cli.interrupts import Interrupts
+    from sumo_adv.cli.serve_folder import claim, folder_writer, note
     from sumo_adv.cli.serve_progress import make_terminal
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.serve.events import EventFile, Events, Status
-    from sumo_adv.serve.gate import Gate
-    from sumo_adv.serve.policy import Rules
     from sumo_adv.serve.result_writer import ResultWriter
     from sumo_adv.serve.server import Server, ServerDependencies
-    from sumo_adv.serve.status import StatusPage
     from sumo_adv.simulation.network import read_network
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))  # what services are sent
-        stack.callback(signal.signal, signal.SIGTERM, before)
+        _end_on_sigterm(stack)
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)
@@ -144,26 +146,16 @@ def _serve(
             listeners.append(file := EventFile(events_file))
             stack.callback(file.close)
         events = Events(*listeners)
-        gate = stack.enter_context(
-            Gate(
-                options.host,
-                options.port,
-                allow=options.allow,
-                deadline=options.turn,
-                rules=Rules(frozenset(options.may_set)),
-                on_event=_teller(events),
-            )
-        )
-        _claim(target, force=force)
+        gate = stack.enter_context(_gate(options, events))
+        claim(target, force=force)
         agents = stack.enter_context(app.open_agents(settings, sandbox, target / MODEL_FILE))
-        _note(target, given, settings, options, None)
-        writer = ResultWriter(_writer(target), events)
+        note(target, given, settings, options, None)
+        writer = ResultWriter(folder_writer(target), events)
         stack.enter_context(terminal)
         parts = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, writer, interrupts.check)
         server = Server(parts)
         if status_port is not None:
-            page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
-            events.tell("status_page", port=page.port)
+            _open_status_page(stack, status_port, status, server, events)
         events.tell(
             "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens,
             added=server.ego_is_added,
@@ -175,8 +167,35 @@ def _serve(
             writer.close()
         summary = _summary(ending, server.reason, writer, target)
         events.tell("stopped", **summary)
-        _note(target, given, settings, options, summary)
+        note(target, given, settings, options, summary)
     _finish(ending, summary, writer, options, as_json=as_json)
+
+
+def _end_on_sigterm(stack: ExitStack) -> None:
+    """While the stack is open SIGTERM, which services are sent, ends the server like Ctrl-C."""
+    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
+    stack.callback(signal.signal, signal.SIGTERM, before)
+
+
+def _gate(options: Options, events: Events) -> Gate:
+    from sumo_adv.serve.gate import Gate
+    from sumo_adv.serve.policy import Rules
+
+    return Gate(
+        options.host,
+        options.port,
+        allow=options.allow,
+        deadline=options.turn,
+        rules=Rules(frozenset(options.may_set)),
+        on_event=_teller(events),
+    )
+
+
+def _open_status_page(stack: ExitStack, port: int, status: Status, server: Server, events: Events) -> None:
+    from sumo_adv.serve.status import StatusPage
+
+    page = stack.enter_context(StatusPage(port, lambda: {**status.report(), "time": server.time}))
+    events.tell("status_page", port=page.port)
 
 
 def _teller(events: Events) -> Callable[[GateEvent], None]:
@@ -208,65 +227,6 @@ def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Tas
         return make_task(given, settings.model_copy(update={"seed": settings.seed + round_}), scratch)
 
     return task_for
-
-
-def _claim(target: Path, *, force: bool) -> None:
-    """Make the output folder. Raises UsageError if it is taken or cannot be made."""
-    try:
-        if target.exists() and (not target.is_dir() or any(target.iterdir())):
-            if not force:
-                raise UsageError(f"The output folder {target} is there already; give another --out, or --force.")
-            if not (target / SERVE_FILE).is_file():
-                raise UsageError(f"{target} is not the folder of a server, so --force does not replace it.")
-            shutil.rmtree(target)
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"The output folder {target} cannot be written ({error.strerror or error}).") from error
-
-
-def _note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
-    """``serve.json``: what runs here, and at the end what came of it."""
-    from dataclasses import asdict
-
-    from sumo_adv.report.outcome import SCHEMA, versions
-
-    secret = {"memory", "llm_api_key", "llm_base_url"} & set(type(settings).model_fields)
-    value = {
-        "schema": SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
-        "settings": settings.model_dump(mode="json", exclude=secret), "summary": summary,
-    }  # fmt: skip
-    part = target / f".{SERVE_FILE}.part"
-    part.write_text(json.dumps(value, indent=2, ensure_ascii=False, default=str) + "\n", encoding="utf-8")
-    part.replace(target / SERVE_FILE)
-
-
-def _writer(target: Path) -> Any:
-    """Writes one encounter's folder whole; inputs that several have are on the disk once."""
-    from sumo_adv.report.folder import staged, write_run
-
-    def write(episode: Any, number: int) -> dict[str, Any]:
-        with staged(target / f"encounter-{number:04d}", force=False) as folder:
-            result = write_run(folder, episode)
-            _share(folder.stage / "inputs", target / "inputs")
-            folder.keep(force=False)
-        return {**result, "folder": folder.target}
-
-    return write
-
-
-def _share(inputs: Path, shared: Path) -> None:
-    """Hard links between copies of the same content (the names say it), where the file system has such."""
-    shared.mkdir(exist_ok=True)
-    for file in inputs.iterdir():
-        known, part = shared / file.name, inputs / f".{file.name}.part"
-        try:
-            if known.exists():
-                os.link(known, part)
-                part.replace(file)
-            else:
-                os.link(file, known)
-        except OSError:
-            return
 
 
 def _summary(ending: Ending | None, reason: str, writer: ResultWriter, target: Path) -> dict[str, Any]:
