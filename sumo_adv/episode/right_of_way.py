@@ -13,12 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.drivers.junctions import AHEAD, CAN_STOP, CLEARANCE, CRAWL, FOE_ACCELERATION, FOE_SPEED, seconds
+from sumo_adv.drivers.junctions import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
 from sumo_adv.simulation.meetings import Link, Meeting, Meetings
 from sumo_adv.simulation.network import Connection
 
 COMFORTABLE = 3.0  # m/s2: who can stop with this braking stops at a yellow light, and keeps ``AHEAD``
 STOPS = 4.5  # m/s2: who cannot stop with this braking (SUMO's ``decel``) passes, unless it had to wait already
+CAN_STOP = 0.5  # m: who would stop so little beyond the line can still stop before it
 RELAX = 1.0  # s more than ``AHEAD`` before a reason to wait goes away: SUMO's own margin once more
 PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
 AT_SIGN = 3.0  # m before a stop sign's line within which a standstill counts
@@ -94,12 +95,12 @@ class RightOfWay:
         if signal == "red":
             return True
         if signal == "yellow":
-            if speed * speed <= 2 * COMFORTABLE * max(line.room, 0.0) or speed < CRAWL:
+            if speed * speed <= 2 * COMFORTABLE * max(line.room, 0.0) or speed < HALTING:
                 self._yellow.add(line.link)
             return line.link in self._yellow
         self._yellow.discard(line.link)
         if sign_of(line.letter) == "stop":
-            if speed < CRAWL and line.room <= AT_SIGN:
+            if speed < HALTING and line.room <= AT_SIGN:
                 self._stood[line.link] = max(stood, self._stood.get(line.link, 0.0))
             elif line.link not in self._stood:
                 return True
@@ -143,14 +144,14 @@ class RightOfWay:
             to_clear = foe.to_line + meeting.other_at + foe.length + CLEARANCE
             if to_clear <= 0.0:
                 continue
-            if to_zone > 0.0 and foe.speed < CRAWL and foe.stood() >= LETS_GO:
+            if to_zone > 0.0 and foe.speed < HALTING and foe.stood() >= LETS_GO:
                 continue
             if line.letter == "w" and not entered and foe.stood() <= self._stood[line.link]:
                 continue
             mine = line.room + meeting.at - line.begin
             at_line = _seconds(line.room, speed)
             across = _seconds(mine + length + CLEARANCE, speed, line.limit)
-            gone = to_clear / max(foe.speed, CRAWL)
+            gone = to_clear / max(foe.speed, HALTING)
             if across + margin > _seconds(to_zone, foe.speed) and gone > at_line:
                 return True
         return False
