@@ -332,10 +332,10 @@ def test_it_waits_at_its_line_for_one_on_the_junction_that_turns_over_a_bay() ->
         assert egos.s[0] + 2.5 == pytest.approx(front, abs=0.3)
 
 
-@pytest.mark.parametrize(("line", "waits"), [(4.7, False), (4.9, True), (7.1, False)])
+@pytest.mark.parametrize(("line", "waits"), [(4.9, False), (5.1, True), (7.1, False)])
 def test_it_decides_where_it_sees_the_others_and_can_still_stop(line: float, waits: bool) -> None:
-    """It needs 5^2 / (2 * 4.5) = 2.78 m, of which 0.5 m may lack. It has 2.2, 2.4 or 4.6 m; more than 4.5 m before the
-    line SUMO's drivers brake as to stop, and do so unattacked too."""
+    """Braking by 0.45 m/s a step, it needs 0.1 (4.55 + 4.1 + ... + 0.05) = 2.53 m. It has 2.4, 2.6 or 4.6 m; more than
+    4.5 m before the line SUMO's drivers brake as to stop, and do so unattacked too."""
     egos = egos_of(crossroads(line, speed=5.0))
     drive(egos, 0.1, crossing_at(3.0, before=15.0, behind=35.0), 3.0)
     assert bool(egos.disturbed[0]) is waits
