@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 from cli_samples import ROOT, Program
-from womd_samples import four_way, merge, write
+from womd_samples import four_way, merge, straight, write
 
 FOLDER = ROOT / "benchmarks"
 NUMBER = r"\s+([\d.]+)"
@@ -83,6 +83,16 @@ def test_womd_prints_totals_and_targets(program: Program) -> None:
         assert re.search(rf"^{name} +{value}$", said, re.MULTILINE), said
     assert "met    connectivity: 1 >= 0.995" in said and "met    within_0.5" in said
     assert "nothing to do" in printed(program, "womd.py")
+
+
+def test_womd_ground_counts_vehicles_that_leave_the_area(program: Program) -> None:
+    """Three vehicles of the straight road move, all in the middle of a lane; the fourth is parked."""
+    records = program.home / "ground"
+    records.mkdir()
+    write(records / "one.tfrecord", straight())
+    said = printed(program, "womd_ground.py", str(records))
+    assert "on the road: 3 moving vehicles, outside the lanes 0 (0.0%), outside the area 0 (0.0%)" in said
+    assert "nothing to do" in printed(program, "womd_ground.py")
 
 
 def test_where_the_seconds_of_an_encounter_go(program: Program) -> None:

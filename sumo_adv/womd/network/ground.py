@@ -19,9 +19,9 @@ from sumo_adv.womd.network.roads import Roads
 from sumo_adv.womd.record import Record
 
 REACH = 10.0  # m from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
-KNOWN = 20.0  # m from an edge within which it says something of a place; two lanes and the middle of a junction
+KNOWN = 30.0  # m from an edge within which it says something of a place: as far as the middle of a wide junction
 BESIDE = 5.0  # m further to which edges are taken, because the nearest edge decides about a place
-ONWARD = 30.0  # m by which an edge is thought to go on straight beyond its end, more than KNOWN
+ONWARD = 45.0  # m by which an edge is thought to go on straight beyond its end, more than KNOWN
 SPACING = 1.0  # m between the points of edges around which Voronoi cells are cut
 APRON = 0.3  # m by which a driveway is widened: its polygon ends a little before the road edge
 SEAM = 0.05  # m: half the width of cracks that are closed
