@@ -9,7 +9,7 @@ from situation_samples import car
 
 from sumo_adv.drivers import Observation, Steer
 from sumo_adv.drivers.blind import BlindEgo
-from sumo_adv.drivers.protocol import Road
+from sumo_adv.drivers.road import Road, StopLine
 
 EAST = [(float(x), 0.0) for x in range(0, 200, 5)]
 
@@ -30,8 +30,13 @@ def test_it_goes_for_the_speed_limit_whatever_is_ahead() -> None:
 
 
 def test_it_waits_at_a_line_that_it_must_not_pass() -> None:
-    action = BlindEgo().act(seen(10.0, Road(20.0, held=True)))
-    assert isinstance(action, Steer) and action.acceleration == -3.0
+    """Its front, at 2.5 m, is to stop 0.5 m before the line: from 10 m/s 20 m before that take 2.5 m/s2."""
+    near, far = (Road(20.0, stop_lines=(StopLine(room + 3.0, "red", None, True),)) for room in (20.0, 30.0))
+    actions = [BlindEgo().act(seen(10.0, road)) for road in (near, far)]
+    assert all(isinstance(action, Steer) for action in actions)
+    assert [action.acceleration for action in actions] == pytest.approx([-2.5, 2.4375])
+    standing = BlindEgo().act(seen(0.0, Road(20.0, stop_lines=(StopLine(3.0, None, "yield", True),))))
+    assert isinstance(standing, Steer) and standing.acceleration == -3.0
 
 
 def test_sumo_drives_it_off_the_network() -> None:

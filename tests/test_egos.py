@@ -24,6 +24,7 @@ from sumo_adv.drivers import (
     model_of,
 )
 from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -332,7 +333,7 @@ def test_a_class_without_the_methods_is_never_made(user_module: str, tmp_path: P
 
 
 def test_a_users_class_may_ask_for_the_road(user_module: str) -> None:
-    assert [make_ego(f"{user_module}:{n}", {}).needs_road for n in ("Good", "Looks")] == [False, True]
+    assert [wishes_of(make_ego(f"{user_module}:{n}", {})).needs_road for n in ("Good", "Looks")] == [False, True]
 
 
 def test_a_module_that_is_not_there() -> None:

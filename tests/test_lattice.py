@@ -21,14 +21,14 @@ from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
 from sumo_adv.drivers.lattice_candidates import Space, aside, choose
 from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
 from sumo_adv.drivers.lattice_model import LatticeDrivers
-from sumo_adv.drivers.protocol import Road
+from sumo_adv.drivers.road import Road, StopLine
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter_search import LaneLine
-from sumo_adv.episode.road_here import RoadHere
+from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.simulation import SimulationSpec
@@ -140,7 +140,7 @@ def test_an_occupied_lane_beside_is_no_way_out() -> None:
 
 def test_held_at_a_line_it_waits_and_then_goes() -> None:
     ego = LatticeEgo()
-    waited = drive(ego, car("ego", 5.0), [], replace(ALONE, held=True), 20)
+    waited = drive(ego, car("ego", 5.0), [], replace(ALONE, stop_lines=(StopLine(5.0, None, "yield", True),)), 20)
     assert waited[-1].x == 5.0
     gone = drive(ego, waited[-1], [], ALONE, 30, start=20)
     assert gone[-1].speed > 5.0
@@ -367,7 +367,7 @@ def test_through_a_roundabout_it_gives_way_stays_on_the_road_and_arrives(tmp_pat
     ego, road = LatticeEgo(), read_network(scenario.network)
     files = tuple(scenario.demand.files)
     drive = Drive(SimulationSpec(scenario.network, files, (ego_type_file(ego, tmp_path),), 0.0, 0), ego, 0)
-    drive.line_ahead, drive.road_here = LaneLine(road, drive), RoadHere(road, drive.simulation)
+    drive.observe = Surroundings(road, Meetings(road), drive)
     try:
         for _ in range(600):
             snapshot = drive.tick()

@@ -7,26 +7,33 @@ driver is any class with ``reset(seed)`` and ``act(observation)``: see ``example
 from sumo_adv.drivers.bicycle import apply_steer
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
-from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Road, Steer, model_of
+from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.registry import ExternalEgo, make_ego
 from sumo_adv.drivers.replay import ReplayEgo
+from sumo_adv.drivers.road import Conflict, Lane, Road, SpeedLimit, StopLine
 from sumo_adv.drivers.sumo_driven import SumoEgo
 from sumo_adv.drivers.user import UserEgo
+from sumo_adv.drivers.vehicle import Vehicle
 
 __all__ = [
     "Action",
     "CarefulEgo",
+    "Conflict",
     "EgoController",
     "ExternalEgo",
+    "Lane",
     "LaneSpeed",
     "LatticeEgo",
     "Observation",
     "Pose",
     "ReplayEgo",
     "Road",
+    "SpeedLimit",
     "Steer",
+    "StopLine",
     "SumoEgo",
     "UserEgo",
+    "Vehicle",
     "apply_steer",
     "make_ego",
     "model_of",

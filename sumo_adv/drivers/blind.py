@@ -1,7 +1,7 @@
 """A driver that sees no other vehicle: the yardstick for drivers that look around.
 
-It follows its route at the speed limit, slower in bends, and stops where SUMO's rules hold it at a line (lights and
-right of way). It never reacts to a vehicle, so every collision that a reference driver avoids can be had with it.
+It follows its route at the speed limit, slower in bends, and stops at lines where it must wait (lights and right of
+way). It never reacts to a vehicle, so every collision that a reference driver avoids can be had with it.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import DriverModel
+from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.drivers.lattice import look_ahead, steering
 from sumo_adv.drivers.lattice_frame import RoadFrame
 from sumo_adv.drivers.protocol import Action, Observation, Steer
+from sumo_adv.drivers.road import Road
 from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
+from sumo_adv.drivers.wishes import Wishes
 from sumo_adv.geometry import wrap
 
 HELD = -3.0  # m/s2 at a line where it must wait
+GENTLE = 2.0  # m/s2: it begins to brake for a line when this is needed
 LATERAL = 4.0  # m/s2, the most that it steers for
 AHEAD = np.arange(0.0, 4.1, 0.25)  # s ahead at which the bends count
 
@@ -30,7 +33,7 @@ class BlindEgo:
     name = "blind"
     forkable = True
     needs_observation = True
-    needs_road = True
+    wishes = Wishes(needs_road=True)
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
         """``parameters``: those of IDM, of which the free road's count. Raises UsageError."""
@@ -58,9 +61,18 @@ class BlindEgo:
         bends = self._frame.bend(np.array([station + ego.length / 2 + speed * AHEAD]))[1]
         wanted = max(min(road.limit, float(np.min(bends))), 0.1)
         free = self._idm.accel * (1.0 - (ego.speed / wanted) ** self._idm.delta)
-        pedal = HELD if road.held else max(free, -self._idm.decel)
+        pedal = min(max(free, -self._idm.decel), _stopping(road, ego) if road.must_wait else math.inf)
         ahead = look_ahead(np.array([speed]))
         x, y, _ = self._frame.path.at(station + ahead)
         angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
         wheel, _ = steering(np.array([angle]), ahead, np.array([speed]), LATERAL)
         return Steer(pedal, float(wheel[0]))
+
+
+def _stopping(road: Road, ego: VehicleState) -> float:
+    """The acceleration [m/s2] with which it stops at the next line; inf while that is still far."""
+    room = road.stop_lines[0].ahead - ego.length / 2 - 0.5  # m before the line
+    if room < 1.0:
+        return HELD
+    needed = ego.speed**2 / (2 * room)
+    return -needed if needed > GENTLE else math.inf

@@ -163,9 +163,9 @@ def _has_priority(situation: Situation) -> float:
     return float(lights[0][2] == "G" if lights else situation.road.rule == "M")
 
 
-def seconds(distance: Floats, speed: Floats, acceleration: float) -> Floats:
-    """The time [s] for a distance [m] with even acceleration up to ``FOE_SPEED``; 0 for a negative distance."""
+def seconds(distance: Floats, speed: Floats, acceleration: float, fastest: float = FOE_SPEED) -> Floats:
+    """The time [s] for a distance [m] with even acceleration up to ``fastest`` [m/s]; 0 for a negative distance."""
     distance, initial = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
-    final = np.maximum(np.minimum(np.sqrt(initial * initial + 2 * acceleration * distance), FOE_SPEED), initial)
+    final = np.maximum(np.minimum(np.sqrt(initial * initial + 2 * acceleration * distance), fastest), initial)
     span = (final - initial) / acceleration
     return np.maximum(span + (distance - (initial + final) / 2 * span) / final, 0.0)

@@ -30,12 +30,15 @@ from sumo_adv.drivers.lattice import (
 )
 from sumo_adv.drivers.lattice_candidates import Space, choose
 from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
-from sumo_adv.drivers.protocol import Action, Observation, Road, Steer
+from sumo_adv.drivers.protocol import Action, Observation, Steer
+from sumo_adv.drivers.road import Road
 from sumo_adv.drivers.sumo_driven import Idm, sumo_type
+from sumo_adv.drivers.wishes import Wishes
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 
 HELD = -3.0  # m/s2 at a line where it must wait
+SLOW, AT_LINE = 1.0, 12.5  # m/s, m from its centre: slower and nearer than this it stands at a line, without advice
 OWN = ("horizon", "braking", "lateral")  # settings that SUMO does not know
 
 
@@ -45,7 +48,7 @@ class LatticeEgo:
     name = "lattice"
     forkable = True
     needs_observation = True
-    needs_road = True
+    wishes = Wishes(needs_road=True)
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
         """``parameters``: horizon, braking, lateral of ``LatticeSettings``, and those of IDM. Raises UsageError."""
@@ -129,13 +132,14 @@ class LatticeEgo:
         times, v = self.settings.times, egos.speed[:, None]
         bends = frame.bend(egos.s[:, None] + size.length / 2 + np.maximum(v, 1.0) * times)[1]
         speed = np.maximum(np.minimum(road.limit, bends), SLOWEST)
-        cap = eased(np.array([self._advice(road, dt)]), egos.speed, self._memory.reference, dt)
+        cap = eased(np.array([self._advice(road, float(egos.speed[0]), dt)]), egos.speed, self._memory.reference, dt)
         return reference(egos, size, others, Cruise(speed, speed, np.zeros(1, bool)), cap, self.settings)
 
-    def _advice(self, road: Road, dt: float) -> float:
+    def _advice(self, road: Road, speed: float, dt: float) -> float:
         """The maximum acceleration [m/s2] by SUMO's driver, if it was slower than the ego asked for or may not go."""
-        if road.held:
-            return HELD
-        if road.advised is None or road.advised > self._asked - 1e-3:
+        if road.advised is None:
+            at_line = speed < SLOW and bool(road.stop_lines) and road.stop_lines[0].ahead < AT_LINE
+            return HELD if at_line and road.must_wait else math.inf
+        if road.advised > self._asked - 1e-3:
             return math.inf
         return (road.advised - self._speed) / dt

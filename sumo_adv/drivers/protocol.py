@@ -11,38 +11,19 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
 from sumo_adv.datatypes import DriverModel, VehicleState
+from sumo_adv.drivers.road import Road
 from sumo_adv.geometry import Pose
 
 
 @dataclass(frozen=True, slots=True)
-class Road:
-    """The road at the ego, for controllers with ``needs_road``.
-
-    limit: speed limit for the ego [m/s]. sides: centres of the lanes beside the ego's that lead the same way, as
-    offsets from its lane [m, left positive], for the next ``until`` metres. width: of the ego's lane [m].
-    advised: the speed [m/s] that SUMO's driver would have chosen in the last step, with regard to lights, right of way
-    and leaders; at most the speed that the controller asked for. It is None before the controller's first action, and
-    while the ego stands at a line. held: SUMO's rules forbid the ego to pass that line now. leaves: the ego's route
-    ends within a few metres, where SUMO will remove it.
-    """
-
-    limit: float
-    sides: tuple[float, ...] = ()
-    until: float = 0.0
-    width: float = 3.2
-    advised: float | None = None
-    held: bool = False
-    leaves: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class Observation:
-    """What the driver sees at ``time`` [s]; the step to come lasts ``dt`` [s].
+    """What the driver sees at ``time`` [s, of the simulation]; the step to come lasts ``dt`` [s].
 
-    others: vehicles within 120 m, box centres in the world frame. lane_heading: of the ego's lane [rad]. lane_offset:
-    from the lane's centre [m, left positive]. path: points [m] on the centreline of the ego's lane and route, from the
-    ego (or a few metres before) to at least 60 m ahead. These three are None where they are not known. ``road`` is
-    None unless the controller needs it.
+    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. lane_heading: of the
+    ego's lane at the ego [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path:
+    points [m] on the centreline of the ego's lane and route, from the ego (or a few metres before) to at least 60 m
+    ahead. road: the map at the ego. These four are None where they are not known, as off the road. ``road`` and each
+    ``Vehicle`` are to be read in the ``act`` that got them: later an attribute that was not read yet is refused.
     """
 
     time: float
@@ -84,7 +65,7 @@ Action: TypeAlias = Steer | LaneSpeed | Pose | None
 class EgoController(Protocol):
     """The driver under test.
 
-    A driver may also have ``needs_road`` (default False) and ``model_of`` (see the function ``model_of``).
+    A driver may also have ``wishes`` (see ``wishes.py``) and ``model_of`` (see the function ``model_of``).
     """
 
     @property

@@ -4,7 +4,7 @@ A driver has ``reset(seed)`` and ``act(observation)``. Its constructor gets the 
 have these attributes and this method:
 
 - ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
-- ``needs_road`` (default False: ``observation.road`` is None);
+- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``wishes.py``);
 - ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
 """
 
@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.sumo_driven import sumo_type
+from sumo_adv.drivers.wishes import read_wishes
 from sumo_adv.errors import SimulationError, UsageError
 
 T = TypeVar("T")
@@ -36,7 +37,7 @@ class UserEgo:
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
         self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
-        self.needs_road = bool(getattr(self._driver, "needs_road", False))
+        self.wishes = read_wishes(self._driver, spec)
         attributes = getattr(self._driver, "sumo_type", None)
         self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Road, Steer, apply_steer
+from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
+from sumo_adv.drivers.vehicle import Senses
+from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
@@ -16,8 +19,7 @@ from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot,
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML
 
 EGO_TYPE = "sumo_adv_ego"
-LineAhead = Callable[[VehicleState], Sequence[tuple[float, float]] | None]
-RoadHere = Callable[[VehicleState, bool], Road | None]
+Observe = Callable[[VehicleState, Sequence[str]], Observation]
 OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
@@ -48,9 +50,9 @@ class Drive:
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
-        self.line_ahead: LineAhead | None = None
-        self.road_here: RoadHere | None = None
-        self._heeding: str | None = None  # the ego, if its driver steered in the last step and needs to know the road
+        self.observe: Observe | None = None  # what the driver sees, given the ego and the vehicles near it
+        self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
+        self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.playback = playback
         if playback is not None:
@@ -100,7 +102,7 @@ class Drive:
 
     def release(self) -> None:
         """Make the ego a background vehicle again. It keeps the ego's vType; SUMO drives it."""
-        self.ego = self._heeding = None
+        self.ego, self.steered, self.heeding = None, False, False
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
@@ -112,7 +114,7 @@ class Drive:
         if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
             self._let_ego_act(driven)
         if driven:
-            self.simulation.inject(driven, self._heeding)
+            self.simulation.inject(driven, self.ego if self.heeding else None)
         self.simulation.step()
         snapshot = self.simulation.read()
         if self.playback is not None:
@@ -128,7 +130,7 @@ class Drive:
             self.playback.start(self.simulation)
         if self.on_load is not None:
             self.on_load()
-        self.ego, self._takeovers, self._playing, self._heeding = None, [], False, None
+        self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)
@@ -143,6 +145,11 @@ class Drive:
     def state(self, vehicle: str) -> VehicleState:
         """A vehicle's newest state."""
         return self.simulation.state(self.snapshot, vehicle, self.recording.acceleration(vehicle))
+
+    def vehicle(self, name: str, senses: Senses) -> Vehicle:
+        """A vehicle's newest state, with what ``senses`` tell of it."""
+        make = partial(Vehicle, senses=senses)
+        return self.simulation.state_as(make, self.snapshot, name, self.recording.acceleration(name))
 
     def pose(self, vehicle: str) -> tuple[float, float, float]:
         """x, y [m] of the centre of a vehicle's box and its heading [rad], now."""
@@ -196,11 +203,14 @@ class Drive:
         waits = isinstance(self.controller, ReplayEgo) and not self._playing
         if waits or not self.controller.needs_observation:
             return
-        observation = self._observe(self.ego)
+        me = self.state(self.ego)
+        observation = self._observation(me)
         action = self.controller.act(observation)
-        self._heeding = self.ego if observation.road is not None and isinstance(action, Steer) else None
+        wishes = wishes_of(self.controller)
+        self.steered = isinstance(action, Steer | Pose)
+        self.heeding = isinstance(action, Steer) and wishes.needs_road and observation.road is not None
         if isinstance(action, Steer):
-            after = apply_steer(observation.ego, action, observation.dt)
+            after = apply_steer(me, action, observation.dt, wishes.bicycle)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
         elif isinstance(action, Pose):
             driven[self.ego] = action
@@ -211,14 +221,11 @@ class Drive:
         else:
             self.simulation.set_speed(self.ego, None)
 
-    def _observe(self, ego: str) -> Observation:
-        me = self.state(ego)
-        others = tuple(self.state(n) for n in self.near(me, OBSERVED))
-        road = None
-        if self.road_here is not None and getattr(self.controller, "needs_road", False):
-            road = self.road_here(me, self._heeding == ego)  # before the line: it may restore the ego's route
-        line = self.line_ahead(me) if self.line_ahead is not None else None
-        return Observation(self.now, self.recording.step_length, me, others, path=line, road=road)
+    def _observation(self, me: VehicleState) -> Observation:
+        near = self.near(me, OBSERVED)
+        if self.observe is not None:
+            return self.observe(me, near)
+        return Observation(self.now, self.recording.step_length, me, tuple(self.state(name) for name in near))
 
     def replay(self, track: Track) -> None:
         """Have a ``ReplayEgo`` repeat a recorded motion from now on. Other drivers ignore this."""

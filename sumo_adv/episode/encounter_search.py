@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
-from sumo_adv.datatypes import Ending, VehicleState
+from sumo_adv.datatypes import Ending
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import (
     LOOK_EVERY,
@@ -15,38 +14,17 @@ from sumo_adv.episode.encounter_detector import (
     ON_RECORDED,
     EncounterDetector,
     RankedVehicle,
-    ego_path,
 )
-from sumo_adv.episode.road_here import RoadHere
+from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import NoEncounter, Task
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import PATH_STEP
 from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import RoadMap
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 INSERTED_EGO = "ego"
-LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: length of the line that a driver gets, and after how far it is renewed
 MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
-
-
-class LaneLine:
-    """The centreline of the ego's lane and route ahead. It is the same object until it is renewed."""
-
-    def __init__(self, road: RoadMap, drive: Drive) -> None:
-        self._road, self._drive = road, drive
-        self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
-
-    def __call__(self, ego: VehicleState) -> Sequence[tuple[float, float]] | None:
-        """(x, y) [m] every metre from the ego on; None off the road."""
-        if ego.lane != self._lane or math.hypot(ego.x - self._from[0], ego.y - self._from[1]) > LINE_FRESH:
-            path = ego_path(self._road, self._drive)
-            if path is None:
-                return None
-            count = round(LINE_AHEAD / PATH_STEP)
-            self._line = list(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
-            self._lane, self._from = ego.lane, (ego.x, ego.y)
-        return self._line
 
 
 class EncounterSearch:
@@ -54,13 +32,13 @@ class EncounterSearch:
 
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
         self.drive, self.road, self.task = drive, road, task
+        self._meetings = Meetings(road)
         drive.on_load = self.begin
         self.begin()
 
     def begin(self) -> None:
         """Prepare a simulation that was just loaded: forget the road ahead, and insert the ego if it has a route."""
-        self.drive.line_ahead = LaneLine(self.road, self.drive)
-        self.drive.road_here = RoadHere(self.road, self.drive.simulation)
+        self.drive.observe = Surroundings(self.road, self._meetings, self.drive, self.task.spec.additional)
         route = self.task.ego
         if isinstance(route, EgoRoute):
             depart = {

@@ -1,57 +1,292 @@
-"""The road at the ego, for drivers that plan for themselves."""
+"""The road at the ego, for drivers that plan for themselves. An attribute is worked out when it is first read."""
 
 from __future__ import annotations
 
-from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers import Road
-from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.simulation import Simulation
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
-SLOW, AT_LINE = 1.0, 10.0  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed, but whether it
-# is held. SUMO's advice is at most the speed that the ego was given, so a creeping ego would creep on.
+import numpy as np
+
+from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.drivers.road import Conflict, Lane, Road, SpeedLimit, StopLine
+from sumo_adv.episode.ego_place import Place
+from sumo_adv.episode.right_of_way import Foe, Line, RightOfWay, sign_of, signal_of
+from sumo_adv.episode.road_near import RoadNear
+from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import along
+from sumo_adv.simulation.meetings import Link, Meetings
+from sumo_adv.simulation.network import Connection, RoadMap
+from sumo_adv.simulation.network import Lane as NetLane
+
+if TYPE_CHECKING:
+    from sumo_adv.episode.drive import Drive
+
+SLOW, AT_LINE = 1.0, 10.0  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
+# at most the speed that the ego was given, so a creeping ego would creep on.
 LEAVING = 0.3  # s before its front bumper reaches the end of its route the ego leaves
+SEEN = 120.0  # m: how far the road is told
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """A lane of the ego's path and the metres from the ego's centre to its beginning."""
+
+    lane: NetLane
+    ahead: float
+
+
+@dataclass(frozen=True, slots=True)
+class Junction:
+    """A junction on the ego's path: the way over it and the metres from the ego's centre to the way's beginning."""
+
+    link: Link
+    way: Connection
+    ahead: float
 
 
 class RoadHere:
-    """Makes ``Road`` for one simulation. While the ego is off all lanes the last one is returned."""
+    """Makes ``Road`` for one simulation. While the ego is off all lanes it is made for its last place."""
 
-    def __init__(self, road: RoadMap, simulation: Simulation) -> None:
-        self._map, self._simulation = road, simulation
-        self._last: Road | None = None
-        self._sides: dict[str, tuple[float, ...]] = {}
-        self._routes: dict[str, tuple[str, ...]] = {}
+    def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive) -> None:
+        self.map, self.meetings, self.drive = road, meetings, drive
+        self.near = RoadNear(road)
+        self.rule = RightOfWay(meetings)
+        self.sides: dict[str, tuple[float, ...]] = {}
+        self._last: Place | None = None
 
-    def __call__(self, ego: VehicleState, drove: bool) -> Road | None:
-        """``drove``: the ego's driver steered in the last step; only then does SUMO's advice apply."""
-        lane = self._map.lanes.get(ego.lane)
+    def __call__(self, ego: VehicleState, place: Place | None) -> Road | None:
+        """None before the ego was on a lane."""
+        self._last = place or self._last
+        return None if self._last is None else RoadNow(self, ego, self._last)
+
+
+class RoadNow(Road):
+    """``Road`` at one time. Raises SimulationError for what is read too late."""
+
+    def __init__(self, here: RoadHere, ego: VehicleState, place: Place) -> None:
+        self.__dict__.update(_here=here, _ego=ego, _place=place, _time=here.drive.now)
+
+    _here: RoadHere
+    _ego: VehicleState
+    _place: Place
+    _time: float
+
+    def _now(self) -> RoadHere:
+        if self._here.drive.now != self._time:
+            raise SimulationError(
+                f"observation.road of {self._time:g} s was read at {self._here.drive.now:g} s: "
+                "read what you need in the act that got it"
+            )
+        return self._here
+
+    @cached_property
+    def limit(self) -> float:
+        return self._now().drive.simulation.limit(self._ego.id)
+
+    @cached_property
+    def sides(self) -> tuple[float, ...]:
+        here, lane, ego = self._now(), self._place.lane, self._ego
+        if lane.id not in here.sides:
+            beside = here.map.side_offsets(lane.id, ego.x, ego.y, ego.heading)
+            here.sides[lane.id] = tuple(offset for offset, way in beside if way == "same")
+        return here.sides[lane.id]
+
+    @cached_property
+    def _left(self) -> float:
+        """Metres from the front bumper to the end of the lane."""
+        lane, ego = self._place.lane, self._ego
+        if lane.id != ego.lane:
+            return _length(lane) - self._place.front
+        return lane.length - self._now().drive.simulation.lane_position(ego.id)
+
+    @cached_property
+    def until(self) -> float:
+        return self._left + self._ego.length / 2
+
+    @cached_property
+    def width(self) -> float:
+        return self._place.lane.width
+
+    @cached_property
+    def advised(self) -> float | None:
+        at_line = self._ego.speed < SLOW and self._left < AT_LINE and not self._place.lane.internal
+        drive = self._now().drive
+        return drive.simulation.advised(self._ego.id) if drive.heeding and not at_line else None
+
+    @cached_property
+    def leaves(self) -> bool:
+        return self._left < LEAVING * self._ego.speed + 0.5 and self._place.route[-1:] == (self._place.lane.edge,)
+
+    @cached_property
+    def lanes(self) -> tuple[Lane, ...]:
+        here, stretches = self._now(), self._stretches
+        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches[0]], self._met)
+
+    @cached_property
+    def edges(self) -> tuple[Floats, ...]:
+        return self._now().near.edges((self._ego.x, self._ego.y), self._place.route)
+
+    @cached_property
+    def limits(self) -> tuple[SpeedLimit, ...]:
+        found: list[SpeedLimit] = []
+        for stretch in self._stretches[0]:
+            if not found or found[-1].speed != stretch.lane.speed:
+                found.append(SpeedLimit(stretch.ahead, stretch.lane.speed))
+        return tuple(found)
+
+    @cached_property
+    def stop_lines(self) -> tuple[StopLine, ...]:
+        here, ego, lines = self._now(), self._ego, list(self._lines())
+        if not lines:
+            return ()
+        foes = self._foes
+        stood = here.drive.simulation.stood(ego.id) if ego.speed < SLOW else 0.0
+        return tuple(
+            StopLine(
+                line.room + ego.length / 2, signal_of(line.letter, light=_lit(line)), sign_of(line.letter),
+                here.rule.must_wait(line, ego.length, ego.speed, stood, foes),
+            )
+            for line in lines
+        )  # fmt: skip
+
+    @cached_property
+    def conflicts(self) -> tuple[Conflict, ...]:
+        here, found = self._now(), []
+        for junction in self._stretches[1]:
+            own = self._line(junction, 0.0)
+            for meeting in here.meetings.of(junction.link):
+                ahead = junction.ahead + meeting.at
+                if 0.0 <= ahead <= SEEN:
+                    yields = here.rule.yields(own, meeting, self._letter(meeting.other))
+                    found.append(Conflict(ahead, meeting.lane, meeting.x, meeting.y, yields, meeting.joins))
+        return tuple(sorted(found, key=lambda c: c.ahead))
+
+    @cached_property
+    def _met(self) -> frozenset[str]:
+        """Lanes on junctions that the path meets."""
+        meetings = self._here.meetings
+        return frozenset(m.lane for junction in self._stretches[1] for m in meetings.of(junction.link))
+
+    @cached_property
+    def _stretches(self) -> tuple[tuple[Stretch, ...], tuple[Junction, ...]]:
+        """The lanes of the path, and the junctions on it."""
+        here, place = self._here, self._place
+        lanes, ways = here.map.lanes, here.meetings.ways
+        centre = place.front - self._ego.length / 2
+        chain, junctions, lane, ahead = [Stretch(place.lane, -centre)], [], place.lane, -centre
+        if place.link is not None:  # the ego is on it
+            before = sum(_length(lanes[n]) for n in ways[place.link].via[: ways[place.link].via.index(lane.id)])
+            junctions.append(Junction(place.link, ways[place.link], ahead - before))
+        while (ahead := ahead + _length(lane)) < SEEN:
+            onward = here.map.onward(lane, place.route)
+            if not onward:
+                break
+            way = onward[0]
+            if way.link in ways and not lane.internal:
+                junctions.append(Junction(way.link, ways[way.link], ahead))
+            for name in way.via:
+                chain.append(Stretch(lanes[name], ahead))
+                ahead += _length(lanes[name])
+            lane = lanes[way.to]
+            chain.append(Stretch(lane, ahead))
+        return tuple(chain), tuple(junctions)
+
+    def _lines(self) -> Iterator[Line]:
+        """The lines on the path, nearest first; also one that the front bumper has passed and the centre has not."""
+        for junction in self._stretches[1]:
+            bay = _length(self._here.map.lanes[junction.way.via[0]]) if len(junction.way.via) > 1 else 0.0
+            entry = self._line(junction, 0.0)
+            if entry.room > -self._ego.length / 2 and (_lit(entry) or (sign_of(entry.letter) and not bay)):
+                yield entry
+            if bay and sign_of(entry.letter) and -self._ego.length / 2 < entry.room + bay < SEEN:
+                yield self._line(junction, bay)
+
+    def _line(self, junction: Junction, begin: float) -> Line:
+        lanes = self._here.map.lanes
+        room = junction.ahead + begin - self._ego.length / 2
+        limit = min(lanes[name].speed for name in junction.way.via)
+        return Line(junction.link, junction.way, room, begin, self._letter(junction.link), limit)
+
+    def _letter(self, link: Link) -> str:
+        """SUMO's letter for a way over a junction: of its light now, else of its sign."""
+        way = self._here.meetings.ways[link]
+        name, index = way.light
+        return way.state if index < 0 else self._lights[name][index]
+
+    @cached_property
+    def _lights(self) -> dict[str, str]:
+        """The states of the lights that were asked for."""
+        return _Lights(self._now().drive)
+
+    @cached_property
+    def _foes(self) -> Sequence[Foe]:
+        """The vehicles that come to a junction of the path, or are on it."""
+        here, ahead = self._now(), {junction.link[0] for junction in self._stretches[1]}
+        raw, ego = here.drive.snapshot.raw, self._ego
+        found: list[Foe] = []
+        for name in here.drive.near(ego, SEEN):
+            at = self._approach(name)
+            if at is None or at[0][0] not in ahead:
+                continue
+            length = here.drive.simulation.fleet.sizes[name][0]
+            found.append(Foe(name, *at, length, raw[name][3], _Stood(here.drive, name), self._letter(at[0])))
+        return found
+
+    def _approach(self, name: str) -> tuple[Link, float] | None:
+        """The way over a junction that a vehicle is on or comes to next, and the metres from its front to the way's
+        beginning; None if it comes to none."""
+        here = self._here
+        x, y, _, _, on = here.drive.snapshot.raw[name]
+        lane = here.map.lanes.get(on)
         if lane is None:
-            return self._last
-        simulation = self._simulation
-        if lane.id not in self._sides:
-            beside = self._map.side_offsets(lane.id, ego.x, ego.y, ego.heading)
-            self._sides[lane.id] = tuple(offset for offset, way in beside if way == "same")
-        left = lane.length - simulation.lane_position(ego.id)
-        at_line = ego.speed < SLOW and left < AT_LINE and not lane.internal
-        route = self._kept_route(ego.id, lane.edge)
-        leaves = left < LEAVING * ego.speed + 0.5 and route[-1:] == (lane.edge,)
-        self._last = Road(
-            limit=simulation.limit(ego.id),
-            sides=self._sides[lane.id],
-            until=left + ego.length / 2,
-            width=lane.width,
-            advised=simulation.advised(ego.id) if drove and not at_line else None,
-            held=at_line and not simulation.may_go(ego.id),
-            leaves=leaves,
-        )
-        return self._last
+            return None
+        if lane.internal:
+            link = here.meetings.link_of.get(on)
+            return None if link is None else (link, -float(along(here.meetings.line(link), x, y)) - 1e-3)
+        edges, at = here.drive.simulation.route(name)
+        room = _length(lane) - float(along(lane.shape, x, y))
+        while room < SEEN:
+            onward = here.map.onward(lane, edges[max(at, 0) :])
+            if not onward:
+                return None
+            if onward[0].link in here.meetings.ways:
+                return onward[0].link, room
+            lane = here.map.lanes[onward[0].to]
+            room += _length(lane)
+        return None
 
-    def _kept_route(self, ego: str, edge: str) -> tuple[str, ...]:
-        """The ego's first route. On ``edge`` the ego gets it back if SUMO has replaced it.
 
-        SUMO's moveToXY replaces a route where lanes overlap on a junction.
-        """
-        present = self._simulation.route(ego)[0]
-        kept = self._routes.setdefault(ego, present)
-        if present[-1:] != kept[-1:] and edge in kept:
-            self._simulation.set_route(ego, kept[kept.index(edge) :])
-        return kept
+class _Lights(dict[str, str]):
+    """States of traffic lights, asked of SUMO once each."""
+
+    def __init__(self, drive: Drive) -> None:
+        super().__init__()
+        self._drive = drive
+
+    def __missing__(self, name: str) -> str:
+        self[name] = self._drive.simulation.light(name)
+        return self[name]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stood:
+    """Asks for how long a vehicle has been standing."""
+
+    drive: Drive
+    name: str
+
+    def __call__(self) -> float:
+        return self.drive.simulation.stood(self.name)
+
+
+def _lit(line: Line) -> bool:
+    """Whether a light stands at the line: it does where the way over the junction begins."""
+    return line.way.light[1] >= 0 and line.begin == 0.0
+
+
+def _length(lane: NetLane) -> float:
+    """Metres of its centreline; SUMO's own length of a lane may differ."""
+    return float(math.fsum(np.hypot(*np.diff(lane.shape, axis=0).T)))

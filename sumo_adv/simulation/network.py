@@ -26,7 +26,8 @@ MAX_PATHS = 6  # ways on that are followed for one vehicle
 class Connection:
     """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane.
 
-    link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``)."""
+    link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``).
+    light: its traffic light's id and place in the light's state; empty without one."""
 
     to: str
     via: tuple[str, ...]
@@ -34,6 +35,7 @@ class Connection:
     state: str  # SUMO's right of way letter: M has priority, m must give way, s/w stop, = equal, o/O off, - dead end
     link: tuple[str, int] = ("", -1)
     yields_to: frozenset[int] = frozenset()
+    light: tuple[str, int] = ("", -1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +94,20 @@ class RoadMap:
 
         tree, names = self._tree
         return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
+
+    @cached_property
+    def _passenger_tree(self) -> tuple[Any, list[Lane]]:
+        from shapely import LineString, STRtree
+
+        lanes = [lane for lane in self.lanes.values() if lane.passenger and len(lane.shape) > 1]
+        return STRtree([LineString(lane.shape) for lane in lanes]), lanes
+
+    def passenger_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
+        """Passenger lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
+        from shapely import Point
+
+        tree, lanes = self._passenger_tree
+        return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius), predicate="intersects"))]
 
     def lane_at(self, x: float, y: float, heading: float) -> tuple[str, float] | None:
         """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree."""
@@ -183,7 +199,7 @@ class RoadMap:
     ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
         lane = self.lanes[lane_id]
         start = lane.length - position
-        options = self._onward(lane, route)
+        options = self.onward(lane, route)
         if start >= reach or not options:
             yield [lane_id], None, math.inf, math.inf
             return
@@ -191,7 +207,7 @@ class RoadMap:
             chain, length = [lane_id, *first.via, first.to], start
             length += sum(self.lanes[n].length for n in (*first.via, first.to))
             while length < reach:
-                onward = self._onward(self.lanes[chain[-1]], route)
+                onward = self.onward(self.lanes[chain[-1]], route)
                 if not onward:
                     break
                 step = onward[0]
@@ -207,7 +223,7 @@ class RoadMap:
             return start if on.via else math.inf
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
-    def _onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
+    def onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
         """Connections from a lane, straight ones first; only along ``route`` where that says something."""
         order = {"straight": 0, "right": 1, "left": 2, "u-turn": 3}
         options = sorted((c for c in lane.connections if c.to in self.lanes), key=lambda c: order[c.movement])
@@ -234,15 +250,10 @@ class RoadMap:
         from shapely import LineString, Point, Polygon, union_all
 
         reach = Point(x, y).buffer(radius)
-        shapes = []
-        for lane in self.lanes.values():
-            if not lane.passenger or len(lane.shape) < 2:
-                continue
-            if np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) > radius + lane.length:
-                continue
-            line = LineString(lane.shape)
-            if line.intersects(reach):
-                shapes.append(line.buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat"))
+        shapes = [
+            LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
+            for lane in self.passenger_lanes_within(x, y, radius)
+        ]
         for polygon in self.junctions:
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
@@ -323,7 +334,9 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
         if c.getToLane().allows("passenger"):
             movement = MOVEMENTS.get(c.getDirection(), "straight")
             link, yields_to = _right_of_way(lane, via)
-            found.append(Connection(c.getToLane().getID(), tuple(via), movement, c.getState() or "M", link, yields_to))
+            light = (c.getTLSID() or "", int(c.getTLLinkIndex()))
+            to, state = c.getToLane().getID(), c.getState() or "M"
+            found.append(Connection(to, tuple(via), movement, state, link, yields_to, light))
     return tuple(found)
 
 

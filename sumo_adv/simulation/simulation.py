@@ -8,10 +8,10 @@ needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this order and in eve
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError
@@ -20,6 +20,7 @@ from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.simulation.moved_speed import MovedSpeeds
 from sumo_adv.simulation.remote import RawState, Remote
 
+S = TypeVar("S", bound=VehicleState)
 BASE_FLAGS = (
     "--time-to-teleport", "-1", "--collision.action", "warn", "--collision.mingap-factor", "0",
     "--collision.check-junctions", "--lateral-resolution", "0.8", "--xml-validation", "never", "--no-step-log",
@@ -225,8 +226,12 @@ class Simulation:
 
     def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
         """One vehicle of a snapshot as a box (KeyError if it is not there)."""
+        return self.state_as(VehicleState, snapshot, vehicle, acceleration)
+
+    def state_as(self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float) -> S:
+        """The same as another class, whose first arguments are those of ``VehicleState``."""
         raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
-        return VehicleState(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
+        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""
@@ -271,10 +276,17 @@ class Simulation:
         """The speed [m/s] that SUMO's driver would have had after the last step, at most the one it was asked for."""
         return float(self._sumo.vehicle.getSpeedWithoutTraCI(vehicle))
 
-    def may_go(self, vehicle: str) -> bool:
-        """Whether lights and right of way would let a vehicle at the end of its lane go on now."""
-        links = self._sumo.vehicle.getNextLinks(vehicle)
-        return not links or bool(links[0][2])
+    def stood(self, vehicle: str) -> float:
+        """For how long a vehicle has been slower than 0.1 m/s [s]."""
+        return float(self._sumo.vehicle.getWaitingTime(vehicle))
+
+    def light(self, name: str) -> str:
+        """The state of a traffic light, a letter for each connection that it controls."""
+        return str(self._sumo.trafficlight.getRedYellowGreenState(name))
+
+    def lamps(self, vehicle: str) -> int:
+        """The lamps of a vehicle that are on, as bits: indicator right 1, left 2, brake light 8."""
+        return int(self._sumo.vehicle.getSignals(vehicle))
 
     # -- driving ------------------------------------------------------------------------------------------------
 

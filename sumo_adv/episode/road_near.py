@@ -1,0 +1,83 @@
+"""The lanes and the carriageway near the ego, kept until it has gone some metres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.drivers.road import Lane
+from sumo_adv.geometry import wrap
+from sumo_adv.simulation.network import Lane as NetLane
+from sumo_adv.simulation.network import RoadMap
+
+REACH = 120.0  # m from the ego
+FRESH = 10.0  # m that the ego goes until they are made again
+SPAN = 0.25  # m before and behind a place over which the direction there is taken
+SAME = math.pi / 4  # rad between a lane and the path, for lanes that lead the same way
+
+
+class RoadNear:
+    """Makes ``Road.lanes`` and ``Road.edges``. Holds the last of them."""
+
+    def __init__(self, road: RoadMap) -> None:
+        self._road = road
+        self._lanes: tuple[object, tuple[float, float], tuple[Lane, ...]] = (None, (0.0, 0.0), ())
+        self._edges: tuple[object, tuple[float, float], tuple[Floats, ...]] = (None, (0.0, 0.0), ())
+
+    def lanes(self, ego: tuple[float, float], route: Sequence[NetLane], met: frozenset[str]) -> tuple[Lane, ...]:
+        """The lanes near a place; ``route``: those of the path, ``met``: those that it meets on junctions."""
+        key = tuple(lane.id for lane in route[:3])
+        if self._lanes[0] == key and math.dist(self._lanes[1], ego) < FRESH:
+            return self._lanes[2]
+        path = _Direction(np.vstack([lane.shape for lane in route]))
+        on = {lane.id for lane in route}
+        found = []
+        for lane in self._road.passenger_lanes_within(*ego, REACH):
+            relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
+            row = self._road.edges[lane.edge]
+            right = row[lane.index - 1] if lane.index > 0 else None
+            left = row[lane.index + 1] if lane.index + 1 < len(row) else None
+            found.append(Lane(lane.id, lane.shape, lane.width, lane.speed, relation, left, right, lane.internal))
+        self._lanes = (key, ego, tuple(found))
+        return self._lanes[2]
+
+    def edges(self, ego: tuple[float, float], route: Sequence[str]) -> tuple[Floats, ...]:
+        """The boundary of the carriageway near a place; ``route``: of the ego."""
+        if self._edges[0] == route and math.dist(self._edges[1], ego) < FRESH:
+            return self._edges[2]
+        from shapely import Point
+
+        area = self._road.drivable(*ego, REACH).area
+        line = area.boundary.intersection(Point(*ego).buffer(REACH))
+        parts = [part for part in getattr(line, "geoms", [line]) if part.geom_type == "LineString"]
+        self._edges = (route, ego, tuple(np.array(part.coords) for part in parts))
+        return self._edges[2]
+
+
+class _Direction:
+    """The direction of lanes where they are nearest to a polyline, compared with the polyline's."""
+
+    def __init__(self, points: Floats) -> None:
+        from shapely import LineString
+
+        self._line = LineString(points)
+
+    def relation(self, shape: Floats) -> str:
+        """``beside``, ``oncoming`` or ``crossing``."""
+        from shapely import LineString, Point, shortest_line
+
+        other = LineString(shape)
+        a, b = (Point(p) for p in shortest_line(self._line, other).coords)
+        turn = abs(wrap(_heading(other, b) - _heading(self._line, a)))
+        return "beside" if turn < SAME else "oncoming" if turn > math.pi - SAME else "crossing"
+
+
+def _heading(line: Any, point: Any) -> float:
+    """The direction [rad] of a line at a point on it."""
+    at = min(max(line.project(point), SPAN), line.length - SPAN)
+    a, b = line.interpolate(max(at - SPAN, 0.0)), line.interpolate(at + SPAN)
+    return math.atan2(b.y - a.y, b.x - a.x)

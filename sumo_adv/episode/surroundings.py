@@ -1,0 +1,158 @@
+"""What the ego's driver sees: others, the path, its place in the lane, and the road map, which is made when read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, VehicleState
+from sumo_adv.drivers import Observation, Vehicle
+from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.episode.ego_place import EgoPlace, Place
+from sumo_adv.episode.encounter_detector import REACH, logged_path
+from sumo_adv.episode.road_here import RoadHere
+from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import PATH_STEP, wrap
+from sumo_adv.simulation.meetings import Meetings
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.sight import Sight, read_buildings
+from sumo_adv.simulation.simulation import heading_of
+
+if TYPE_CHECKING:
+    from sumo_adv.episode.drive import Drive
+
+LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: length of the path that a driver gets, and after how far it is renewed
+RIGHT, LEFT, BRAKES = 1, 2, 8  # SUMO's bits of a vehicle's lamps
+
+
+class Surroundings:
+    """Makes the observations of one simulation that was just loaded."""
+
+    def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive, additional: Sequence[Path] = ()) -> None:
+        """``additional``: files with buildings, for drivers that ask for them."""
+        self._drive = drive
+        self._place = EgoPlace(road, meetings, drive.simulation)
+        self._road = RoadHere(road, meetings, drive)
+        self._path = LaneLine(road, drive)
+        self._wishes = wishes_of(drive.controller)
+        self._sight = Sight(read_buildings(additional) if self._wishes.sees_buildings else ())
+
+    def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
+        """What the driver of the ego sees now; ``near``: the vehicles near it."""
+        drive = self._drive
+        place = self._place(ego, steered=drive.steered)  # first: it may restore the ego's route
+        senses = SensesNow(drive, ego, near, self._sight)
+        states = senses.vehicles
+        if self._wishes.visible_only:
+            states = tuple(state for state in states if state.visible)
+        heading, offset = (None, None) if place is None else in_lane(place, ego)
+        return Observation(
+            drive.now, drive.recording.step_length, ego, states, heading, offset, self._path(ego, place),
+            self._road(ego, place),
+        )  # fmt: skip
+
+
+def in_lane(place: Place, ego: VehicleState) -> tuple[float, float]:
+    """Heading of the ego's lane at its centre [rad] and offset of the centre from the lane's [m, left positive]."""
+    points = place.lane.shape.tolist()
+    best = (math.inf, 0.0, 0.0)
+    last = len(points) - 2
+    for k, ((ax, ay), (bx, by)) in enumerate(pairwise(points)):
+        length = math.hypot(bx - ax, by - ay)
+        if length < 1e-6:
+            continue
+        c, s = (bx - ax) / length, (by - ay) / length
+        along, left = c * (ego.x - ax) + s * (ego.y - ay), c * (ego.y - ay) - s * (ego.x - ax)
+        beyond = max(along - length if k < last else 0.0, -along if k > 0 else 0.0, 0.0)
+        best = min(best, (math.hypot(beyond, left), math.atan2(s, c), left))
+    return best[1], best[2]
+
+
+class LaneLine:
+    """The centreline of the ego's lane and route ahead. It is the same object until it is renewed."""
+
+    def __init__(self, road: RoadMap, drive: Drive) -> None:
+        self._road, self._drive = road, drive
+        self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
+
+    def __call__(self, ego: VehicleState, place: Place | None) -> Sequence[tuple[float, float]] | None:
+        """(x, y) [m] every metre from the ego on; None off the road."""
+        lane = ego.lane if place is None else place.lane.id
+        if lane == self._lane and math.hypot(ego.x - self._from[0], ego.y - self._from[1]) <= LINE_FRESH:
+            return self._line
+        path = logged_path(self._road, self._drive) if self._drive.replayed() else None
+        if place is not None and not self._drive.replayed():
+            front = self._drive.simulation.lane_position(ego.id) if lane == ego.lane else place.front
+            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route)
+            path = ways[0].path if ways else None
+        if path is None:
+            return None
+        count = round(LINE_AHEAD / PATH_STEP)
+        self._line = list(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
+        self._lane, self._from = lane, (ego.x, ego.y)
+        return self._line
+
+
+class SensesNow:
+    """What can be told of the vehicles near the ego in one step. Raises SimulationError once that step is over."""
+
+    def __init__(self, drive: Drive, ego: VehicleState, near: Sequence[str], sight: Sight) -> None:
+        self._drive, self._ego, self._near, self._sight, self._time = drive, ego, near, sight, drive.now
+
+    @cached_property
+    def vehicles(self) -> tuple[Vehicle, ...]:
+        """The vehicles themselves."""
+        return tuple(self._drive.vehicle(name, self) for name in self._near)
+
+    def kind(self, vehicle: str) -> str:
+        """See ``Vehicle.kind``."""
+        self.check()
+        return "obstacle" if self._unknown(vehicle) else self._drive.simulation.vehicle_class(vehicle)
+
+    def yaw_rate(self, vehicle: str) -> float:
+        """See ``Vehicle.yaw_rate``."""
+        self.check()
+        snapshots = self._drive.recording.snapshots
+        if len(snapshots) < 2 or vehicle not in snapshots[-2].raw:
+            return 0.0
+        now, before = (heading_of(s.raw[vehicle][2]) for s in (snapshots[-1], snapshots[-2]))
+        return wrap(now - before) / self._drive.recording.step_length
+
+    def indicator(self, vehicle: str) -> str | None:
+        """See ``Vehicle.indicator``."""
+        lamps = self._lamps(vehicle)
+        return "left" if lamps & LEFT else "right" if lamps & RIGHT else None
+
+    def brake_light(self, vehicle: str) -> bool:
+        """See ``Vehicle.brake_light``."""
+        return bool(self._lamps(vehicle) & BRAKES)
+
+    def visible(self, vehicle: str) -> bool:
+        """See ``Vehicle.visible``."""
+        self.check()
+        return bool(self._seen[self._near.index(vehicle)])
+
+    @cached_property
+    def _seen(self) -> Bools:
+        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles) if self._near else np.zeros(0, bool)
+
+    def _lamps(self, vehicle: str) -> int:
+        self.check()
+        return 0 if self._unknown(vehicle) else self._drive.simulation.lamps(vehicle)
+
+    def _unknown(self, vehicle: str) -> bool:
+        return vehicle in self._drive.obstacles
+
+    def check(self) -> None:
+        """Raises SimulationError: the step is over."""
+        if self._drive.now != self._time:
+            raise SimulationError(
+                f"a vehicle that was seen at {self._time:g} s was asked for more at {self._drive.now:g} s: "
+                "read what you need in the act that got it"
+            )
