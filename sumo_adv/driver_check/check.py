@@ -18,7 +18,7 @@ from sumo_adv.simulation.inputs import RunInput
 DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
 LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
 REPEATED = 1e-6  # m by which a drive may differ that is repeated
-ROUNDED = 0.1  # m by which it may differ with another clock, whose larger numbers are rounded otherwise
+ROUNDED = 1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
 
 
 @dataclass(frozen=True, slots=True)

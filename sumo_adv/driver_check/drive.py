@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Track, VehicleState
-from sumo_adv.drivers import Action, EgoController, Observation, Pose, make_ego
+from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine, make_ego
+from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.task import Task
@@ -29,9 +29,18 @@ from sumo_adv.simulation.network import RoadMap, read_network
 
 SAME_WAY = 1.05  # rad between a car and the lane that it is in: 60 degrees, for cars that turn on a junction
 CHOSEN = 15.0  # s after the begin at which an ego is chosen where the input names none: traffic is there by then
-RED = "rR"  # SUMO's letters
-AT_LINE, PASSED = 5.0, 1.0  # m: a light this near may be passed in the next step; it is behind if it is further now
+AT_LINE, FURTHER = 3.0, 1.0  # m: a line this near can be passed in a step; the next one is further than it was
+WAITED = 1.0  # s for which it must have had to wait: less is no time to brake in
+MOVING = 0.1  # m/s
 NEAR = 5.0  # m around the ego's motion in which the road is looked at
+
+
+@dataclass(frozen=True, slots=True)
+class PassedLine:
+    """A stop line that the ego passed at ``time`` [s] though it had to wait; ``signal``: as in ``StopLine``."""
+
+    time: float
+    signal: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +51,7 @@ class UnattackedDrive:
     off_road ``(n, 4)``: how far its corners are from the carriageway [m]; off_lane ``(n,)``: how far its centre is from
     the nearest lane that leads its way [m]; both for the n states of ``ego``, and 0 inside.
     poses: for each ``Pose`` that the driver returned, the ego before the step and the pose. act: seconds that each
-    answer took. red: when it drove over the line of a red light [s]. failure: why the drive ended early; empty if it did not.
+    answer took. lines: the stop lines that it passed while it had to wait. failure: why the drive ended early; empty if it did not.
     """
 
     ego: Track
@@ -51,28 +60,22 @@ class UnattackedDrive:
     off_lane: Floats
     poses: tuple[tuple[VehicleState, Pose], ...]
     act: Floats
-    red: tuple[float, ...] = ()
+    lines: tuple[PassedLine, ...] = ()
     failure: str = ""
 
 
-Lights = Callable[[], Sequence[tuple[str, float, str]]]
-
-
 class ObservedDriver:
-    """A driver as it is, but for its clock: it sees ``observation.time`` later by ``later`` [s].
-
-    lights: gives the traffic lights ahead of the ego now, as ``Simulation.signals`` does.
-    """
+    """A driver as it is, but for its clock: it sees ``observation.time`` later by ``later`` [s]."""
 
     def __init__(self, driver: EgoController, later: float) -> None:
         self._driver, self._later = driver, later
-        self.lights: Lights = tuple
-        self._ahead: tuple[str, float, str] | None = None
+        self._line: StopLine | None = None  # the next one, in the last observation
+        self._since = math.inf  # s, since when the ego must wait there
         self.name, self.forkable, self.sumo_type = driver.name, False, driver.sumo_type
-        self.needs_observation, self.needs_road = driver.needs_observation, getattr(driver, "needs_road", False)
+        self.needs_observation, self.wishes = driver.needs_observation, wishes_of(driver)
         self.poses: list[tuple[VehicleState, Pose]] = []
         self.seconds: list[float] = []
-        self.red: list[float] = []
+        self.lines: list[PassedLine] = []
 
     def reset(self, seed: int) -> None:
         """Have the driver forget everything."""
@@ -80,24 +83,28 @@ class ObservedDriver:
 
     def act(self, observation: Observation) -> Action:
         """The driver's answer."""
+        self._watch_lines(observation)
         seen = replace(observation, time=observation.time + self._later) if self._later else observation
         begun = time.perf_counter()
         action = self._driver.act(seen)
         self.seconds.append(time.perf_counter() - begun)
         if isinstance(action, Pose):
             self.poses.append((observation.ego, action))
-        self._watch_lights(observation)
         return action
 
-    def _watch_lights(self, observation: Observation) -> None:
-        """Note the time at which the nearest light, which was red, is no longer ahead."""
-        ahead = next(iter(self.lights()), None)
-        if self._ahead is not None and self._ahead[2] in RED:
-            name, distance, _ = self._ahead
-            passed = ahead is None or ahead[0] != name or ahead[1] > distance + PASSED
-            if passed and distance < AT_LINE:
-                self.red.append(observation.time)
-        self._ahead = ahead
+    def _watch_lines(self, observation: Observation) -> None:
+        """Note a line at which the ego has had to wait, and which is no longer ahead."""
+        road, front = observation.road, observation.ego.length / 2
+        lines = () if road is None else road.stop_lines
+        line = next(iter(lines), None)
+        last, now = self._line, observation.time
+        passed = last is not None and last.ahead - front < AT_LINE
+        passed = passed and (line is None or last is None or line.ahead > last.ahead + FURTHER)
+        if passed and last is not None and now - self._since >= WAITED - 1e-6 and observation.ego.speed > MOVING:
+            self.lines.append(PassedLine(now, last.signal))
+        must_wait = line is not None and line.must_wait
+        self._since = min(self._since, now) if must_wait and not passed else now if must_wait else math.inf
+        self._line = line
 
 
 class CheckWorker:
@@ -132,7 +139,6 @@ class CheckWorker:
             self._driver = make_ego(task.ego_driver, task.ego_parameters)
         driver, road = ObservedDriver(self._driver, later), self._road(task)
         drive = self._made(task, driver)
-        driver.lights = partial(_lights, drive)
         try:
             failure = _to_the_end(drive, road, task)
             return _recorded(drive, road, task, driver, failure)
@@ -148,10 +154,6 @@ class CheckWorker:
         if network not in self._roads:
             self._roads[network] = read_network(network)
         return self._roads[network]
-
-
-def _lights(drive: Drive) -> Sequence[tuple[str, float, str]]:
-    return () if drive.ego is None else drive.simulation.signals(drive.ego)
 
 
 def _to_the_end(drive: Drive, road: RoadMap, task: Task) -> str:
@@ -172,7 +174,7 @@ def _recorded(drive: Drive, road: RoadMap, task: Task, driver: ObservedDriver, f
         raise SimulationError(failure or f"The ego '{name}' was not inserted before {drive.now:.0f} s.")
     return UnattackedDrive(
         ego, tuple(tracks.values()), off_road(road, ego), off_lane(road, ego), tuple(driver.poses),
-        np.array(driver.seconds), tuple(driver.red), failure,
+        np.array(driver.seconds), tuple(driver.lines), failure,
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Limits, Track
-from sumo_adv.driver_check.drive import UnattackedDrive
+from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
 from sumo_adv.metrics.boxes import at_time, first_contact, on_grid, row_of
 from sumo_adv.metrics.contact import contact_sides
 from sumo_adv.metrics.gates import kinematic_gates
@@ -31,7 +31,7 @@ class Kind(StrEnum):
     COLLIDES = "collides by itself"
     LEAVES_ROAD = "leaves the road"
     LEAVES_LANE = "leaves its lane"
-    RED = "runs a red light"
+    LINE = "does not wait"
     STANDS = "stands"
     SLOW = "slow"
     JUMPS = "jumps"
@@ -48,8 +48,8 @@ MEANING: Mapping[Kind, str] = {
     "reference point (the centre of the box), and the sign of the steering (left positive).",
     Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; check "
     "the sign of its lateral offsets (left positive) and which lanes it is told.",
-    Kind.RED: "Lights and right of way are told by observation.road (needs_road = True): use advised and held there, or "
-    "answer LaneSpeed, which SUMO limits.",
+    Kind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
+    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which SUMO limits.",
     Kind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a stop line, and "
     "whether its speeds are in m/s.",
     Kind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; check its "
@@ -88,7 +88,7 @@ def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
     jump = _jump(drive)
     found += [jump] if jump is not None else []
     found += _outside(drive, steps)
-    found += [Finding(Kind.RED, time, "it drives over the line") for time in drive.red[:1] if time <= end]
+    found += [_passed(line) for line in drive.lines[:1] if line.time <= end]
     if contact is None and not drive.failure:
         found += _lags(drive.ego, idm.ego)
     return found
@@ -109,6 +109,11 @@ def _contact(drive: UnattackedDrive) -> Finding | None:
         Kind.COLLIDES, time,
         f"its {mine} meets the {its} of '{other.id}' (ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
     )  # fmt: skip
+
+
+def _passed(line: PassedLine) -> Finding:
+    at = "where it gives way" if line.signal in (None, "green") else f"of a light that is {line.signal}"
+    return Finding(Kind.LINE, line.time, f"it passes a line {at}")
 
 
 def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
