@@ -226,7 +226,12 @@ def check_driver(
         engine = Engine(body, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         return check_driver(
-            engine, twelve() if inputs is None else inputs, settings, Path(scratch), seconds=seconds or DURATION, tell=tell
+            engine,
+            twelve() if inputs is None else inputs,
+            settings,
+            Path(scratch),
+            seconds=seconds or DURATION,
+            tell=tell,
         )
 
 

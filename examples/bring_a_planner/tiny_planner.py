@@ -1,6 +1,6 @@
 """A tiny planner that stands for a package from outside, with conventions of its own.
 
-Its azimuths are degrees clockwise from north. Its state is that of the rear axle. The times of a plan count from the
+Its azimuths are degrees clockwise from north. It plans for the rear axle. The times of a plan count from the
 moment at which it was made. It follows a route as the IDM follows a leader (Treiber, Hennecke and Helbing 2000).
 """
 

@@ -37,9 +37,8 @@ def check(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as
 
 def _tell(checked: Checked) -> None:
     found = "; ".join(f"{f.kind} at {f.time:.1f} s: {f.words}" for f in checked.findings) or "good"
-    typer.echo(
-        f"{checked.scenario:<{WIDTH}} {checked.seconds:4.0f} s {checked.metres:5.0f} m {checked.idm_metres:5.0f} m  {found}"
-    )
+    drove = f"{checked.seconds:4.0f} s {checked.metres:5.0f} m {checked.idm_metres:5.0f} m"
+    typer.echo(f"{checked.scenario:<{WIDTH}} {drove}  {found}")
 
 
 def summary(done: DriverCheck) -> list[str]:

@@ -1,4 +1,4 @@
-"""Whether a driver is ready to be tested: it drives unattacked, and what is wrong with it or with its adapter is named.
+"""Whether a driver is ready to be tested: it drives unattacked, and faults of the driver or of its adapter are named.
 
 ``check_driver`` drives it through scenarios and returns what it found; ``sumo-adv doctor --ego NAME`` prints that.
 """

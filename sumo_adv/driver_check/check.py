@@ -18,7 +18,9 @@ from sumo_adv.simulation.inputs import RunInput
 DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
 LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
 REPEATED = 1e-6  # m by which a drive may differ that is repeated
-ROUNDED = 1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
+ROUNDED = (
+    1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,9 +113,10 @@ def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Findin
         if math.isfinite(since):
             return [Finding(kind, since, f"{what} are {_far(most)} apart")]
     when, far = apart(first.ego, later.ego, ROUNDED)
-    return [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]
+    return (
+        [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]
+    )
 
 
 def _far(metres: float) -> str:
     return "in their ends" if math.isinf(metres) else f"up to {metres:.3g} m"
-

@@ -51,7 +51,8 @@ class UnattackedDrive:
     off_road ``(n, 4)``: how far its corners are from the carriageway [m]; off_lane ``(n,)``: how far its centre is from
     the nearest lane that leads its way [m]; both for the n states of ``ego``, and 0 inside.
     poses: for each ``Pose`` that the driver returned, the ego before the step and the pose. act: seconds that each
-    answer took. lines: the stop lines that it passed while it had to wait. failure: why the drive ended early; empty if it did not.
+    answer took. lines: the stop lines that it passed while it had to wait. failure: why the drive ended early; empty if
+    it did not.
     """
 
     ego: Track

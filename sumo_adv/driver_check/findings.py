@@ -41,27 +41,28 @@ class Kind(StrEnum):
 
 
 MEANING: Mapping[Kind, str] = {
-    Kind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; mend that first.",
-    Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check sizes "
-    "(x, y is the centre of the box), which vehicles it is given, and its braking.",
+    Kind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; correct that first.",
+    Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check "
+    "sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
     Kind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise from +x), the "
     "reference point (the centre of the box), and the sign of the steering (left positive).",
-    Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; check "
-    "the sign of its lateral offsets (left positive) and which lanes it is told.",
+    Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; "
+    "check the sign of its lateral offsets (left positive) and which lanes it is told.",
     Kind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
-    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which SUMO limits.",
+    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which SUMO "
+    "limits.",
     Kind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a stop line, and "
     "whether its speeds are in m/s.",
     Kind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; check its "
     "desired speed (m/s) and the speed limit that it is given.",
-    Kind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return one that a car can reach from "
-    "observation.ego in that time.",
-    Kind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the time since the "
-    "start or since its plan began; subtract the time of that moment from it.",
+    Kind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return a pose that a car can reach "
+    "from observation.ego in that time.",
+    Kind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the time since "
+    "the start or since its plan began; subtract the time of that moment from it.",
     Kind.RESET: "After reset the same object drives otherwise than a new one; forget plan, controller and last "
     "observation in reset, because each attempt is a run of its own.",
-    Kind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be repeated; seed its random "
-    "numbers in reset(seed), and let no wall clock or thread decide.",
+    Kind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be repeated; seed its "
+    "random numbers in reset(seed), and let no wall clock or thread decide.",
 }
 """What a kind of finding means, and what to look at."""
 

@@ -1,7 +1,7 @@
 """The scenarios in which a driver is checked, and which vehicle it drives in each.
 
-In most of them it drives another vehicle than the one that ``run`` attacks there, because that one has the right of way:
-the check wants to see it turn, wait and give way.
+``run`` attacks the ego of the scenario, which mostly has the right of way. The check has the driver drive another
+vehicle there, because it is to turn, wait and give way.
 """
 
 from __future__ import annotations
