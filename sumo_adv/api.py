@@ -109,6 +109,7 @@ class Shown:
 def run(
     source: str | Path,
     *,
+    ego: str | type | object | None = None,
     out: str | Path | None = None,
     force: bool = False,
     record: str | None = None,
@@ -120,8 +121,11 @@ def run(
 
     source: what ``sumo-adv run`` takes: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
     out: the folder to write; else a temporary one that is removed with the result.
-    settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``ego``,
-    ``until``, ``attempts``, ``seed``, ``llm``, ``memory`` ... None is not given.
+    ego: the driver under test: a name as on the command line, or a class or an object of yours, also one that is
+    defined in a script or a notebook. An object is copied: what it remembers stays in the engine's process. A run with
+    a class or an object given so cannot be replayed from its folder.
+    settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,
+    ``attempts``, ``seed``, ``llm``, ``memory`` ... None is not given.
     tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
     The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
 
@@ -131,19 +135,22 @@ def run(
     """
     from sumo_adv.app import load, play
     from sumo_adv.config import load_settings
+    from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.folder import staged, write_run
 
     given = load(Path(source), record)
     wanted = {name: value for name, value in settings.items() if value is not None}
-    ego = trusted_driver(wanted.get("ego"), given.ego_controller, given.source)
-    wanted = {"horizon": given.horizon, **wanted, "ego": ego}
+    packed = None if ego is None or isinstance(ego, str) else pack(ego)
+    named = packed.name if packed is not None else str(ego) if ego is not None else None
+    driver = trusted_driver(named, given.ego_controller, given.source)
+    wanted = {"horizon": given.horizon, **wanted, "ego": driver}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **wanted)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
         with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-            episode = play(given, chosen, folder.stage, Path(scratch), tell or (lambda *_: None))
+            episode = play(given, chosen, folder.stage, Path(scratch), tell or (lambda *_: None), ego=packed)
             write_run(folder, episode)
             folder.keep(force=force)
     except BaseException:

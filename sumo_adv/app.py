@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from sumo_adv.benchmark.jobs import Parts as BenchParts
     from sumo_adv.config import Settings
     from sumo_adv.driver_check import Checked, DriverCheck
+    from sumo_adv.drivers.given import GivenEgo
     from sumo_adv.episode.episode import Episode
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.memory.bank import MemoryBank
@@ -162,11 +163,13 @@ def play(
     scratch: Path,
     tell: Callable[[str, Any], None],
     played: Callable[[], None] = lambda: None,
+    ego: GivenEgo | None = None,
 ) -> Episode:
     """Run one episode.
 
     stage: the folder in which the models' answers are recorded; scratch: the folder for generated demand, which the
-    episode needs until it is written; played: called when the episode ends, before its processes end.
+    episode needs until it is written; played: called when the episode ends, before its processes end. ego: the driver
+    where it is a class or an object from Python.
 
     Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
     """
@@ -174,7 +177,7 @@ def play(
     from sumo_adv.episode.task import make_task
     from sumo_adv.report.outcome import MODEL_FILE
 
-    task = make_task(given, settings, scratch)
+    task = replace(make_task(given, settings, scratch), ego_given=ego)
     with (
         open_for_run(settings) as bank,
         new_sandbox(settings) as sandbox,

@@ -42,9 +42,11 @@ class Route:
         return self.station[i] + c * dx + s * dy, c * dy - s * dx
 
     def at(self, station: float, offset: float) -> tuple[float, float, float]:
-        """x, y [m] and angle [rad from east]."""
-        x, y, angle = (np.interp(station, self.station, q) for q in (*self.points.T, self.angle))
-        return x - offset * np.sin(angle), y + offset * np.cos(angle), angle
+        """x, y [m] and angle [rad from east]; straight on beyond both ends."""
+        inside = min(max(station, 0.0), self.station[-1])
+        x, y, angle = (np.interp(inside, self.station, q) for q in (*self.points.T, self.angle))
+        c, s, beyond = np.cos(angle), np.sin(angle), station - inside
+        return x + beyond * c - offset * s, y + beyond * s + offset * c, angle
 
 
 def plan(state: State, route: Route, limit: float, leaders: list[tuple[float, float]]) -> list[State]:

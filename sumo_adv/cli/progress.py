@@ -104,11 +104,18 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         where = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{where}.")
+    lines += [_overridden(result["ego_actions"])] if (result["ego_actions"] or {}).get("LaneSpeed") else []
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
     lines.append(f"Files: {folder}")
     return "\n".join(lines)
+
+
+def _overridden(actions: Mapping[str, int]) -> str:
+    """How often SUMO did not do what a driver that answers with ``LaneSpeed`` asked for."""
+    steps = actions["LaneSpeed"]
+    return f"SUMO's safe speed limited what the ego's driver asked for in {actions['limited']} of {steps} steps."
 
 
 def _before(raw: Mapping[str, Any]) -> str:

@@ -14,11 +14,12 @@ from typing import Any
 
 from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
+from sumo_adv.drivers.given import PREFIX, GivenEgo, lost, unpack
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
 from sumo_adv.drivers.replay import ReplayEgo
 from sumo_adv.drivers.sumo_driven import MODELS, SumoEgo
-from sumo_adv.drivers.user import UserEgo
+from sumo_adv.drivers.user import METHODS, UserEgo, make_object
 from sumo_adv.errors import UsageError
 
 ENTRY_POINTS = "sumo_adv.drivers"
@@ -49,20 +50,25 @@ DRIVERS: Mapping[str, Callable[[Mapping[str, Any]], EgoController]] = {
 """Name -> what makes the driver from its parameters."""
 
 
-def make_ego(name: str, parameters: Mapping[str, Any]) -> EgoController:
-    """The controller called ``name``: a key of ``DRIVERS``, an entry point's name, or ``module:Class``.
+def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = None) -> EgoController:
+    """The controller called ``name``: a key of ``DRIVERS``, an entry point's name, ``module:Class``, or the name of the
+    driver that is ``given``.
 
     Raises UsageError for an unknown name, an unknown parameter, or a class that cannot be used.
     """
+    if given is not None:
+        return UserEgo(given.name, unpack(given, parameters))
+    if name.startswith(PREFIX):
+        raise lost(name, "The run")
     if ":" in name:
-        return UserEgo(name, parameters)
+        return UserEgo(name, make_object("ego", name, parameters, METHODS))
     if name in DRIVERS:
         return DRIVERS[name](parameters)
     if name == ExternalEgo.name:
         raise UsageError("The ego 'external' is driven by a program of yours over TraCI: use sumo-adv serve.")
     installed = _installed()
     if name in installed:
-        return UserEgo(installed[name], parameters)
+        return UserEgo(installed[name], make_object("ego", installed[name], parameters, METHODS))
     names = ", ".join((*DRIVERS, *installed))
     raise UsageError(f"There is no ego {name!r}; choose {names} or module:Class.")
 
@@ -77,8 +83,11 @@ def trusted_driver(named: str | None, recorded: str | None, source: Path) -> str
     names one.
 
     Raises:
-        UsageError: only ``source`` names the driver, and it is a class of another package.
+        UsageError: only ``source`` names the driver, and it is a class of another package; or the driver was given as
+            an object.
     """
+    if named is None and recorded is not None and recorded.startswith(PREFIX):
+        raise lost(recorded, f"The run in {source}")
     if named is None and recorded is not None and is_foreign(recorded):
         raise UsageError(
             f"{source} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "

@@ -25,15 +25,15 @@ from sumo_adv.drivers.wishes import read_wishes
 from sumo_adv.errors import SimulationError, UsageError
 
 T = TypeVar("T")
+METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
 
 
 class UserEgo:
     """A user's driver: each of its errors becomes one sentence that names it."""
 
-    def __init__(self, spec: str, parameters: Mapping[str, Any]) -> None:
-        """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
-        self._driver = make_object("ego", spec, parameters, {"reset": "reset(seed)", "act": "act(observation)"})
-        self._spec = spec
+    def __init__(self, spec: str, driver: Any) -> None:
+        """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
+        self._driver, self._spec = driver, spec
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
         self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
@@ -117,15 +117,18 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
         UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
     """
     user_class = find_class(kind, spec)
-    for method in methods:
-        if not callable(getattr(user_class, method, None)):
-            raise UsageError(
-                f"The {kind} {spec!r} has no method {method!r}; it needs {' and '.join(methods.values())}."
-            )
+    missing = lacking(user_class, methods)
+    if missing:
+        raise UsageError(f"The {kind} {spec!r} has no method {missing!r}; it needs {' and '.join(methods.values())}.")
     try:
         return user_class(**parameters)
     except Exception as error:  # user code
         raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
+
+
+def lacking(thing: Any, methods: Mapping[str, str]) -> str | None:
+    """The first of ``methods`` (name -> signature) that a class or an object does not have."""
+    return next((name for name in methods if not callable(getattr(thing, name, None))), None)
 
 
 def in_one_line(error: Exception) -> str:

@@ -11,6 +11,7 @@ from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
 from sumo_adv.drivers.vehicle import Senses
 from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.episode.ego_actions import ActionCount
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
@@ -53,6 +54,7 @@ class Drive:
         self.observe: Observe | None = None  # what the driver sees, given the ego and the vehicles near it
         self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
+        self.actions = ActionCount()  # of the ego's driver since it took over
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.playback = playback
         if playback is not None:
@@ -97,6 +99,7 @@ class Drive:
             speed = self.snapshot.raw[vehicle][3]
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         self.controller.reset(self.seed)
+        self.actions = ActionCount()
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
@@ -120,6 +123,8 @@ class Drive:
         if self.playback is not None:
             snapshot = Snapshot(snapshot.time, self.playback.after_step(snapshot.raw, snapshot.time))
         self.recording.append(snapshot)
+        if self.ego is not None and self.ego in snapshot.raw:
+            self.actions.stepped(snapshot.raw[self.ego][3])
         return snapshot
 
     def rewind(self, steps: int) -> None:
@@ -209,17 +214,20 @@ class Drive:
         wishes = wishes_of(self.controller)
         self.steered = isinstance(action, Steer | Pose)
         self.heeding = isinstance(action, Steer) and wishes.needs_road and observation.road is not None
+        reachable = math.inf
         if isinstance(action, Steer):
             after = apply_steer(me, action, observation.dt, wishes.bicycle)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
         elif isinstance(action, Pose):
             driven[self.ego] = action
         elif isinstance(action, LaneSpeed):
+            reachable = self.simulation.reachable(self.ego, me.speed)
             self.simulation.set_speed(self.ego, action.speed)
             if action.lane is not None:
                 self.simulation.change_lane(self.ego, action.lane)
         else:
             self.simulation.set_speed(self.ego, None)
+        self.actions.answered(action, reachable)
 
     def _observation(self, me: VehicleState) -> Observation:
         near = self.near(me, OBSERVED)

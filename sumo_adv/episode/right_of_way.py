@@ -1,9 +1,9 @@
 """Whether the ego must wait at a line: lights, signs, and vehicles with the right of way. One rule for all drivers.
 
 A vehicle with the right of way counts if it arrives where its way meets the ego's before the ego would be across, and
-has not left that place when the ego is at its line. The margins and the expected acceleration are those of ``drivers/junctions.py``, which
-copies SUMO's own drivers. A reason to wait, once there, stays until the other vehicle is gone or has clearly slowed
-down: the answer does not flicker while the ego brakes.
+has not left that place when the ego is at its line. The margins and the expected acceleration are those of
+``drivers/junctions.py``, which copies SUMO's own drivers. A reason to wait stays until the other vehicle is gone or has
+clearly slowed down: the answer does not flicker while the ego brakes.
 """
 
 from __future__ import annotations

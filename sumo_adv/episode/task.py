@@ -9,7 +9,9 @@ from typing import Any
 
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, Role, Verdict
+from sumo_adv.drivers.given import GivenEgo
 from sumo_adv.episode.attempt import Driven
+from sumo_adv.episode.ego_actions import EgoActions
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
@@ -22,7 +24,10 @@ from sumo_adv.situation import Situation
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What the engine is opened with. ``ego``: an id, a route to insert it on, or None to choose one. Times in s."""
+    """What the engine is opened with. ``ego``: an id, a route to insert it on, or None to choose one. Times in s.
+
+    ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
+    """
 
     spec: SimulationSpec
     settings: Settings
@@ -35,6 +40,7 @@ class Task:
     warm_up: float
     end: float
     playback: PlaybackSpec | None = None
+    ego_given: GivenEgo | None = field(default=None, repr=False)
 
     def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
@@ -74,13 +80,17 @@ class NoEncounter:
 
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
-    """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on."""
+    """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on.
+
+    actions: the answers of the ego's driver since it took over; None where a program of its own drives it.
+    """
 
     driven: Driven
     verdict: Verdict | None
     start: float
     snapshots: Sequence[Snapshot] = field(repr=False, default=())
     sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
+    actions: EgoActions | None = None
 
 
 @dataclass(frozen=True, slots=True)

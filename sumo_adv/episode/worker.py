@@ -60,7 +60,7 @@ class Worker:
         """Start SUMO. Raises SimulationError or UsageError."""
         self._task = task
         self._settings = task.settings
-        controller = make_ego(task.ego_driver, task.ego_parameters)
+        controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
@@ -263,7 +263,8 @@ class Worker:
         )  # fmt: skip
         verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bv, start, driven)
         snapshots = drive.recording.snapshots[self._trigger_step :]
-        return AttemptResult(driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes))
+        sizes = dict(drive.simulation.fleet.sizes)
+        return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())
 
     def _situation_for(self, proposal: Proposal) -> Situation:
         situation = self._encounter.situations.get(proposal.delay)

@@ -53,10 +53,18 @@ def outcome(
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
-        "realism": dict(realism or {}), "timing": _timing(episode),
+        "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
     }  # fmt: skip
+
+
+def _ego_actions(episode: Episode) -> dict[str, int] | None:
+    """How often the ego's driver gave each kind of answer in the attempt that counts, from its takeover on, and after
+    how many of them SUMO's safe speed was lower than the speed asked for. None: it gave none."""
+    best = episode.refinement.best
+    actions = episode.refinement.results[best].actions if best is not None else None
+    return {**actions.counts, "limited": actions.limited} if actions is not None and actions.counts else None
 
 
 def _agents(episode: Episode) -> dict[str, Any]:

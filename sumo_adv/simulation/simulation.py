@@ -272,6 +272,11 @@ class Simulation:
         """The fastest its driver goes where it is [m/s]."""
         return float(self._sumo.vehicle.getAllowedSpeed(vehicle))
 
+    def reachable(self, vehicle: str, speed: float) -> float:
+        """The highest speed [m/s] that SUMO lets a vehicle have after a step, with no vehicle and no line ahead."""
+        fastest = speed + float(self._sumo.vehicle.getAccel(vehicle)) * self.spec.step_length
+        return min(fastest, self.limit(vehicle))
+
     def advised(self, vehicle: str) -> float:
         """The speed [m/s] that SUMO's driver would have had after the last step, at most the one it was asked for."""
         return float(self._sumo.vehicle.getSpeedWithoutTraCI(vehicle))

@@ -1,0 +1,161 @@
+"""The road map that a driver sees, on the shipped crossings; their lanes are 3.2 m wide and meet 12.4 m from (0, 0)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from road_samples import drive, steps
+from sumo_samples import vehicle
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.drivers import Observation, Road
+from sumo_adv.episode.ego_place import EgoPlace
+from sumo_adv.errors import SimulationError
+from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.meetings import Meetings
+from sumo_adv.simulation.network import read_network
+
+NETWORKS = data_folder("networks")
+FROM_SOUTH = vehicle("ego", "south_in north_out", 1, 110.0, 12.0)  # its front at y = -110, its centre at y = -112.5
+
+
+def everything(seen: Observation) -> dict[str, Any]:
+    """All that the road tells, read in the step that it belongs to."""
+    road = seen.road
+    assert road is not None
+    names = ("limit", "lanes", "edges", "limits", "stop_lines", "conflicts", "must_wait", "sides", "until", "width")
+    return {name: getattr(road, name) for name in names} | {"seen": seen}
+
+
+@pytest.fixture(scope="module")
+def before_crossing(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Any]:
+    """Seen 97.6 m before the line of the minor road."""
+    with drive(tmp_path_factory.mktemp("road"), "priority_crossing", [FROM_SOUTH], everything) as (moving, watcher):
+        steps(moving, 2)
+        return dict(watcher.kept[0])
+
+
+def test_each_lane_says_how_it_relates_to_the_path(before_crossing: Mapping[str, Any]) -> None:
+    lanes = {lane.id: lane for lane in before_crossing["lanes"]}
+    assert {name for name, lane in lanes.items() if lane.on_route} >= {"south_in_1", ":centre_9_1"}
+    assert lanes["south_in_0"].relation == "beside" and lanes["south_out_1"].relation == "oncoming"
+    assert lanes["west_in_0"].relation == "crossing" and lanes[":centre_13_0"].relation == "crossing"
+    assert (lanes["south_in_1"].right, lanes["south_in_1"].left) == ("south_in_0", None)
+    assert (lanes["south_in_1"].limit, lanes["south_in_1"].width) == (13.9, 3.2)
+    assert lanes[":centre_9_1"].junction and not lanes["south_in_1"].junction
+    assert lanes["south_in_0"].centre.tolist() == [[4.8, -220.0], [4.8, -12.4]]
+
+
+def test_distances_ahead_count_from_the_centre_of_the_box(before_crossing: Mapping[str, Any]) -> None:
+    """From y = -112.5: the line at -12.4 is 100.1 m ahead, the lane began 107.5 m behind."""
+    (line,) = before_crossing["stop_lines"]
+    assert line.ahead == pytest.approx(100.1) and (line.signal, line.sign) == (None, "yield")
+    (limit,) = before_crossing["limits"]
+    assert limit.ahead == pytest.approx(-107.5) and limit.speed == 13.9
+    assert not before_crossing["must_wait"]  # nobody comes
+
+
+def test_conflicts_say_where_they_are_and_who_gives_way(before_crossing: Mapping[str, Any]) -> None:
+    """The lane from the west is at y = -4.8: 107.7 m ahead. The left turn from the north waits for the ego instead."""
+    conflicts = {conflict.lane: conflict for conflict in before_crossing["conflicts"]}
+    west = conflicts[":centre_13_0"]
+    assert (west.ahead, west.x, west.y) == pytest.approx((107.7, 1.6, -4.8))
+    assert west.ego_yields and not west.joins
+    assert not conflicts[":centre_3_0"].ego_yields
+    assert [c.ahead for c in before_crossing["conflicts"]] == sorted(c.ahead for c in before_crossing["conflicts"])
+
+
+def test_the_edges_bound_the_carriageway(before_crossing: Mapping[str, Any]) -> None:
+    """The road's sides are at x = 6.4 and -6.4, to the 0.05 m by which lanes are widened."""
+    points = np.vstack(before_crossing["edges"])
+    assert np.hypot(points[:, 0] - 1.6, points[:, 1] + 112.5).max() < 120.1
+    sides = points[np.abs(points[:, 1] + 150.0) < 50.0][:, 0]
+    assert np.abs(np.abs(sides) - 6.4).max() < 0.1
+
+
+def test_the_observation_says_where_the_ego_is_in_its_lane(before_crossing: Mapping[str, Any]) -> None:
+    seen = before_crossing["seen"]
+    assert (seen.lane_heading, seen.lane_offset) == pytest.approx((math.pi / 2, 0.0))
+    assert before_crossing["sides"] == pytest.approx((-3.2,)) and before_crossing["until"] == pytest.approx(100.1)
+
+
+def test_what_was_not_read_in_its_own_step_is_refused(tmp_path: Path) -> None:
+    def keep(seen: Observation) -> Road | None:
+        return seen.road
+
+    with drive(tmp_path, "priority_crossing", [FROM_SOUTH], keep) as (moving, watcher):
+        steps(moving, 3)
+        with pytest.raises(SimulationError, match=r"observation.road of 0.1 s was read at 0.3 s"):
+            _ = watcher.kept[0].lanes
+
+
+def waits(seen: Observation) -> tuple[bool, float]:
+    """Whether it must wait, and its speed."""
+    assert seen.road is not None
+    return seen.road.must_wait, seen.ego.speed
+
+
+def test_it_must_wait_for_the_main_road_once_and_then_go(tmp_path: Path) -> None:
+    """From the west 14 m/s, 127.6 m before the crossing: both would be there after some 9 s. SUMO's driver drives."""
+    others = [vehicle("w", "west_in east_out", 1, 80.0, 14.0)]
+    with drive(tmp_path, "priority_crossing", [FROM_SOUTH, *others], waits) as (moving, watcher):
+        steps(moving, 150)
+    told = [must for must, _ in watcher.kept]
+    assert [must for must, after in pairwise(told) if must != after] == [False, True]  # no flicker
+    assert not told[0] and not told[-1]
+
+
+def test_the_main_road_waits_for_nobody(tmp_path: Path) -> None:
+    cars = [vehicle("ego", "west_in east_out", 1, 150.0, 14.0), vehicle("s", "south_in north_out", 1, 150.0, 12.0)]
+    with drive(tmp_path, "priority_crossing", cars, everything) as (moving, watcher):
+        steps(moving, 30)
+    assert all(not kept["must_wait"] and not kept["stop_lines"] for kept in watcher.kept)
+    assert not any(conflict.ego_yields for kept in watcher.kept for conflict in kept["conflicts"])
+
+
+def test_a_light_is_told_with_its_state_and_red_means_wait(tmp_path: Path) -> None:
+    def light(seen: Observation) -> tuple[Any, ...]:
+        assert seen.road is not None
+        return tuple((line.signal, line.must_wait) for line in seen.road.stop_lines[:1])
+
+    with drive(tmp_path, "signalised_crossing", [FROM_SOUTH], light) as (moving, watcher):
+        steps(moving, 400)
+    told = {state for states in watcher.kept for state in states}
+    assert told >= {("green", False)}
+    assert ("red", False) not in told and ("green", True) not in told
+
+
+# ---- the path in a junction
+
+
+class Routed:
+    """A simulation that knows one route."""
+
+    def __init__(self, *edges: str) -> None:
+        self.edges, self.given = edges, list[Sequence[str]]()
+
+    def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
+        return self.edges, 0
+
+    def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
+        self.given.append(edges)
+
+
+def test_on_a_junction_the_ego_stays_on_the_lane_of_its_route() -> None:
+    """SUMO takes it to be on the left turn's lane for a moment, which begins as the straight one does."""
+    road = read_network(NETWORKS / "priority_crossing.net.xml")
+    place = EgoPlace(road, Meetings(road), Routed("south_in", "north_out"))  # type: ignore[arg-type]
+
+    def at(y: float, lane: str) -> Any:
+        return place(VehicleState("ego", 1.6, y, math.pi / 2, 8.0, 0.0, 5.0, 2.0, lane), steered=True)
+
+    assert at(-20.0, "south_in_1").lane.id == "south_in_1"
+    inside = at(-10.0, ":centre_11_0")
+    assert inside.lane.id == ":centre_9_1" and inside.front == pytest.approx(4.9)  # from y = -12.4 to -7.5
+    assert at(20.0, "north_out_1").lane.id == "north_out_1"
