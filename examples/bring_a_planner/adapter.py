@@ -12,6 +12,7 @@ from tiny_planner import Route, State
 from sumo_adv import Observation, Pose
 
 AXLE = 1.4  # m from the rear axle to the centre of the box
+BEHIND = 10.0  # m of the route that are kept
 REPLAN = 0.5  # s
 WIDE = 0.3  # m more than its width: a vehicle so near to the route is in the way
 
@@ -29,7 +30,7 @@ class BroughtPlanner:
     def act(self, seen: Observation) -> Pose | None:
         """The pose after this step; None (SUMO drives) without a route, and where the ego leaves the network."""
         if seen.path is not None and seen.path is not self.path:
-            self.path, self.route, self.plan = seen.path, Route(np.array(seen.path)), []
+            self.path, self.route, self.plan = seen.path, Route(self.joined(np.array(seen.path))), []
         if self.route is None or seen.road is None or seen.road.leaves:
             return None
         if not self.plan or seen.time - self.begun > REPLAN - 1e-6:
@@ -37,6 +38,14 @@ class BroughtPlanner:
             self.plan = tiny_planner.plan(self.state(seen.ego), self.route, seen.road.limit, leaders)
             self.begun = seen.time
         return self.pose(self.at(self.since_plan(seen.time) + seen.dt))
+
+    def joined(self, path: np.ndarray) -> np.ndarray:
+        """The path with the last metres of the route before it: it begins at the centre, and the rear axle is behind."""
+        if self.route is None:
+            return path
+        begins = self.route.locate(*path[0])[0]
+        behind = (self.route.station > begins - BEHIND) & (self.route.station < begins - 0.5)
+        return np.vstack([self.route.points[behind], path])
 
     # -- time: ours is the simulation's, the plan's begins with the plan
 
