@@ -40,7 +40,7 @@ class BroughtPlanner:
         return self.pose(self.at(self.since_plan(seen.time) + seen.dt))
 
     def joined(self, path: np.ndarray) -> np.ndarray:
-        """The path with the last metres of the route before it: it begins at the centre, and the rear axle is behind."""
+        """The path, with the route behind it: it begins at the centre of the ego, and the rear axle is further back."""
         if self.route is None:
             return path
         begins = self.route.locate(*path[0])[0]
