@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
-from cli_samples import Program
+from cli_samples import ROOT, Program
 
 from sumo_adv import app
 from sumo_adv.config import load_settings
@@ -38,10 +40,10 @@ def pedals(road: Road, *others: VehicleState) -> list[float]:
 @needs_it
 def test_it_keeps_to_the_limit_to_leaders_and_to_lines() -> None:
     leader = VehicleState("leader", 40.0, 0.0, 0.0, 2.0, 0.0, 5.0, 2.0, "road_0")
-    assert max(pedals(Road(15.0))) > 0.3
-    assert min(pedals(Road(15.0), leader)) < -0.5  # 15 m between the bumpers, 8 m/s faster
+    assert min(pedals(Road(15.0))) > 0.0
+    assert max(pedals(Road(15.0), leader)) < 0.0  # 15 m between the bumpers, 8 m/s faster
     closed, open_line = (Road(15.0, stop_lines=(StopLine(30.0, "red", must_wait=wait),)) for wait in (True, False))
-    assert min(pedals(closed)) < -0.5  # 27.5 m to the line
+    assert max(pedals(closed)) < 0.0  # 27.5 m to the line
     assert pedals(open_line) == pedals(Road(15.0))
 
 
@@ -69,6 +71,8 @@ def test_unattacked_it_drives_well() -> None:
 
 @needs_it
 def test_a_forked_attempt_is_a_reloaded_one(program: Program) -> None:
+    package = Path(str(find_spec("fiss_planner").origin)).parent.parent  # type: ignore[union-attr]
+    program.variables = {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, package)))}
     for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
         done = program(
             "run", "motorway_cut_in_left", "--ego", "fiss_plus", "--attempts", "1", "--learn", "off", "--out", name,

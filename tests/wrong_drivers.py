@@ -6,6 +6,7 @@ import math
 import random
 from dataclasses import replace
 
+import numpy as np
 from adapter import BroughtPlanner  # type: ignore[import-not-found]
 
 from sumo_adv import LaneSpeed, Observation, Pose
@@ -46,21 +47,11 @@ class NoLines(BroughtPlanner):
 
 
 class OtherSide(BroughtPlanner):
-    """Takes offsets to the left for offsets to the right: it keeps 3.2 m to the left of its path, in the other lane."""
+    """Takes the y axis to point the other way, on a road along x: its path is the lane of the oncoming traffic."""
 
-    def pose(self, state: object) -> Pose:
-        """The mistake: 0.05 m further in each step, up to the middle of the other lane."""
-        right = super().pose(state)
-        self.shift = min(getattr(self, "shift", 0.0) + 0.05, 3.2)
-        return replace(
-            right, x=right.x - self.shift * math.sin(right.heading), y=right.y + self.shift * math.cos(right.heading)
-        )
-
-    def state(self, ego: object) -> object:
-        """As if it were on its path."""
-        on = super().state(ego)
-        shift, angle = getattr(self, "shift", 0.0), math.radians(90.0 - on.azimuth)
-        return replace(on, x=on.x + shift * math.sin(angle), y=on.y - shift * math.cos(angle))
+    def joined(self, path: np.ndarray) -> np.ndarray:
+        """The mistake."""
+        return super().joined(path * (1.0, -1.0))
 
 
 class PlanByClock:

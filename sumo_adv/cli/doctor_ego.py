@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sumo_adv.driver_check import Checked, DriverCheck
 
 FOUND = 3  # exit status of a check that fails
-WIDTH = 36  # columns for a scenario's name
+WIDTH = 40  # columns for a scenario's name
 
 
 def check(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:

@@ -35,6 +35,7 @@ REAR_AXLE = WHEELBASE / 2  # m behind the centre, as in ``bicycle.py``
 HORIZON, STEP = 6.0, 0.1  # s, of predictions: a second more than the longest plan
 BRAKING = 8.0  # m/s2, the hardest
 LATERAL = 4.0  # m/s2, the planner's own limit
+BEHIND = 15.0  # m of the last path that are kept
 SPACING = 1.0  # m between the points of a lane
 LINE, OWN_LANE = 1, 1  # ids in the planner's map
 SHORT = 1.5  # m: the planner stops its minimal gap before a line, so the line is set this far behind the real one
@@ -67,7 +68,7 @@ class FissPlusEgo:
         """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
         ego, road = observation.ego, observation.road
         if observation.path is not None and observation.path is not self._points:
-            self._points, self._frame = observation.path, RoadFrame(observation.path)
+            self._points, self._frame = observation.path, RoadFrame(_joined(self._frame, observation.path))
         if self._frame is None or road is None or road.leaves:
             return None
         if self._begun is None:
@@ -111,6 +112,16 @@ class FissPlusEgo:
         times = np.arange(0.0, HORIZON, STEP)
         x, y, heading = frame.path.at(s - other.speed * times, d)
         return fiss.Obstacle.from_arrays(number, other.length, other.width, times, x, y, wrap(heading + math.pi))
+
+
+def _joined(before: RoadFrame | None, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The points of a new path with the last path before them: a path begins at the ego's centre, and the rear axle,
+    for which FISS+ plans, is behind it. Where the new path is beside the last one, that one is moved sideways."""
+    if before is None:
+        return list(points)
+    begins, offset = (float(q[0]) for q in before.project(*(np.array([q]) for q in (*points[0], 0.0)))[:2])
+    x, y, _ = before.path.at(np.arange(max(begins - BEHIND, 0.0), begins - SPACING / 2, SPACING), offset)
+    return [*zip(x.tolist(), y.tolist(), strict=True), *points]
 
 
 def _planner(ego: VehicleState) -> tuple[Any, Any]:
