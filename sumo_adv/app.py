@@ -10,7 +10,7 @@ from __future__ import annotations
 import atexit
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sumo_adv.batch.nouns import Parts as BatchParts
     from sumo_adv.benchmark.jobs import Parts as BenchParts
     from sumo_adv.config import Settings
+    from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.given import GivenEgo
     from sumo_adv.episode.episode import Episode
     from sumo_adv.llm.chat import ChatModel
@@ -208,6 +209,32 @@ def minimise(recorded: Recorded, settings: Settings, tell: Callable[[str, Any], 
     with new_sandbox(settings) as sandbox, new_engine() as engine:
         return minimise_episode(
             recorded.source, settings, task, engine, sandbox, recorded.proposal, recorded.skips, tell
+        )
+
+
+def check_driver(
+    inputs: Sequence[RunInput] | None, settings: Settings, tell: Callable[[Checked], None], seconds: float | None = None
+) -> DriverCheck:
+    """Drive ``settings.ego`` unattacked through the inputs (default: the twelve of ``driver_check``).
+
+    tell: called with each scenario as soon as it is done. seconds: how long each is driven [s].
+    Raises UsageError or SimulationError.
+    """
+    from sumo_adv.driver_check.check import DURATION, check_driver
+    from sumo_adv.driver_check.drive import body
+    from sumo_adv.driver_check.scenarios import twelve
+    from sumo_adv.simulation.engine import Engine, deaf
+
+    with _without_main(), deaf():
+        engine = Engine(body, slots=0)
+    with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        return check_driver(
+            engine,
+            twelve() if inputs is None else inputs,
+            settings,
+            Path(scratch),
+            seconds=seconds or DURATION,
+            tell=tell,
         )
 
 

@@ -81,7 +81,7 @@ def polite(tmp_path: Path, user_module: str) -> str:
 def test_drivers_of_other_packages_are_found_by_their_entry_point(polite: str) -> None:
     assert make_ego("polite", {"gain": 2.0}).name == polite
     with pytest.raises(
-        UsageError, match="choose krauss, idm, eidm, blind, careful, lattice, replay, polite or module:Class"
+        UsageError, match="choose krauss, idm, eidm, blind, careful, fiss_plus, lattice, replay, polite or module:Class"
     ):
         make_ego("wild", {})
 

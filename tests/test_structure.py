@@ -19,7 +19,7 @@ LEVELS = (
     ("search",),
     ("agents",),
     ("episode",),
-    ("serve", "batch", "benchmark", "womd", "report"),
+    ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
     ("app",),
     ("cli", "api", "world", "__main__"),
 )

@@ -1,4 +1,7 @@
-"""``doctor``: is everything here that a run needs, and what else could be; and the line of ``--version``."""
+"""``doctor``: is everything here that a run needs, and what else could be; and the line of ``--version``.
+
+With ``--ego`` it checks a driver instead (``doctor_ego.py``).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sumo_adv import __version__
-from sumo_adv.errors import SumoAdvError
+from sumo_adv.errors import SumoAdvError, UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.cli.doctor_checks import Finding
@@ -24,13 +27,29 @@ EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
 def doctor(
     llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
     memory: Annotated[Path | None, typer.Option(help="The memory bank [default: your own].")] = None,
+    ego: Annotated[
+        str | None, typer.Option(help="Check this driver instead: drive it unattacked through twelve scenarios.")
+    ] = None,
+    scenario: Annotated[
+        list[Path] | None, typer.Option(help="With --ego: drive it here, in place of the twelve (may be repeated).")
+    ] = None,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to mend it.
 
     ok; warn: something that a plain run does not need; fail: a run cannot work, and the exit status is 1.
+    With --ego: what is wrong with a driver or its adapter; the exit status is 3 if anything is.
     """
+    if ego is not None:
+        from sumo_adv.cli.doctor_ego import check
+
+        if llm is not None or memory is not None:
+            raise UsageError("--ego checks a driver alone: leave out --llm and --memory.")
+        check(ego, scenario or (), settings_file, as_json=as_json)
+        return
+    if scenario:
+        raise UsageError("--scenario says where the driver of --ego is checked: name the driver as well.")
     findings = list(_findings(llm, memory, settings_file))
     failed = sum(f.level == "fail" for f in findings)
     if as_json:

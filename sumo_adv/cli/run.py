@@ -36,7 +36,7 @@ def run(
     ] = None,
     record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 (default: 0).")] = None,
     ego: Annotated[
-        str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, blind, replay, module:Class.")
+        str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, blind, fiss_plus, replay, module:Class.")
     ] = None,
     ego_id: Annotated[str | None, typer.Option(help="The vehicle under test (default: chosen).")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,

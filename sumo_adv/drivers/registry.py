@@ -23,10 +23,27 @@ from sumo_adv.drivers.user import METHODS, UserEgo, make_object
 from sumo_adv.errors import UsageError
 
 ENTRY_POINTS = "sumo_adv.drivers"
+
+
+def _fiss_plus(parameters: Mapping[str, Any]) -> EgoController:
+    """FISS+, whose package is an extra and is imported only for this driver."""
+    try:
+        from sumo_adv.drivers.fiss_plus import FissPlusEgo
+    except ImportError as error:
+        if error.name != "fiss_planner":
+            raise
+        raise UsageError(
+            "The ego 'fiss_plus' needs the package fiss-planner, which is not installed: "
+            "pip install 'sumo-adv[planners]'."
+        ) from error
+    return FissPlusEgo(parameters)
+
+
 DRIVERS: Mapping[str, Callable[[Mapping[str, Any]], EgoController]] = {
     **{name: partial(SumoEgo, name) for name in MODELS},
     "blind": BlindEgo,
     "careful": CarefulEgo,
+    "fiss_plus": _fiss_plus,
     "lattice": LatticeEgo,
     "replay": ReplayEgo,
 }

@@ -1,0 +1,122 @@
+"""The check of one driver: which scenarios, how often each is driven, and what the drives come to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from sumo_adv.config import Settings
+from sumo_adv.driver_check.drive import UnattackedDrive
+from sumo_adv.driver_check.findings import Finding, Kind, apart, judge, milliseconds, travelled
+from sumo_adv.episode.task import Task, make_task
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import RunInput
+
+DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
+LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
+REPEATED = 1e-6  # m by which a drive may differ that is repeated
+ROUNDED = (
+    1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """One scenario: how long [s] and how far [m] the driver and SUMO's IDM drove, and what was found."""
+
+    scenario: str
+    seconds: float
+    metres: float
+    idm_metres: float
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class DriverCheck:
+    """What the check of one driver found; act_ms: median and 99 % quantile of the time for an answer [ms]."""
+
+    ego: str
+    scenarios: tuple[Checked, ...]
+    act_ms: tuple[float, float] | None = field(compare=False)
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kinds of findings, in the order of ``Kind``."""
+        found = {finding.kind for checked in self.scenarios for finding in checked.findings}
+        return tuple(kind for kind in Kind if kind in found)
+
+
+def check_driver(
+    engine: Engine,
+    inputs: Sequence[RunInput],
+    settings: Settings,
+    folder: Path,
+    *,
+    seconds: float = DURATION,
+    tell: Callable[[Checked], None] = lambda checked: None,
+) -> DriverCheck:
+    """Drive ``settings.ego`` unattacked through the inputs, each for ``seconds`` [s].
+
+    engine: a process with the commands of ``drive.py``. folder: for generated demand. tell: called with each scenario
+    as soon as it is done.
+
+    Raises:
+        UsageError: the driver cannot be made, or an input is a recording.
+        SimulationError: SUMO does not start, or the driver ended the process.
+    """
+    checked, drives = [], list[UnattackedDrive]()
+    for k, given in enumerate(inputs):
+        task = _task(given, settings, folder / str(k), seconds)
+        if task.ego is None:
+            task = replace(task, ego=engine.request("choose", task))
+        drive, one = _check(engine, task, given.name)
+        checked.append(one)
+        drives.append(drive)
+        tell(one)
+    return DriverCheck(settings.ego, tuple(checked), milliseconds(drives))
+
+
+def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> Task:
+    if given.playback is not None:
+        raise UsageError(f"{given.source} plays a recording; the check needs a scenario with traffic of SUMO's.")
+    folder.mkdir()
+    task = make_task(given, settings, folder)
+    return replace(task, end=task.spec.begin + seconds)
+
+
+def _check(engine: Engine, task: Task, name: str) -> tuple[UnattackedDrive, Checked]:
+    idm: UnattackedDrive = engine.request("drive", replace(task, ego_driver="idm", ego_parameters={}))
+    first: UnattackedDrive = engine.request("drive", task)
+    found = judge(first, idm)
+    if not first.failure:
+        found += _repeated(engine, task, first)
+    seconds = float(first.ego.time[-1] - first.ego.time[0])
+    return first, Checked(name, seconds, travelled(first.ego), travelled(idm.ego), tuple(found))
+
+
+def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Finding]:
+    """Drive once more with the same object and another clock. Only if that differs, further drives say why."""
+    later: UnattackedDrive = engine.request("drive_again", task, LATER)
+    if later.failure:
+        words = f"only if its clock is {LATER:g} s ahead: {later.failure}"
+        return [Finding(Kind.TIME_BASE, float(later.ego.time[-1]), words)]
+    when, far = apart(first.ego, later.ego, REPEATED)
+    if math.isinf(when):
+        return []
+    new: UnattackedDrive = engine.request("drive", task)
+    again: UnattackedDrive = engine.request("drive_again", task, 0.0)
+    for kind, drive, what in ((Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")):
+        since, most = apart(first.ego, drive.ego, REPEATED)
+        if math.isfinite(since):
+            return [Finding(kind, since, f"{what} are {_far(most)} apart")]
+    when, far = apart(first.ego, later.ego, ROUNDED)
+    return (
+        [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]
+    )
+
+
+def _far(metres: float) -> str:
+    return "in their ends" if math.isinf(metres) else f"up to {metres:.3g} m"

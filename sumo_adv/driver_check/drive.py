@@ -1,0 +1,219 @@
+"""One unattacked drive, in the engine process: the road, the traffic and the steps are those of ``sumo-adv run``.
+
+The driver is wrapped, so that its answers and the time they take are noted, and its clock can be set forward.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Track, VehicleState
+from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine, make_ego
+from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.encounter_search import EncounterSearch
+from sumo_adv.episode.task import Task
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.geometry import wrap
+from sumo_adv.metrics.boxes import corners
+from sumo_adv.simulation.network import RoadMap, read_network
+
+SAME_WAY = 1.05  # rad between a car and the lane that it is in: 60 degrees, for cars that turn on a junction
+CHOSEN = 15.0  # s after the begin at which an ego is chosen where the input names none: traffic is there by then
+AT_LINE, FURTHER = 3.0, 1.0  # m: a line this near can be passed in a step; the next one is further than it was
+WAITED = 1.0  # s for which it must have had to wait: less is no time to brake in
+OVER = 0.5  # m by which its front bumper may be over a line and it still stands at it, as for ``must_wait``
+MOVING = 0.1  # m/s
+NEAR = 5.0  # m around the ego's motion in which the road is looked at
+
+
+@dataclass(frozen=True, slots=True)
+class PassedLine:
+    """A stop line that the ego passed at ``time`` [s] though it had to wait; ``signal``: as in ``StopLine``."""
+
+    time: float
+    signal: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class UnattackedDrive:
+    """What was recorded of one drive.
+
+    ego: its motion while the driver under test drove it. others: the other vehicles.
+    off_road ``(n, 4)``: how far its corners are from the carriageway [m]; off_lane ``(n,)``: how far its centre is from
+    the nearest lane that leads its way [m]; both for the n states of ``ego``, and 0 inside.
+    poses: for each ``Pose`` that the driver returned, the ego before the step and the pose. act: seconds that each
+    answer took. lines: the stop lines that it passed while it had to wait. failure: why the drive ended early; empty if
+    it did not.
+    """
+
+    ego: Track
+    others: tuple[Track, ...]
+    off_road: Floats
+    off_lane: Floats
+    poses: tuple[tuple[VehicleState, Pose], ...]
+    act: Floats
+    lines: tuple[PassedLine, ...] = ()
+    failure: str = ""
+
+
+class ObservedDriver:
+    """A driver as it is, but for its clock: it sees ``observation.time`` later by ``later`` [s]."""
+
+    def __init__(self, driver: EgoController, later: float) -> None:
+        self._driver, self._later = driver, later
+        self._line: StopLine | None = None  # the next one, in the last observation
+        self._since = math.inf  # s, since when the ego must wait there
+        self.name, self.forkable, self.sumo_type = driver.name, False, driver.sumo_type
+        self.needs_observation, self.wishes = driver.needs_observation, wishes_of(driver)
+        self.poses: list[tuple[VehicleState, Pose]] = []
+        self.seconds: list[float] = []
+        self.lines: list[PassedLine] = []
+
+    def reset(self, seed: int) -> None:
+        """Have the driver forget everything."""
+        self._driver.reset(seed)
+
+    def act(self, observation: Observation) -> Action:
+        """The driver's answer."""
+        self._watch_lines(observation)
+        seen = replace(observation, time=observation.time + self._later) if self._later else observation
+        begun = time.perf_counter()
+        action = self._driver.act(seen)
+        self.seconds.append(time.perf_counter() - begun)
+        if isinstance(action, Pose):
+            self.poses.append((observation.ego, action))
+        return action
+
+    def _watch_lines(self, observation: Observation) -> None:
+        """Note a line at which the ego has had to wait, and which is no longer ahead."""
+        road, front = observation.road, observation.ego.length / 2
+        lines = () if road is None else road.stop_lines
+        line = next((line for line in lines if line.ahead > front - OVER), None)
+        last, now = self._line, observation.time
+        passed = last is not None and last.ahead - front < AT_LINE
+        passed = passed and (line is None or last is None or line.ahead > last.ahead + FURTHER)
+        if passed and last is not None and now - self._since >= WAITED - 1e-6 and observation.ego.speed > MOVING:
+            self.lines.append(PassedLine(now, last.signal))
+        must_wait = line is not None and line.must_wait
+        self._since = min(self._since, now) if must_wait and not passed else now if must_wait else math.inf
+        self._line = line
+
+
+class CheckWorker:
+    """Drives one scenario after the other. All public methods are commands of the engine."""
+
+    def __init__(self) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._roads: dict[Path, RoadMap] = {}
+        self._driver: EgoController | None = None
+
+    def choose(self, task: Task) -> str:
+        """The vehicle that a run of the task would choose for its ego. Raises UsageError: there is none in time."""
+        drive = self._made(replace(task, ego_driver="idm", ego_parameters={}), make_ego("idm", {}))
+        try:
+            search = EncounterSearch(drive, self._road(task), replace(task, trigger=task.spec.begin + CHOSEN))
+            search.until_encounter()
+            if drive.ego is None:
+                raise UsageError(f"No vehicle of {task.spec.network.name} could be the ego; give a scenario with one.")
+            return drive.ego
+        finally:
+            drive.simulation.close()
+
+    def drive(self, task: Task, *, fresh: bool = True, later: float = 0.0) -> UnattackedDrive:
+        """Drive from the task's begin to its end, or until the ego has left the network.
+
+        fresh: make the driver anew; otherwise the last drive's object drives again, after its ``reset``.
+        later: seconds by which the driver's clock is ahead of the simulation's.
+
+        Raises UsageError: the driver cannot be made. What fails later is the drive's ``failure``.
+        """
+        if fresh or self._driver is None:
+            self._driver = make_ego(task.ego_driver, task.ego_parameters)
+        driver, road = ObservedDriver(self._driver, later), self._road(task)
+        drive = self._made(task, driver)
+        try:
+            failure = _to_the_end(drive, road, task)
+            return _recorded(drive, road, task, driver, failure)
+        finally:
+            drive.simulation.close()
+
+    def _made(self, task: Task, driver: EgoController) -> Drive:
+        types = ego_type_file(driver, Path(self._folder.name))
+        return Drive(replace(task.spec, additional=(*task.spec.additional, types)), driver, task.settings.seed)
+
+    def _road(self, task: Task) -> RoadMap:
+        network = task.spec.network
+        if network not in self._roads:
+            self._roads[network] = read_network(network)
+        return self._roads[network]
+
+
+def _to_the_end(drive: Drive, road: RoadMap, task: Task) -> str:
+    """Drive; why the driver or SUMO failed, or empty."""
+    search = EncounterSearch(drive, road, replace(task, trigger=math.inf, only=()))  # an encounter that never begins
+    try:
+        search.until_encounter()
+    except SimulationError as error:
+        return str(error)
+    return ""
+
+
+def _recorded(drive: Drive, road: RoadMap, task: Task, driver: ObservedDriver, failure: str) -> UnattackedDrive:
+    name = drive.ego or task.ego
+    tracks = {track.id: track for track in drive.tracks()}
+    ego = tracks.pop(str(name), None)
+    if ego is None:
+        raise SimulationError(failure or f"The ego '{name}' was not inserted before {drive.now:.0f} s.")
+    return UnattackedDrive(
+        ego, tuple(tracks.values()), off_road(road, ego), off_lane(road, ego), tuple(driver.poses),
+        np.array(driver.seconds), tuple(driver.lines), failure,
+    )  # fmt: skip
+
+
+def off_road(road: RoadMap, track: Track) -> Floats:
+    """How far the corners of a vehicle are from the carriageway [m], ``(n, 4)``; 0 on it."""
+    from shapely import distance, points
+
+    x, y = float(np.median(track.x)), float(np.median(track.y))
+    area = road.drivable(x, y, float(np.hypot(track.x - x, track.y - y).max()) + NEAR).area
+    return np.asarray(distance(points(corners(track.boxes())), area))
+
+
+def off_lane(road: RoadMap, track: Track) -> Floats:
+    """How far the centre of a vehicle is from the nearest lane that leads its way [m], ``(n,)``; 0 in it."""
+    nearest = np.full(len(track.x), np.inf)
+    low, high = np.array([track.x.min(), track.y.min()]) - NEAR, np.array([track.x.max(), track.y.max()]) + NEAR
+    for lane in road.lanes.values():
+        around = (lane.shape.max(axis=0) > low) & (lane.shape.min(axis=0) < high)
+        if lane.passenger and len(lane.shape) > 1 and around.all():
+            nearest = np.minimum(nearest, _from_lane(lane.shape, track) - lane.width / 2)
+    return np.maximum(nearest, 0.0)
+
+
+def _from_lane(shape: Floats, track: Track) -> Floats:
+    """Distance [m] from those parts of a centreline ``(k, 2)`` that lead a vehicle's way, ``(n,)``; inf without one."""
+    start, step = shape[:-1], np.diff(shape, axis=0)
+    dx, dy = track.x[:, None] - start[:, 0], track.y[:, None] - start[:, 1]
+    share = np.clip((dx * step[:, 0] + dy * step[:, 1]) / np.maximum((step**2).sum(axis=1), 1e-9), 0.0, 1.0)
+    away = np.hypot(dx - share * step[:, 0], dy - share * step[:, 1])
+    turned: Bools = np.abs(wrap(np.arctan2(step[:, 1], step[:, 0]) - track.heading[:, None])) > SAME_WAY
+    return np.asarray(np.where(turned, np.inf, away).min(axis=1))
+
+
+def body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
+    """The commands of the engine process."""
+    worker = CheckWorker()
+    return {
+        "choose": worker.choose, "drive": worker.drive,
+        "drive_again": lambda task, later: worker.drive(task, fresh=False, later=later),
+    }  # fmt: skip

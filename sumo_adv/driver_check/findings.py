@@ -1,0 +1,213 @@
+"""What is wrong with a driver: pure functions of its unattacked drives.
+
+Each threshold is far from what a driver does that is well but imperfect: the check looks for faults, not for style.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Boxes, Limits, Track
+from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
+from sumo_adv.metrics.boxes import at_time, first_contact, on_grid, row_of
+from sumo_adv.metrics.contact import contact_sides
+from sumo_adv.metrics.gates import kinematic_gates
+
+OUTSIDE, OUTSIDE_FOR = 0.3, 0.5  # m beyond the edge of road or lane, for more than s: no cutting of a corner
+STANDING, STANDING_FOR = 0.1, 10.0  # m/s; s longer than SUMO's IDM stands in the same scenario
+LEAST_PROGRESS = 0.5  # share of the way of SUMO's IDM in the same time
+POSSIBLE = Limits(braking=8.0, acceleration=6.0)  # a pose is a jump from 12 m/s2 on, both ways (gate ``continuity``)
+FRONT_SHARE = (0.35, 0.65)  # of the ego's length: a jump ahead by about half of it
+
+
+class Kind(StrEnum):
+    """What can be wrong with a driver."""
+
+    FAILS = "fails"
+    COLLIDES = "collides by itself"
+    LEAVES_ROAD = "leaves the road"
+    LEAVES_LANE = "leaves its lane"
+    LINE = "does not wait"
+    STANDS = "stands"
+    SLOW = "slow"
+    JUMPS = "jumps"
+    TIME_BASE = "wrong time base"
+    RESET = "reset forgets too little"
+    RANDOM = "not repeatable"
+
+
+MEANING: Mapping[Kind, str] = {
+    Kind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; correct that first.",
+    Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check "
+    "sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
+    Kind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise from +x), the "
+    "reference point (the centre of the box), and the sign of the steering (left positive).",
+    Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; "
+    "check the sign of its lateral offsets (left positive) and which lanes it is told.",
+    Kind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
+    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which SUMO "
+    "limits.",
+    Kind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a stop line, and "
+    "whether its speeds are in m/s.",
+    Kind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; check its "
+    "desired speed (m/s) and the speed limit that it is given.",
+    Kind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return a pose that a car can reach "
+    "from observation.ego in that time.",
+    Kind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the time since "
+    "the start or since its plan began; subtract the time of that moment from it.",
+    Kind.RESET: "After reset the same object drives otherwise than a new one; forget plan, controller and last "
+    "observation in reset, because each attempt is a run of its own.",
+    Kind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be repeated; seed its "
+    "random numbers in reset(seed), and let no wall clock or thread decide.",
+}
+"""What a kind of finding means, and what to look at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding in one scenario; ``time``: when it is first seen [s]; ``words``: what happened."""
+
+    kind: Kind
+    time: float
+    words: str
+
+
+def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
+    """What is wrong in one drive. Nothing after a collision is judged, because it follows from that.
+
+    idm: the drive of SUMO's IDM in the same scenario.
+    """
+    found = [Finding(Kind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
+    contact = _contact(drive)
+    end = float(drive.ego.time[-1]) if contact is None else contact.time
+    found += [contact] if contact is not None else []
+    steps = len(drive.ego.between(float(drive.ego.time[0]), end).time)
+    jump = _jump(drive)
+    found += [jump] if jump is not None else []
+    found += _outside(drive, steps)
+    found += [_passed(line) for line in drive.lines[:1] if line.time <= end]
+    if contact is None and not drive.failure:
+        found += _lags(drive.ego, idm.ego)
+    return found
+
+
+def _contact(drive: UnattackedDrive) -> Finding | None:
+    ego = drive.ego
+    if not drive.others or len(ego.time) < 2:
+        return None
+    when = first_contact(row_of(ego), on_grid(drive.others, ego.time), ego.time)
+    first = int(np.argmin(when))
+    if not np.isfinite(when[first]):
+        return None
+    time, other = float(when[first]), drive.others[first]
+    me, it = at_time(ego, time), at_time(other, time)
+    mine, its = contact_sides(me, it)
+    return Finding(
+        Kind.COLLIDES, time,
+        f"its {mine} meets the {its} of '{other.id}' (ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
+    )  # fmt: skip
+
+
+def _passed(line: PassedLine) -> Finding:
+    at = "where it gives way" if line.signal in (None, "green") else f"of a light that is {line.signal}"
+    return Finding(Kind.LINE, line.time, f"it passes a line {at}")
+
+
+def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
+    """Off the road, else off its lane, within the first ``steps`` states."""
+    time = drive.ego.time[:steps]
+    if len(time) < 2:
+        return []
+    needed = round(OUTSIDE_FOR / float(time[1] - time[0]))
+    for kind, far in ((Kind.LEAVES_ROAD, drive.off_road.max(axis=1)), (Kind.LEAVES_LANE, drive.off_lane)):
+        first, length = longest(far[:steps] > OUTSIDE)
+        if length > needed:
+            most, what = float(far[:steps][np.isfinite(far[:steps])].max()), "a corner is"
+            what = what if kind is Kind.LEAVES_ROAD else "its centre is"
+            return [Finding(kind, float(time[first]), f"{what} up to {most:.1f} m outside")]
+    return []
+
+
+def _lags(ego: Track, idm: Track) -> list[Finding]:
+    """Stands, else is slow."""
+    dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 1.0
+    first, steps = longest(ego.speed < STANDING)
+    stood, would = steps * dt, longest(idm.speed < STANDING)[1] * dt
+    if stood > would + STANDING_FOR:
+        words = f"it stands for {stood:.0f} s, SUMO's idm for {would:.0f} s"
+        return [Finding(Kind.STANDS, float(ego.time[first]), words)]
+    until = min(float(ego.time[-1]), float(idm.time[-1]))
+    way, usual = (travelled(t.between(float(t.time[0]), until)) for t in (ego, idm))
+    if way < LEAST_PROGRESS * usual:
+        return [Finding(Kind.SLOW, until, f"it has come {way:.0f} m, SUMO's idm {usual:.0f} m")]
+    return []
+
+
+def _jump(drive: UnattackedDrive) -> Finding | None:
+    """The first pose that a car cannot reach in its step."""
+    if not drive.poses:
+        return None
+    dt = float(drive.ego.time[1] - drive.ego.time[0]) if len(drive.ego.time) > 1 else 0.1
+    x, y, heading, speed = (
+        np.array([[getattr(before, key), getattr(after, key)] for before, after in drive.poses])
+        for key in ("x", "y", "heading", "speed")
+    )
+    steps = Boxes(x, y, heading, speed, drive.ego.length, drive.ego.width)
+    broken = kinematic_gates(steps, np.zeros_like(x), np.array([0.0, dt]), POSSIBLE)["continuity"].any(axis=1)
+    if not broken.any():
+        return None
+    k = int(np.argmax(broken))
+    c, s = np.cos(heading[k, 0]), np.sin(heading[k, 0])
+    dx, dy = x[k, 1] - x[k, 0], y[k, 1] - y[k, 0]
+    ahead, left = float(dx * c + dy * s), float(dy * c - dx * s)
+    words = f"a pose is {ahead:.1f} m ahead and {left:.1f} m to the left after {dt:g} s at {speed[k, 0]:.1f} m/s"
+    beyond = (ahead - float(speed[k].mean()) * dt) / drive.ego.length
+    if FRONT_SHARE[0] < beyond < FRONT_SHARE[1]:
+        words += ", half its length too far: is that its front bumper?"
+    return Finding(Kind.JUMPS, _time_of(drive, k), words)
+
+
+def _time_of(drive: UnattackedDrive, pose: int) -> float:
+    """When a pose was returned [s]."""
+    before = drive.poses[pose][0]
+    return float(drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - before.x, drive.ego.y - before.y)))])
+
+
+def apart(a: Track, b: Track, beyond: float) -> tuple[float, float]:
+    """When two motions are first more than ``beyond`` [m] apart [s] (inf: never), and how far they are at most [m].
+
+    A motion that ends earlier counts as infinitely far from there on, where the other goes on.
+    """
+    steps = min(len(a.time), len(b.time))
+    far = np.hypot(a.x[:steps] - b.x[:steps], a.y[:steps] - b.y[:steps])
+    over = np.flatnonzero(far > beyond)
+    if len(over):
+        return float(a.time[over[0]]), float(far.max())
+    if len(a.time) != len(b.time):
+        return float((a if len(a.time) > steps else b).time[steps]), np.inf
+    return np.inf, float(far.max(initial=0.0))
+
+
+def travelled(track: Track) -> float:
+    """The length of a motion [m]."""
+    return float(np.hypot(np.diff(track.x), np.diff(track.y)).sum())
+
+
+def longest(flags: Bools) -> tuple[int, int]:
+    """Where the longest run of true values begins, and its length."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    starts, lengths = edges[::2], edges[1::2] - edges[::2]
+    if not len(starts):
+        return 0, 0
+    k = int(np.argmax(lengths))
+    return int(starts[k]), int(lengths[k])
+
+
+def milliseconds(drives: Sequence[UnattackedDrive]) -> tuple[float, float] | None:
+    """Median and 99 % quantile of the time for an answer [ms]; None without answers."""
+    act = np.concatenate([np.zeros(0), *(drive.act for drive in drives)])
+    return (float(np.median(act)) * 1e3, float(np.quantile(act, 0.99)) * 1e3) if len(act) else None

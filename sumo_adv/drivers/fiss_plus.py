@@ -1,0 +1,172 @@
+"""FISS+ as an ego: a planner from outside that samples trajectories in the frame of a lane.
+
+Sun et al. 2023, "FISS+: Efficient and focused trajectory generation and refinement using fast iterative search and
+sampling strategy" (IROS), in the authors' package ``fiss-planner`` (Apache-2.0), which the extra ``planners`` installs.
+FISS+ plans, and the Stanley controller of the same package follows the plan. This file adapts both to our protocol:
+
+    ours                                          theirs
+    time of the simulation                        time since the ego was taken over; a plan begins at its own time 0
+    centre of the box                             rear axle
+    path, ``road.sides``                          a map of lanes with neighbours
+    ``road.stop_lines``                           a stop line that is active while the ego must wait
+    other vehicles as they are now                predictions: along the lanes, against the path, or straight on
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import fiss_planner as fiss
+import numpy as np
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.drivers.bicycle import WHEELBASE
+from sumo_adv.drivers.lattice import look_ahead, steering
+from sumo_adv.drivers.lattice_frame import RoadFrame
+from sumo_adv.drivers.protocol import Action, Observation, Steer
+from sumo_adv.drivers.road import Road
+from sumo_adv.drivers.sumo_driven import sumo_type
+from sumo_adv.geometry import wrap
+
+REAR_AXLE = WHEELBASE / 2  # m behind the centre, as in ``bicycle.py``
+HORIZON, STEP = 6.0, 0.1  # s, of predictions: a second more than the longest plan
+BRAKING = 8.0  # m/s2, the hardest
+LATERAL = 4.0  # m/s2, the planner's own limit
+BEHIND = 15.0  # m of the last path that are kept
+SPACING = 1.0  # m between the points of a lane
+LINE, OWN_LANE = 1, 1  # ids in the planner's map
+SHORT = 1.5  # m: the planner stops its minimal gap before a line, so the line is set this far behind the real one
+MOVED = 1.0  # m by which a line must be elsewhere before the map is drawn again
+ALONG, AGAINST = math.pi / 4, 3 * math.pi / 4  # rad between a vehicle and the path
+BESIDE = 8.0  # m: oncoming vehicles at most this far from the path follow its bends
+
+
+class FissPlusEgo:
+    """State: the planner with its last plan, the controller, the frame of the path, and the map drawn on it."""
+
+    name = "fiss_plus"
+    forkable = True  # one thread, and memory of its own alone
+    needs_observation = True
+
+    def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
+        """``parameters``: those of IDM, which drives where no path is known. Raises UsageError."""
+        self.sumo_type: Mapping[str, str] = sumo_type("idm", parameters or {})
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Forget everything; the seed is not needed."""
+        self._begun: float | None = None  # s, the simulation's time when the planner's clock was 0
+        self._points: Sequence[tuple[float, float]] | None = None
+        self._frame: RoadFrame | None = None
+        self._drawn: tuple[RoadFrame, str, float] | None = None  # what the map was drawn for: frame, lane, line
+        self._wheel = 0.0  # rad, in the last step
+
+    def act(self, observation: Observation) -> Action:
+        """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
+        ego, road = observation.ego, observation.road
+        if observation.path is not None and observation.path is not self._points:
+            self._points, self._frame = observation.path, RoadFrame(_joined(self._frame, observation.path))
+        if self._frame is None or road is None or road.leaves:
+            return None
+        if self._begun is None:
+            self._begun = observation.time
+            self._planner, self._controller = _planner(ego)
+        self._update_map(self._frame, ego, road)
+        others = [self._predict(self._frame, other) for other in observation.others]
+        since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could tip them
+        plan = self._planner.step(since, self._rear_axle(ego), others, road.limit)
+        if plan.emergency or len(np.asarray(plan.trajectory.t)) < 2:
+            self._wheel = _along_path(self._frame, ego)
+            return Steer(-BRAKING, self._wheel)
+        command = self._controller.compute(self._rear_axle(ego), plan.trajectory, observation.dt)
+        self._wheel = float(command.steer)
+        return Steer(float(command.accel), self._wheel)
+
+    def _rear_axle(self, ego: VehicleState) -> Any:
+        x, y = ego.x - REAR_AXLE * math.cos(ego.heading), ego.y - REAR_AXLE * math.sin(ego.heading)
+        return fiss.EgoState(x, y, ego.heading, ego.speed, ego.acceleration, math.tan(self._wheel) / WHEELBASE)
+
+    def _update_map(self, frame: RoadFrame, ego: VehicleState, road: Road) -> None:
+        """Draw the map where path, lane or stop line are new; close the line while the ego must wait."""
+        here = frame.locate(ego)[0]
+        line = here + road.stop_lines[0].ahead if road.stop_lines else math.inf
+        if self._drawn is None or self._drawn[:2] != (frame, ego.lane) or not _same(self._drawn[2], line):
+            self._drawn = (frame, ego.lane, line)
+            self._map = _road_map(frame, here, road, line)
+            self._planner.set_map(self._map, [OWN_LANE])
+        self._planner.set_stop_line_active(LINE, road.must_wait)
+
+    def _predict(self, frame: RoadFrame, other: VehicleState) -> Any:
+        """The planner's own prediction for vehicles that go the ego's way, and for those that cross it. It knows no
+        lanes that lead against the ego's: an oncoming vehicle keeps its offset from the path."""
+        number = zlib.crc32(other.id.encode()) & 0x7FFFFFFF
+        s, d, turn = frame.locate(other)
+        state = (number, other.x, other.y, other.heading, other.speed, other.length, other.width, HORIZON, STEP)
+        if abs(turn) < ALONG:
+            return fiss.predict_lane_following(self._map, *state)
+        if abs(turn) < AGAINST or abs(d) > BESIDE:
+            return fiss.predict_constant_velocity(*state)
+        times = np.arange(0.0, HORIZON, STEP)
+        x, y, heading = frame.path.at(s - other.speed * times, d)
+        return fiss.Obstacle.from_arrays(number, other.length, other.width, times, x, y, wrap(heading + math.pi))
+
+
+def _joined(before: RoadFrame | None, points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The points of a new path with the last path before them: a path begins at the ego's centre, and the rear axle,
+    for which FISS+ plans, is behind it. Where the new path is beside the last one, that one is moved sideways."""
+    if before is None:
+        return list(points)
+    begins, offset = (float(q[0]) for q in before.project(*(np.array([q]) for q in (*points[0], 0.0)))[:2])
+    x, y, _ = before.path.at(np.arange(max(begins - BEHIND, 0.0), begins - SPACING / 2, SPACING), offset)
+    return [*zip(x.tolist(), y.tolist(), strict=True), *points]
+
+
+def _planner(ego: VehicleState) -> tuple[Any, Any]:
+    """Planner and controller for a car of the ego's size."""
+    car, config = fiss.VehicleParams(), fiss.LocalPlannerConfig()
+    car.length, car.width, car.max_decel, car.max_lat_accel = ego.length, ego.width, BRAKING, LATERAL
+    car.wheelbase, car.rear_axle_to_center = WHEELBASE, REAR_AXLE
+    config.planner.type, config.emergency_decel = fiss.PlannerType.FISS_PLUS, BRAKING
+    return fiss.LocalPlanner(config, car), fiss.make_controller("stanley_pid", car)
+
+
+def _road_map(frame: RoadFrame, here: float, road: Road, line: float) -> Any:
+    """The ego's lane, which is its path, and the lanes beside it as far as they lead the same way.
+
+    here: the ego's station [m]; line: that of the next stop line, inf without one.
+    """
+    offsets = sorted((0.0, *road.sides))  # from right to left
+    ids = [OWN_LANE if offset == 0.0 else OWN_LANE + 1 + k for k, offset in enumerate(offsets)]
+    made = fiss.RoadMap()
+    for k, offset in enumerate(offsets):
+        end = frame.path.length if offset == 0.0 else min(here + road.until, frame.path.length)
+        stations = np.linspace(0.0, end, max(round(end / SPACING), 1) + 1)
+        lane = fiss.MapLane()
+        lane.id, lane.speed_limit = ids[k], road.limit
+        lane.left, lane.centerline, lane.right = (
+            np.stack(frame.path.at(stations, offset + side * road.width / 2)[:2], axis=1) for side in (1, 0, -1)
+        )
+        if k + 1 < len(offsets):
+            lane.left_neighbor, lane.can_change_left = ids[k + 1], True
+        if k > 0:
+            lane.right_neighbor, lane.can_change_right = ids[k - 1], True
+        made.add_lane(lane)
+    if line < frame.path.length:
+        made.add_stop_line(fiss.StopLine(LINE, OWN_LANE, line + SHORT, False))
+    made.finalize()
+    return made
+
+
+def _same(drawn: float, line: float) -> bool:
+    return drawn == line or abs(drawn - line) < MOVED
+
+
+def _along_path(frame: RoadFrame, ego: VehicleState) -> float:
+    """The wheel [rad] that keeps to the path, where there is no plan."""
+    ahead = look_ahead(np.array([ego.speed]))
+    x, y, _ = frame.path.at(frame.locate(ego)[0] + ahead)
+    angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
+    return float(steering(np.array([angle]), ahead, np.array([ego.speed]), LATERAL)[0][0])

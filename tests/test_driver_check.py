@@ -1,0 +1,184 @@
+"""The check of a driver: what it finds in motions made by hand, in a right adapter, and in wrong ones."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_samples import ROOT, Program
+
+from sumo_adv import app
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import Role, Track, VehicleState
+from sumo_adv.driver_check import Checked, Kind, named, twelve
+from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
+from sumo_adv.driver_check.findings import apart, judge, longest
+from sumo_adv.drivers import Pose
+from sumo_adv.errors import UsageError
+
+STEPS = 301  # 30 s
+
+# ---- motions made by hand, along x
+
+
+def track(id: str, speed: float, x: float = 0.0, y: float = 0.0, *, stop: float = math.inf) -> Track:
+    """A car of 5 m x 2 m with an even speed, which stands from ``stop`` [s] on."""
+    time = np.arange(STEPS) / 10
+    moving = np.minimum(time, stop)
+    speeds = np.where(time < stop, speed, 0.0)
+    zero = np.zeros(STEPS)
+    return Track(id, Role.EGO, time, x + speed * moving, zero + y, zero, speeds, zero, 5.0, 2.0)
+
+
+def driven(ego: Track, *others: Track) -> UnattackedDrive:
+    return UnattackedDrive(ego, others, np.zeros((STEPS, 4)), np.zeros(STEPS), (), np.zeros(0))
+
+
+IDM = driven(track("ego", 10.0))
+
+
+def test_a_driver_that_keeps_its_lane_and_its_distance_is_good() -> None:
+    assert judge(driven(track("ego", 10.0), track("leader", 10.0, x=20.0)), IDM) == []
+
+
+def test_a_collision_names_the_other_the_sides_and_the_speeds() -> None:
+    (found,) = judge(driven(track("ego", 10.0), track("leader", 4.0, x=35.0)), IDM)
+    assert (found.kind, found.time) == (Kind.COLLIDES, pytest.approx(5.0, abs=1e-6))  # 30 m at 6 m/s
+    assert found.words == "its front meets the rear of 'leader' (ego 10.0 m/s, other 4.0 m/s)"
+
+
+def test_half_a_second_off_the_road_is_allowed_and_more_is_not() -> None:
+    for steps, kinds in ((5, []), (6, [Kind.LEAVES_ROAD])):
+        off = np.zeros((STEPS, 4))
+        off[100 : 100 + steps, 2] = 0.4
+        assert [f.kind for f in judge(replace(IDM, off_road=off), IDM)] == kinds
+    off_lane = np.zeros(STEPS)
+    off_lane[100:] = 1.5
+    (found,) = judge(replace(IDM, off_lane=off_lane), IDM)
+    assert (found.kind, found.time, found.words) == (Kind.LEAVES_LANE, 10.0, "its centre is up to 1.5 m outside")
+
+
+def test_standing_counts_from_ten_seconds_more_than_sumos_driver_on() -> None:
+    assert judge(driven(track("ego", 10.0, stop=20.1)), IDM) == []  # 100 steps
+    (found,) = judge(driven(track("ego", 10.0, stop=10.0)), IDM)
+    assert (found.kind, found.time) == (Kind.STANDS, 10.0)
+    assert judge(driven(track("ego", 10.0, stop=10.0)), driven(track("ego", 10.0, stop=18.0))) == []
+
+
+def test_less_than_half_the_way_is_slow() -> None:
+    assert judge(driven(track("ego", 5.1)), IDM) == []
+    (found,) = judge(driven(track("ego", 4.9)), IDM)
+    assert (found.kind, found.words) == (Kind.SLOW, "it has come 147 m, SUMO's idm 300 m")
+
+
+def test_a_pose_that_no_car_reaches_is_a_jump() -> None:
+    before = VehicleState("ego", 0.0, 0.0, 0.0, 10.0, 0.0, 5.0, 2.0, "")
+    assert judge(replace(IDM, poses=((before, Pose(1.0, 0.0, 0.0, 10.0)),)), IDM) == []
+    (ahead,) = judge(replace(IDM, poses=((before, Pose(3.5, 0.0, 0.0, 10.0)),)), IDM)  # 2.5 m too far
+    assert ahead.kind is Kind.JUMPS
+    assert ahead.words.endswith("at 10.0 m/s, half its length too far: is that its front bumper?")
+    for pose in (Pose(1.0, 0.5, 0.0, 10.0), Pose(1.08, 0.0, 0.0, 11.5)):  # sideways; 15 m/s2
+        (found,) = judge(replace(IDM, poses=((before, pose),)), IDM)
+        assert (found.kind, "bumper" in found.words) == (Kind.JUMPS, False)
+
+
+def test_a_line_that_it_had_to_wait_at() -> None:
+    (found,) = judge(replace(IDM, lines=(PassedLine(4.0, "red"),)), IDM)
+    assert (found.kind, found.words) == (Kind.LINE, "it passes a line of a light that is red")
+
+
+def test_motions_are_apart_from_where_they_part() -> None:
+    same = track("ego", 10.0)
+    assert apart(same, same, 1e-6) == (math.inf, 0.0)
+    when, far = apart(same, track("ego", 10.5), 1.0)
+    assert (when, far) == (2.1, pytest.approx(15.0))  # 0.5 m/s: 1.05 m after 2.1 s, 15 m after 30 s
+    assert apart(same, same.between(0.0, 20.0), 1.0) == (20.1, math.inf)
+
+
+def test_the_longest_run() -> None:
+    assert longest(np.array([1, 0, 1, 1, 0], bool)) == (2, 2)
+    assert longest(np.zeros(3, bool)) == (0, 0)
+
+
+# ---- real drives
+
+STOP_AND_GO, RED_LIGHT, TURNS_LEFT = (
+    ("check/stop_and_go", "ego"), ("signals_red_light", "red_south"), ("t_junction_left_from_stem", "from_south"),
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True, scope="module")
+def examples_on_path() -> Iterator[None]:
+    for folder in (ROOT / "examples" / "bring_a_planner", ROOT / "tests"):
+        sys.path.insert(0, str(folder))
+    yield
+    for folder in (ROOT / "examples" / "bring_a_planner", ROOT / "tests"):
+        sys.path.remove(str(folder))
+
+
+def checked(ego: str, *scenarios: tuple[str, str], seconds: float) -> tuple[Checked, ...]:
+    inputs = [named(*scenario) for scenario in scenarios]
+    return app.check_driver(inputs, load_settings(None, ego=ego), lambda checked: None, seconds).scenarios
+
+
+def test_a_right_adapter_is_good() -> None:
+    done = checked("adapter:BroughtPlanner", STOP_AND_GO, RED_LIGHT, TURNS_LEFT, seconds=20.0)
+    assert [(each.scenario, each.findings) for each in done] == [
+        ("stop_and_go:ego", ()), ("signals_red_light:red_south", ()), ("t_junction_left_from_stem:from_south", ()),
+    ]  # fmt: skip
+    assert done[0].metres > 100.0
+
+
+@pytest.mark.parametrize(
+    ("driver", "scenario", "seconds", "kinds"),
+    [
+        ("AbsoluteTime", STOP_AND_GO, 6.0, {Kind.TIME_BASE, Kind.JUMPS}),
+        ("PlanByClock", STOP_AND_GO, 6.0, {Kind.TIME_BASE}),
+        ("Degrees", TURNS_LEFT, 3.0, {Kind.JUMPS}),
+        ("FrontBumper", STOP_AND_GO, 3.0, {Kind.JUMPS}),
+        ("NoLines", RED_LIGHT, 20.0, {Kind.LINE}),
+        ("NoLines", STOP_AND_GO, 12.0, {Kind.COLLIDES}),
+        ("OtherSide", STOP_AND_GO, 8.0, {Kind.LEAVES_LANE}),
+        ("Stands", STOP_AND_GO, 20.0, {Kind.STANDS}),
+        ("Slow", RED_LIGHT, 10.0, {Kind.SLOW}),
+        ("Remembers", STOP_AND_GO, 4.0, {Kind.RESET}),
+        ("Dices", STOP_AND_GO, 4.0, {Kind.RANDOM}),
+        ("Fails", STOP_AND_GO, 4.0, {Kind.FAILS}),
+    ],
+)
+def test_a_wrong_driver_is_caught(driver: str, scenario: tuple[str, str], seconds: float, kinds: set[Kind]) -> None:
+    (done,) = checked(f"wrong_drivers:{driver}", scenario, seconds=seconds)
+    assert kinds <= {finding.kind for finding in done.findings}
+
+
+def test_a_front_bumper_for_the_centre_is_named() -> None:
+    (done,) = checked("wrong_drivers:FrontBumper", STOP_AND_GO, seconds=2.0)
+    assert "is that its front bumper?" in next(f.words for f in done.findings if f.kind is Kind.JUMPS)
+
+
+def test_there_are_twelve_scenarios() -> None:
+    assert len({given.name for given in twelve()}) == 12
+
+
+def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> None:
+    scenario = ROOT / "scenarios" / "check" / "stop_and_go.toml"
+    good = program("doctor", "--ego", "ego_samples:CalmEgo", "--scenario", scenario)
+    assert (good.status, good.out.splitlines()[-1]) == (0, "ego_samples:CalmEgo drives well in all 1 scenarios.")
+    wrong = program("doctor", "--ego", "ego_samples:FailingEgo", "--scenario", scenario, "--json")
+    said = json.loads(wrong.out)
+    assert (wrong.status, said["ok"], list(said["findings"])) == (3, False, ["fails"])
+    assert "the driver fell asleep" in said["scenarios"][0]["findings"][0]["words"]
+
+
+def test_wrong_use_of_the_command(program: Program) -> None:
+    done = program("doctor", "--scenario", "leader_two_lanes")
+    assert (done.status, "name the driver as well" in done.err) == (2, True)
+    done = program("doctor", "--ego", "idm", "--llm", "mine")
+    assert (done.status, "leave out --llm and --memory" in done.err) == (2, True)
+    with pytest.raises(UsageError, match="There is no ego 'wild'"):
+        checked("wild", STOP_AND_GO, seconds=1.0)
