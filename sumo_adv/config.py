@@ -87,7 +87,7 @@ class Settings(ModelSettings, BaseSettings):
     metric: str = "tfidf"
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
-    background: Literal["log", "sumo"] | None = None  # who drives recorded BVs; None = as the scenario says
+    background: Literal["log", "sumo", "mixed"] | None = None  # who drives recorded BVs; None = as the scenario says
     fork: bool = True
     bubblewrap: bool = True
 

@@ -82,7 +82,8 @@ def run(
     background: Annotated[
         str | None,
         typer.Option(
-            help="log or sumo: who drives recorded vehicles (default: as the input says, else log for a replayed ego)."
+            help="log, sumo or mixed (SUMO drives those near the adversary): who drives recorded vehicles "
+            "(default: as the input says, else log for a replayed ego)."
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,

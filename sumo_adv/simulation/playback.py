@@ -1,10 +1,11 @@
 """A log played back beside SUMO's traffic: who is moved by it, when, and who is handed over to whom.
 
 Up to the hand-over (the ego's first recorded step and the scenario's warm-up) the log moves every recorded vehicle.
-Then the ego gets its driver, and each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo") or
-goes on as recorded ("log") until the log says no more of it.  A vehicle that comes later is inserted as it comes; to be
-handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever somebody else drives,
-the ego's driver or an attack, the log leaves alone for good.
+Then the ego gets its driver. Each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo"), or goes
+on as recorded ("log") until the log says no more of it.  With "mixed" the log drives until an attack begins; then the
+vehicles near the adversary are handed to SUMO, so that they can react to it.  A vehicle that comes later is inserted as
+it comes; to be handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever the
+ego's driver or an attack drives, the log leaves alone for good.
 
 What is no vehicle is a box beside SUMO, except a parked one whose centre is in a lane: that is a standing SUMO vehicle,
 so that SUMO's drivers see it.
@@ -28,6 +29,7 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
 OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses
+NEAR_ATTACK = 60.0  # m around the adversary within which "mixed" hands vehicles to SUMO
 ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
 
 
@@ -58,6 +60,8 @@ class Playback:
         """Nothing has been played back yet in ``simulation``."""
         self._stage = Stage(simulation)
         self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
+        self._attacks: set[str] = set()  # vehicles of the log that an attack drives
+        self._attack: tuple[Pose, ...] = ()  # where it puts them in the present step
         self._kept: set[str] = set()  # never handed over: a replayed ego
         self._moved: dict[str, Pose] = {}  # by the log, in the present step
         self._shown: dict[str, str | None] = {}
@@ -100,7 +104,7 @@ class Playback:
 
     def last(self, ego: str | None) -> float:
         """The last time [s] that means anything: the log's end where it moves the background or the ego."""
-        ends = self.spec.background == "log" or (ego is not None and ego in self._kept)
+        ends = self.spec.background in ("log", "mixed") or (ego is not None and ego in self._kept)
         return self.spec.end if ends else math.inf
 
     # -- one step ---------------------------------------------------------------------------------------------------
@@ -112,12 +116,13 @@ class Playback:
         """
         then = round(now + self._step, 6)
         self._moved = {}
-        handing = self.spec.background == "sumo" and now >= self.hand_over - 1e-6
+        self._attack = tuple(driven[name] for name in self._attacks if name in driven)
         for name, vehicle in self._vehicles.items():
             if name in self._free:
                 continue
             if name in driven:
                 self._free.add(name)
+                self._attacks.add(name)
                 continue
             pose, here = vehicle.pose(then), name in raw
             if pose is None:
@@ -125,7 +130,7 @@ class Playback:
                     self._stage.remove(name)
                 continue
             pose = Pose(pose.x, pose.y, pose.heading, max(0.0, pose.speed))
-            mine = handing and name not in self._kept and name in self.spec.routes
+            mine = self._hands_over(pose, now) and name not in self._kept and name in self.spec.routes
             if not here:
                 if mine and not self._room(vehicle, pose, raw):
                     continue
@@ -138,6 +143,14 @@ class Playback:
         self._stand(raw, then, driven)
         if self._signals is not None:
             self._show(self._signals, then)
+
+    def _hands_over(self, pose: Pose, now: float) -> bool:
+        """Whether a vehicle with this pose is to be SUMO's from now on, if it can be."""
+        if self.spec.background == "sumo":
+            return now >= self.hand_over - 1e-6
+        if self.spec.background == "log":
+            return False
+        return any(math.hypot(pose.x - at.x, pose.y - at.y) < NEAR_ATTACK for at in self._attack)
 
     def _show(self, signals: SignalLog, then: float) -> None:
         """Recorded lights, until the log ends."""

@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.props import Prop
 from sumo_adv.simulation.scan import scan_routes
-from sumo_adv.simulation.scenario import Box, Scenario
+from sumo_adv.simulation.scenario import Background, Box, Scenario
 from sumo_adv.simulation.signals import read_signals
 from sumo_adv.simulation.tracks import read_tracks
 
@@ -26,7 +25,7 @@ class PlaybackSpec:
     """
 
     tracks: Path | None = None
-    background: Literal["sumo", "log"] | None = "sumo"
+    background: Background | None = "sumo"
     signals: Path | None = None
     props: tuple[Prop, ...] = ()
     routes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
@@ -43,7 +42,7 @@ class PlaybackSpec:
 
 def make_playback(
     tracks: Path | None,
-    background: Literal["sumo", "log"] | None,
+    background: Background | None,
     signals: Path | None,
     props: Sequence[Prop],
     route_files: Sequence[Path],
@@ -53,8 +52,10 @@ def make_playback(
     Raises:
         UsageError: a file is missing, damaged or wrong, two things have one id, or there is no log where one is needed.
     """
-    if background == "log" and tracks is None:
-        raise UsageError("The background 'log' needs recorded tracks: give a scenario with 'tracks', or choose 'sumo'.")
+    if background in ("log", "mixed") and tracks is None:
+        raise UsageError(
+            f"The background '{background}' needs recorded tracks: give a scenario with 'tracks', or choose 'sumo'."
+        )
     if tracks is None and signals is None and not props:
         return None
     if signals is not None:
@@ -75,7 +76,7 @@ def make_playback(
 
 
 def with_background(
-    spec: PlaybackSpec | None, background: Literal["sumo", "log"] | None, *, replayed: bool = False
+    spec: PlaybackSpec | None, background: Background | None, *, replayed: bool = False
 ) -> PlaybackSpec | None:
     """The spec with another background, if one is given; else its own; else the log for an ego that is ``replayed``
     (it would drive into vehicles that go otherwise than recorded) and SUMO for any other.

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
@@ -115,6 +115,10 @@ class Adversary(_Table):
     intents: tuple[Name, ...] = ()
 
 
+Background: TypeAlias = Literal["log", "sumo", "mixed"]
+"""Who drives recorded vehicles."""
+
+
 class Box(_Table):
     """A parked obstacle, pedestrian or cyclist: centre [m], heading [rad, counter-clockwise from +x], size [m]."""
 
@@ -147,7 +151,7 @@ class Scenario(_Table):
     schema_version: Literal[1] = Field(alias="schema")
     network: Located
     tracks: Located | None = None
-    background: Literal["sumo", "log"] | None = None
+    background: Background | None = None
     additional: tuple[Located, ...] = ()
     demand: Demand = Demand()
     ego: Ego = Ego()
