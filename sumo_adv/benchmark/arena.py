@@ -13,7 +13,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.benchmark.perturbed import robustness_of
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, succeeded
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
@@ -82,7 +82,7 @@ class Arena:
         episode.bank_hash = bank.content_hash()
         if episode.found is None:
             return episode
-        clock = _Clock(episode.settings)
+        clock = _Clock()
         try:
             planned = with_predictions(episode, episode.found, self.sandbox, bank)
             entries = decide(episode, planned, agents, bank)
@@ -106,7 +106,7 @@ class Arena:
         found, settings, done = episode.found, episode.settings, episode.refinement
         if found is None:
             return episode
-        clock = _Clock(settings)
+        clock = _Clock()
         exhaustive = bool(getattr(opponent, "exhaustive", False))
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
@@ -174,20 +174,19 @@ class Arena:
 
 
 class _Clock:
-    """Seconds of a row, and until its first success."""
+    """Seconds of a row, and until its first valid attempt."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings, self._began = settings, time.perf_counter()
+    def __init__(self) -> None:
+        self._began = time.perf_counter()
         self._first: float | None = None
 
     def tell(self, what: str, value: Any) -> None:
         """Hears of every attempt."""
-        is_first = self._first is None and isinstance(value, Attempt)
-        if is_first and succeeded(value.verdict, self._settings.until):
+        if self._first is None and isinstance(value, Attempt) and value.verdict.level >= Level.VALID:
             self._first = time.perf_counter() - self._began
 
     def stop(self, episode: Episode) -> None:
-        """Into the episode's timing: ``row``, ``first_valid`` (from the encounter to the first success), ``total``."""
+        """Into the episode's timing: ``row``, ``first_valid`` (from the encounter on), ``total``."""
         row = time.perf_counter() - self._began
         episode.timing["row"] = row
         if self._first is not None:

@@ -263,7 +263,7 @@ COLUMNS: tuple[Column, ...] = (
            lambda cell: _seconds(cell, model=False)),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
            lambda cell: _seconds(cell, model=True)),
-    Column("seconds_valid", "s to the first valid", "Cost", "from the row's first look on, where one was valid", MEAN,
+    Column("seconds_valid", "s to the first valid", "Cost", "median, from the row's first look on", MEDIAN,
            _to_first_valid, asked_of_all=False),
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
            lambda cell: float((cell.get("llm") or {}).get("calls") or 0), digits=1),
