@@ -79,7 +79,11 @@ class EncounterSearch:
                     detector = self._watch()
             elif drive.ego not in snapshot.raw:
                 if requested is not None:
-                    return NoEncounter(Ending.EGO_LEFT, f"The ego '{requested}' left the network before an encounter.")
+                    return NoEncounter(
+                        Ending.EGO_LEFT,
+                        f"The vehicle '{requested}' was gone at {drive.now:.1f} s; the highest risk until then was "
+                        f"{detector.best:.2f}, {ON:.2f} is needed. A driver of yours may be faster than road.limit.",
+                    )
                 drive.release()
             elif task.trigger is not None:
                 if drive.now >= task.trigger - 1e-6:
