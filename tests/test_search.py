@@ -322,3 +322,35 @@ def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
     assert (planner.mode, 'MOVEMENT = "any"' in planner.source) == ("near", True)
     assert generator.generate(intent, None, [still]) == ()
     assert generator.generate(intent, None, []) == ()
+
+
+# ---- attacks of several kinds
+
+
+class ByGap:
+    """A serious hit on the ego's front with a gap below 2, a valid one on its left side with a larger gap."""
+
+    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+        front, left = Prediction(hit=True, side="front"), Prediction(hit=True, side="left")
+        return [
+            replace(p, score=0.0, prediction=front, nominal=0.0)
+            if p.parameters["gap"] < 2.0
+            else replace(p, score=0.65, prediction=left, nominal=0.65)
+            for p in proposals
+        ]
+
+    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        return list(proposals)
+
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
+        return False
+
+
+def test_after_a_success_a_lower_level_of_another_kind_is_still_worth_an_attempt() -> None:
+    some = search_of(ByGap())
+    some.pool = ByGap().score([replace(proposal(gap=g), delay=0.0) for g in (0.5, 1.0, 3.0, 3.5)])
+    (first,) = some.propose(1)
+    assert first.parameters["gap"] < 2.0
+    some.succeeded("Shift / neighbour / front")  # said before the attempt is observed
+    some.observe(first, None, verdict(Level.SERIOUS))
+    assert [p.parameters["gap"] > 2.0 for p in some.propose(4)] == [True, True]

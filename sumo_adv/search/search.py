@@ -149,7 +149,8 @@ class AttackSearch:
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
         """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""
-        self._best = max(self._best, verdict.level)
+        if not self._kinds or verdict.level < self._goal:  # a success is of a kind that is no longer looked for
+            self._best = max(self._best, verdict.level)
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         if motion is None:
             return
