@@ -50,5 +50,5 @@ class Guards:
         across = (np.abs(sin) * self._length + np.abs(cos) * self._width + self._ego[1]) / 2 + MARGIN
         away = s - es + (speed * cos - ev) * t
         beside = d - ed + speed * sin * t
-        from_behind = (s < es) & (cos > 0.0) & (np.abs(d - ed) < across)  # who follows in the lane looks out
+        from_behind = (s < es) & (cos > 0.0) & (np.abs(d - ed) < across)  # a follower in the lane has to look out
         return np.asarray(((np.abs(away) < along) & (np.abs(beside) < across)).any(axis=0) & ~from_behind)

@@ -26,7 +26,7 @@ ENTRY_POINTS = "sumo_adv.drivers"
 
 
 def _fiss_plus(parameters: Mapping[str, Any]) -> EgoController:
-    """FISS+, whose package is an extra and is imported only for this driver."""
+    """FISS+. Its package is an extra and is imported only for this driver."""
     try:
         from sumo_adv.drivers.fiss_plus import FissPlusEgo
     except ImportError as error:

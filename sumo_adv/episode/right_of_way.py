@@ -17,9 +17,9 @@ from sumo_adv.drivers.junctions import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_S
 from sumo_adv.simulation.meetings import Link, Meeting, Meetings
 from sumo_adv.simulation.network import Connection
 
-COMFORTABLE = 3.0  # m/s2: who can stop with this braking stops at a yellow light, and keeps ``AHEAD``
-STOPS = 4.5  # m/s2: who cannot stop with this braking (SUMO's ``decel``) passes, unless it had to wait already
-CAN_STOP = 0.5  # m: who would stop so little beyond the line can still stop before it
+COMFORTABLE = 3.0  # m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``AHEAD``
+STOPS = 4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
+CAN_STOP = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
 RELAX = 1.0  # s more than ``AHEAD`` before a reason to wait goes away: SUMO's own margin once more
 PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
 AT_SIGN = 3.0  # m before a stop sign's line within which a standstill counts
@@ -116,7 +116,7 @@ class RightOfWay:
         return bool(reasons)
 
     def yields(self, line: Line, meeting: Meeting, letter: str) -> bool:
-        """Whether those on the other way, whose light or sign shows ``letter``, go before the ego."""
+        """Whether vehicles on the other way go before the ego; ``letter``: of their light or sign."""
         return meeting.yields and sign_of(line.letter) is not None and letter not in "rRu"
 
     def _forget(self, link: Link) -> None:

@@ -19,7 +19,7 @@ from sumo_adv.situation import Situation, on_path
 
 FAR = 10.0  # m: a larger distance counts as this
 SCALE = 4.0  # m: mean distance of a good model's prediction from the real ego, for each observed second
-CLEARLY = 1.5  # another driver is believed once it is so many times as likely, since all is predicted again then
+CLEARLY = 1.5  # another driver is believed once it is likelier by this factor, since all is predicted again then
 KEPT = 0.7  # share of the first weights that comes from earlier encounters with the same driver
 LIKELY, MOST = 0.1, 3  # a driver with a smaller weight is left out, and so are all but the most likely ones
 LOOKED_AT = 6.0  # s of the unattacked run
@@ -62,7 +62,7 @@ class DriverIdentification:
 
     @property
     def likely(self) -> list[tuple[DriverModel, float]]:
-        """The models that count for the scores, the believed one first, with weights whose sum is 1."""
+        """The models that count for the scores, the believed one first, with weights that add up to 1."""
         weights = self.weights
         order = sorted(range(len(weights)), key=lambda k: (k != self._current, -weights[k]))
         chosen = [k for k in order if k == self._current or weights[k] >= LIKELY][:MOST]

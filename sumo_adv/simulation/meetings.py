@@ -1,4 +1,4 @@
-"""Where the ways over a junction meet: places at which two of them cross or join, and who gives way there."""
+"""Where the ways over a junction meet: places at which two of them cross or join, and which of them gives way there."""
 
 from __future__ import annotations
 

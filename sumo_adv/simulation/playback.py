@@ -145,7 +145,7 @@ class Playback:
             self._show(self._signals, then)
 
     def _hands_over(self, pose: Pose, now: float) -> bool:
-        """Whether a vehicle with this pose is to be SUMO's from now on, if it can be."""
+        """Whether SUMO should drive a vehicle with this pose from now on, if it can."""
         if self.spec.background == "sumo":
             return now >= self.hand_over - 1e-6
         if self.spec.background == "log":

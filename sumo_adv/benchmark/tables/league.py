@@ -51,7 +51,7 @@ class Duel:
 
 
 def league(cells: Sequence[Cell], budget: int) -> tuple[list[Place], list[Duel]]:
-    """The drivers, the one that is hardest to hit first, the known ones before the others; and each pair of them."""
+    """The drivers, hardest to hit first, the known ones before the others; and each pair of them."""
     by_ego = {ego: [cell for cell in cells if cell["ego"] == ego] for ego in c.names(cells, "ego")}
     places = [_place(ego, group, budget) for ego, group in by_ego.items()]
     places.sort(key=lambda p: (not p.known, -p.attempts.value))

@@ -38,7 +38,7 @@ class Encounters:
 
     ego ``(N, T)``: recorded, its motion after the step ``last`` ``(N,)`` does not count; adversary ``(N, T')``: as
     recorded and planned; others ``(N, K, T'')``, or ``(K, T'')`` if they are the same for all N: NaN = absent; None =
-    nobody.
+    no vehicle.
     start ``(N,)``: the step from which a driver may act.  Views begin at step 0, so that drivers have some history.
     onward ``(N, P, 2)``: points of the egos' ways past the step ``last`` [m]; without them they go straight on.
     until ``(N,)``: the last step that is checked; without it, all are.
