@@ -28,7 +28,8 @@ def test_the_driver_that_takes_more_attempts_stands_first_and_a_failure_counts_a
 
 
 def test_known_and_unknown_drivers_are_no_pair_and_a_warning_says_why() -> None:
-    places, duels = league([*cells("ours", True, 1), *cells("yours", False, 3)], budget=3)
+    nothing = cell("straight-9", "expert", ego="ours", driver_known=None)  # no encounter
+    places, duels = league([*cells("ours", True, 1), nothing, *cells("yours", False, 3)], budget=3)
     assert [(p.ego, p.known) for p in places] == [("ours", True), ("yours", False)] and not duels
     assert WARNING in to_markdown(places, duels, "Made")
     assert WARNING not in to_markdown(places[:1], duels, "Made")

@@ -94,7 +94,7 @@ def _place(ego: str, cells: Sequence[Cell], budget: int) -> Place:
     called = [a for cell in cells for a in c.attempts(cell) if (a.get("predicted_valid") or 0.0) >= LIKELY]
     figures = {column.key: column.estimate(cells) for column in COLUMNS if column.key in SHOWN}
     right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
-    known = all(cell.get("driver_known", True) for cell in cells)
+    known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter
     return Place(
         ego, known, len(cells), figures, bootstrap([_attempts(cell, budget) for cell in cells]), len(called), right
     )
