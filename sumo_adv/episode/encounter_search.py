@@ -79,6 +79,7 @@ class EncounterSearch:
                     detector = self._watch()
             elif drive.ego not in snapshot.raw:
                 if requested is not None:
+                    self._refuse_unknown()
                     return NoEncounter(
                         Ending.EGO_LEFT,
                         f"The vehicle '{requested}' was gone at {drive.now:.1f} s; the highest risk until then was "
