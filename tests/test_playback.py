@@ -12,7 +12,7 @@ from log_samples import LEFT, MIDDLE, RIGHT, STEPS, moving, write_scenario
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role
-from sumo_adv.drivers import CarefulEgo, EgoController, ReplayEgo, SumoEgo
+from sumo_adv.drivers import CarefulEgo, EgoController, Observation, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_detector import ego_path
 from sumo_adv.episode.encounter_filter import danger
@@ -256,6 +256,28 @@ def test_whom_an_attack_drives_the_log_leaves_alone_for_good(tmp_path: Path) -> 
         for k in range(10):
             drive.tick({"lead": Pose(118.0 + 1.2 * (k + 1), RIGHT + 0.1 * (k + 1), 0.08, 12.0)})
             assert centre(drive, "lead") == pytest.approx((118.0 + 1.2 * (k + 1), RIGHT + 0.1 * (k + 1)))
+
+
+class Brakes:
+    """A driver that takes a replayed ego and brakes it by 0.5 m/s a step, as a reference driver does."""
+
+    name, forkable, needs_observation, sumo_type = "brakes", True, True, {}
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def act(self, seen: Observation) -> Pose:
+        speed = seen.ego.speed - 0.5
+        return Pose(seen.ego.x + 0.1 * speed, seen.ego.y, seen.ego.heading, speed)
+
+
+def test_a_driver_in_a_replayed_ego_has_the_speed_that_it_gave_itself(tmp_path: Path) -> None:
+    with playing(tmp_path, EVERYBODY, ReplayEgo()) as drive:
+        go(drive, 2.0)
+        drive.controller = Brakes()
+        for _ in range(10):
+            drive.tick()
+        assert drive.state("e").speed == pytest.approx(14.0 - 10 * 0.5)  # the log has 14 m/s all the time
 
 
 def test_mixed_the_vehicles_near_an_attack_are_sumos_once_it_begins(tmp_path: Path) -> None:

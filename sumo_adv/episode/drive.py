@@ -116,6 +116,8 @@ class Drive:
             self.playback.before_step(raw, self.now, driven)
         if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
             self._let_ego_act(driven)
+        if self.playback is not None:
+            self.playback.injected(driven)
         if driven:
             self.simulation.inject(driven, self.ego if self.heeding else None)
         self.simulation.step()

@@ -144,6 +144,10 @@ class Playback:
         if self._signals is not None:
             self._show(self._signals, then)
 
+    def injected(self, driven: Mapping[str, Pose]) -> None:
+        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose."""
+        self._moved = {name: driven[name] for name in self._moved}
+
     def _hands_over(self, pose: Pose, now: float) -> bool:
         """Whether SUMO should drive a vehicle with this pose from now on, if it can."""
         if self.spec.background == "sumo":
