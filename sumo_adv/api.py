@@ -121,7 +121,7 @@ def run(
 
     source: what ``sumo-adv run`` takes: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
     out: the folder to write; else a temporary one that is removed with the result.
-    ego: the driver under test: a name as on the command line, or a class or an object of yours, also one that is
+    ego: the driver under test: a name as on the command line, or a class or an object of yours, which may be
     defined in a script or a notebook. An object is copied: what it remembers stays in the engine's process. A run with
     a class or an object given so cannot be replayed from its folder.
     settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,

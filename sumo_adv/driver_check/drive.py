@@ -21,6 +21,7 @@ from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine,
 from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import EncounterSearch
+from sumo_adv.episode.right_of_way import PASSED
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import wrap
@@ -31,7 +32,6 @@ SAME_WAY = 1.05  # rad between a car and the lane that it is in: 60 degrees, for
 CHOSEN = 15.0  # s after the begin at which an ego is chosen where the input names none: traffic is there by then
 AT_LINE, FURTHER = 3.0, 1.0  # m: a line this near can be passed in a step; the next one is further than it was
 WAITED = 1.0  # s for which it must have had to wait: less is no time to brake in
-OVER = 0.5  # m by which its front bumper may be over a line and it still stands at it, as for ``must_wait``
 MOVING = 0.1  # m/s
 NEAR = 5.0  # m around the ego's motion in which the road is looked at
 
@@ -98,7 +98,7 @@ class ObservedDriver:
         """Note a line at which the ego has had to wait, and which is no longer ahead."""
         road, front = observation.road, observation.ego.length / 2
         lines = () if road is None else road.stop_lines
-        line = next((line for line in lines if line.ahead > front - OVER), None)
+        line = next((line for line in lines if line.ahead > front - PASSED), None)
         last, now = self._line, observation.time
         passed = last is not None and last.ahead - front < AT_LINE
         passed = passed and (line is None or last is None or line.ahead > last.ahead + FURTHER)

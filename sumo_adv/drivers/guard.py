@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Guard
+from sumo_adv.datatypes import Bools, Floats, Guard
 
 STEP = 0.25  # s between the moments that are looked at
 MARGIN = 0.3  # m to each side
@@ -43,7 +43,7 @@ class Guards:
 
     def _danger(
         self, ego: tuple[Floats, Floats, Floats], adversary: tuple[Floats, Floats, Floats], speed: Floats
-    ) -> np.ndarray:
+    ) -> Bools:
         (s, d, h), (es, ed, ev), t = adversary, ego, self._times
         cos, sin = np.cos(h), np.sin(h)
         along = (np.abs(cos) * self._length + np.abs(sin) * self._width + self._ego[0]) / 2 + MARGIN

@@ -23,7 +23,7 @@ class Observation:
     ego's lane at the ego [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path:
     points [m] on the centreline of the ego's lane and route, from the ego (or a few metres before) to at least 60 m
     ahead. road: the map at the ego. These four are None where they are not known, as off the road. ``road`` and each
-    ``Vehicle`` are to be read in the ``act`` that got them: later an attribute that was not read yet is refused.
+    ``Vehicle`` must be read in the ``act`` that got them: later an attribute that was not read yet is refused.
     """
 
     time: float

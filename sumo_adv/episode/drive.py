@@ -207,6 +207,10 @@ class Drive:
         """Whether background vehicles react to the adversary. Those that a log moves do not."""
         return self.playback is None or self.playback.spec.background != "log"
 
+    def follows_log(self) -> bool:
+        """Whether a log moves background vehicles, at least until an attack begins."""
+        return self.playback is not None and self.playback.spec.follows_log
+
     def replayed(self) -> bool:
         """Whether a log moves the ego."""
         return self.playback is not None and self.ego is not None and self.playback.replays(self.ego)

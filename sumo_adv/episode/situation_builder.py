@@ -47,7 +47,7 @@ class TriggerState:
 
     time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals: by id the
     lights ahead of the ego and of the ranked vehicles; left: steps until the log that is played back ends, inf without
-    a log; reacting: whether background vehicles react to the adversary.
+    a log; reacting: whether background vehicles react to the adversary; follows_log: whether a log has moved them.
     """
 
     ego: str
@@ -58,6 +58,7 @@ class TriggerState:
     signals: Mapping[str, tuple[Signal, ...]]
     left: float = math.inf
     reacting: bool = True
+    follows_log: bool = False
 
 
 def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerState:
@@ -68,7 +69,7 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
         drive.ego, drive.now, model_of(drive.controller, simulation.model(drive.ego)), drive.route(),
         {c.id: simulation.route(c.id)[0] for c in ranking},
         {name: tuple(simulation.signals(name)) for name in (drive.ego, *(c.id for c in ranking))},
-        math.inf if left is None else left, drive.reacting(),
+        math.inf if left is None else left, drive.reacting(), drive.follows_log(),
     )  # fmt: skip
 
 
@@ -116,7 +117,7 @@ def build_situation(
     targets = {}
     for ranked in ranking:
         track = tracks.get(ranked.id)
-        if track is not None and not trigger.reacting:  # a log moves it: the adversary is to begin without its noise
+        if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
         if target is not None:

@@ -121,7 +121,7 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     end = settings.end if settings.end is not None else source.end
     end = min(end, begin + settings.search) if end is not None and settings.end is None else end
     end = begin + settings.search if end is None else end
-    if playback is not None and (playback.background in ("log", "mixed") or settings.ego == "replay"):
+    if playback is not None and (playback.follows_log or settings.ego == "replay"):
         end = min(end, playback.end)  # what comes after is not in the log
     if not routes and not driven and (playback is None or playback.tracks is None):
         seed = settings.seed if source.demand_seed is None else source.demand_seed

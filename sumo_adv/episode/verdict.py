@@ -24,7 +24,7 @@ def gate_verdict(
     """
     assert drive.ego is not None
     first = first_judged(found, settings, trigger_step, start)
-    logged = None if drive.reacting() else settings.limits.limits()
+    logged = settings.limits.limits() if drive.follows_log() else None
     case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond, logged)
     if case is None:
         return None

@@ -180,7 +180,7 @@ class Worker:
         snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
-        logged = None if drive.reacting() else settings.limits.limits()
+        logged = settings.limits.limits() if drive.follows_log() else None
         return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond, logged)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:

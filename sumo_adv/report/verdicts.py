@@ -71,7 +71,7 @@ def judge_best(episode: Episode) -> Judged | None:
     result = episode.refinement.results[episode.refinement.best or 0]
     tracks = _tracks(episode, best, found, prefix, result)
     played = episode.task.playback
-    logged = episode.settings.limits.limits() if played is not None and played.background in ("log", "mixed") else None
+    logged = episode.settings.limits.limits() if played is not None and played.follows_log else None
     case = make_case(tracks, found.ego, best.proposal.bv, result.start, result.driven.beyond, logged)
     if case is None:
         return Judged(None, (), {}, ())
@@ -173,7 +173,7 @@ def _realism(episode: Episode, moved: Track, found: FoundEncounter, prefix: Pref
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
     played = episode.task.playback
-    who = "as recorded" if played is not None and played.background in ("log", "mixed") else "driven by SUMO"
+    who = "as recorded" if played is not None and played.follows_log else "driven by SUMO"
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
     return {
         **{k: _rounded(v) for k, v in realism_figures(moved, traffic, found.drivable).items()},

@@ -104,7 +104,7 @@ class Playback:
 
     def last(self, ego: str | None) -> float:
         """The last time [s] that means anything: the log's end where it moves the background or the ego."""
-        ends = self.spec.background in ("log", "mixed") or (ego is not None and ego in self._kept)
+        ends = self.spec.follows_log or (ego is not None and ego in self._kept)
         return self.spec.end if ends else math.inf
 
     # -- one step ---------------------------------------------------------------------------------------------------

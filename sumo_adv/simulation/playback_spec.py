@@ -35,6 +35,11 @@ class PlaybackSpec:
     end: float = math.inf
 
     @property
+    def follows_log(self) -> bool:
+        """Whether the log moves background vehicles, at least until an attack begins."""
+        return self.background in ("log", "mixed")
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """All that a manifest must copy."""
         return tuple(file for file in (self.tracks, self.signals) if file is not None)
