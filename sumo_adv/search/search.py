@@ -112,8 +112,7 @@ class AttackSearch:
             return p.score
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
-        tells = 0.0 if seen.likely is None else 4.0 * seen.likely * (1.0 - seen.likely)
-        return p.score + late + weights.harsh * seen.braking - weights.tells * tells
+        return p.score + late + weights.harsh * seen.braking
 
     # -- attempts -----------------------------------------------------------------------------------------------
 

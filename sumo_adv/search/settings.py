@@ -44,7 +44,6 @@ class PriceSettings:
     late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
     at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
-    tells: float = 0.05  # taken off if the likely drivers make different things of a candidate: it tells them apart
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.3  # for each place in a model's ranking
 
