@@ -74,9 +74,12 @@ def damaged(file: Path, error: Exception | str) -> UsageError:
     return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
 
 
-def columns_of(file: Path) -> dict[str, tuple[str, ...]]:
-    """The columns of a table of states as text; empty ones where there is no such file. Raises UsageError: damaged."""
-    names = HEADER.strip().split(",")
+def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:
+    """The columns of a table as text (of states, unless another header is ``expected``).
+
+    They are empty where there is no such file. Raises UsageError: the file is damaged.
+    """
+    names = expected.strip().split(",")
     if not file.is_file():
         return dict.fromkeys(names, ())
     try:
