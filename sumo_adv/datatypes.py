@@ -35,6 +35,29 @@ class Role(StrEnum):
     OBSTACLE = "obstacle"
 
 
+class RoadClass(StrEnum):
+    """Where the ego is when an attack may begin; ``episode/encounter_place.py`` has the rules."""
+
+    MOTORWAY = "motorway"
+    RURAL = "rural"
+    URBAN = "urban"
+    JUNCTION = "junction"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What surrounds the ego when an attack may begin.
+
+    road: None off the network. limit: the speed limit [m/s], None off the network. speed: the ego's [m/s].
+    vehicles_near: how many vehicles are within 70 m of it.
+    """
+
+    road: RoadClass | None
+    limit: float | None
+    speed: float
+    vehicles_near: int
+
+
 class Ending(StrEnum):
     """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
 

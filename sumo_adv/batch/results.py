@@ -18,10 +18,12 @@ SCHEMA = 1
 COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
-    "ego_stationary", "humanlike", "delta_v", "severity",
+    "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
+    "kind", "road", "ego_speed",
 )  # fmt: skip
-"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s; an empty min_ttc is never, an empty
-valid is no collision. ``valid``, ``strict`` and what follows ``level`` are of verdict version 2."""
+"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
+never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
+verdict version 2. ``road`` and ``ego_speed`` are those of the encounter."""
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
@@ -40,6 +42,20 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "level": best.get("level"), "strict": best.get("strict"), "preventable_by": _joined(best.get("preventable_by")),
         "inconclusive": best.get("inconclusive"), "ego_stationary": best.get("ego_stationary"),
         "humanlike": best.get("humanlike"), "delta_v": best.get("delta_v"), "severity": best.get("severity"),
+        "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
+        "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
+    }  # fmt: skip
+
+
+def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """Who attacked, and where; None without an attempt or an encounter."""
+    encounter, best = outcome["encounter"] or {}, outcome["best"]
+    adversary = outcome["adversaries"][0]["id"] if outcome["adversaries"] else None
+    relations = {each["id"]: each["relation"] for each in encounter.get("ranking", ())}
+    return {
+        "adversary": adversary, "relation": relations.get(adversary),
+        "kind": None if best is None else outcome["attempts"][best].get("kind"),
+        "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
     }  # fmt: skip
 
 
@@ -123,9 +139,12 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     kinds = {
         "raw_min_ttc": number, "min_ttc": number, "seconds": number, "seed": whole, "attempts": whole,
         "collided": truth, "valid": truth, "critical": truth, "strict": truth, "ego_stationary": truth,
-        "humanlike": truth, "delta_v": number,
+        "humanlike": truth, "delta_v": number, "serious": truth, "contact_time": number,
+        "ego_speed": number,
     }  # fmt: skip
-    columns = {name: [row[name] for row in table] for name in COLUMNS}
+    columns = {
+        name: [row.get(name) for row in table] for name in COLUMNS
+    }  # rows packed by an earlier version lack some
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
     arrays = {name: pa.array(values, kinds.get(name, text)) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

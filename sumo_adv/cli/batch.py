@@ -53,6 +53,9 @@ def batch(
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of every episode; repeatable.")
     ] = None,
+    odd: Annotated[
+        Path | None, typer.Option(help="TOML file of an operational design domain: attack only within it.")
+    ] = None,
     learn: Annotated[
         Learn | None, typer.Option(help="Into the bank: off, after (all, in order), during (rows depend on order).")
     ] = None,
@@ -88,6 +91,8 @@ def batch(
     table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
     table |= _overrides(seeds, egos, records, learn, memory, figures)
     table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5")}
+    if odd is not None:
+        table["settings"] = _within(table["settings"], odd)
     said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
     plan = make_plan(table, folder, said, batch_parts(), settings_file)
     target = out or Path("runs") / (first.stem if planned else "batch")
@@ -128,6 +133,15 @@ def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise UsageError(f"'{key}' of a plan is a table of settings: write [{key}].")
     return value
+
+
+def _within(settings: dict[str, Any], odd: Path) -> dict[str, Any]:
+    """The settings with the ODD of a file. Raises UsageError: they have one, or the file is bad."""
+    from sumo_adv.config_odd import read_odd
+
+    if "odd" in settings:
+        raise UsageError(f"The plan has [settings.odd], and --odd {odd} is given as well; keep one.")
+    return {**settings, "odd": read_odd(odd).model_dump(mode="json", exclude_unset=True)}
 
 
 def _orders(
