@@ -74,9 +74,9 @@ class AttemptRecord:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a run.
+    """The outcome of a run.
 
-    adversary, trigger_time [s], verdict: of the attempt that counts, whose index is ``best``; None without an attempt.
+    best: the index of the attempt that counts. adversary, trigger_time [s], verdict: of this attempt, None without one.
     ego_driver: the name of the driver under test. document: all of ``outcome.json``.
     """
 
