@@ -21,8 +21,8 @@ from typer.main import get_command
 from sumo_adv.batch.plan import read_plan
 from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Ending
 from sumo_adv.config_odd import Odd, read_odd
+from sumo_adv.datatypes import Ending
 from sumo_adv.simulation.scenario import load_scenario
 
 PAGES = pages()
