@@ -87,6 +87,13 @@ ENDING_SENTENCES: Mapping[Ending, str] = {
 }
 
 
+FAILED_ENDINGS = frozenset({
+    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+    Ending.INTERRUPTED,
+})  # fmt: skip
+"""Endings of episodes that failed: they say nothing about the ego."""
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Limits of an adversary's motion: those of a passenger car. Settings can change them."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.batch.nouns import Job, Row
-from sumo_adv.datatypes import ENDING_SENTENCES, Ending
+from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 
@@ -30,7 +30,7 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
     """The row of an episode whose folder is called ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
     failure = outcome.get("failure") or ""
-    if not failure and outcome["ending"] in FAILED:
+    if not failure and outcome["ending"] in FAILED_ENDINGS:
         failure = str(outcome["reason"])
     return {
         "id": name, "network": outcome["network"], "seed": outcome["seed"], "ego": outcome["ego"]["controller"],
@@ -63,15 +63,9 @@ def _joined(names: Sequence[str] | None) -> str | None:
     return None if names is None else " ".join(names)
 
 
-FAILED = {
-    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
-    Ending.INTERRUPTED,
-}  # fmt: skip
-
-
 def failed(row: Row) -> bool:
     """Whether the episode failed: it stays in the table, and in every denominator."""
-    return row["ending"] in FAILED
+    return row["ending"] in FAILED_ENDINGS
 
 
 def read_row(folder: Path) -> Row | None:
