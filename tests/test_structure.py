@@ -21,11 +21,12 @@ LEVELS = (
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
     ("app",),
-    ("cli", "api", "world", "__main__"),
+    ("cli", "api", "api_batch", "world", "__main__"),
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("geometry", "datatypes"),
-            ("situation", "datatypes"), ("situation", "geometry"), ("cli", "api"), ("__main__", "cli")}  # fmt: skip
+            ("situation", "datatypes"), ("situation", "geometry"), ("cli", "api"), ("api_batch", "api"),
+            ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"
 SKIPPED = {".venv", ".git", "__pycache__", "runs", "build", "dist"}

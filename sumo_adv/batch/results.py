@@ -26,6 +26,12 @@ never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` 
 verdict version 2. ``road`` and ``ego_speed`` are those of the encounter."""
 
 
+WHOLES = ("seed", "attempts")
+NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed")
+TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike")
+"""The columns that are no text."""
+
+
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
     """The row of an episode whose folder is called ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
@@ -115,6 +121,28 @@ def _cell(value: Any) -> Any:
     return json.dumps(value) if isinstance(value, list | dict) else value
 
 
+def read_csv(file: Path) -> dict[str, list[Any]]:
+    """The columns of a ``results.csv`` with their types; what is empty is None. Raises UsageError: it is damaged."""
+    try:
+        with file.open(newline="", encoding="utf-8") as text:
+            reader = csv.DictReader(text)
+            columns: dict[str, list[Any]] = {name: [] for name in reader.fieldnames or ()}
+            for row in reader:
+                for name, column in columns.items():
+                    column.append(_value(name, row[name]))
+            return columns
+    except (OSError, ValueError, csv.Error) as error:
+        raise UsageError(f"{file} is not the table of a batch ({error}); say the batch's command again.") from error
+
+
+def _value(name: str, text: str) -> Any:
+    if not text:
+        return None
+    if name in TRUTHS:
+        return text == "true"
+    return int(text) if name in WHOLES else float(text) if name in NUMBERS else text
+
+
 def check_parquet() -> None:
     """Raises UsageError where Parquet cannot be written."""
     try:
@@ -129,16 +157,12 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     import pyarrow as pa
     from pyarrow import parquet
 
-    text, number, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     kinds = {
-        "raw_min_ttc": number, "min_ttc": number, "seconds": number, "seed": whole, "attempts": whole,
-        "collided": truth, "valid": truth, "critical": truth, "strict": truth, "ego_stationary": truth,
-        "humanlike": truth, "delta_v": number, "serious": truth, "contact_time": number,
-        "ego_speed": number,
+        **dict.fromkeys(WHOLES, pa.int64()), **dict.fromkeys(NUMBERS, pa.float64()), **dict.fromkeys(TRUTHS, pa.bool_())
     }  # fmt: skip
     columns = {
         name: [row.get(name) for row in table] for name in COLUMNS
     }  # rows packed by an earlier version lack some
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
-    arrays = {name: pa.array(values, kinds.get(name, text)) for name, values in columns.items()}
+    arrays = {name: pa.array(values, kinds.get(name, pa.string())) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

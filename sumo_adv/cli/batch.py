@@ -70,6 +70,9 @@ def batch(
         str | None, typer.Option(metavar="ADDRESS", help="Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.")
     ] = None,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write results.parquet as well.")] = False,
+    states: Annotated[
+        bool, typer.Option("--states", help="Write states.parquet as well: all vehicles of every run.")
+    ] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the episodes and run none.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Go on in a folder of another plan.")] = False,
@@ -82,7 +85,7 @@ def batch(
     from sumo_adv.app import batch_parts
     from sumo_adv.batch.plan import is_plan, make_plan, read_plan
 
-    if parquet:
+    if parquet or states:
         from sumo_adv.batch.results import check_parquet
 
         check_parquet()
@@ -102,7 +105,7 @@ def batch(
     from sumo_adv.batch.local import Pace
 
     pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
-    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), as_json=as_json)
+    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), states=states, as_json=as_json)
 
 
 def _overrides(
@@ -177,16 +180,14 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
     typer.echo(f"{len(jobs)} episodes{twice}, into {out}.")
 
 
-def _run(plan: Plan, orders: Orders, *, as_json: bool) -> None:
-    from sumo_adv.app import batch_parts, open_bank
-    from sumo_adv.batch.campaign import run_batch
+def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
+    from sumo_adv.app import run_campaign
     from sumo_adv.cli.batch_progress import Quiet, make_watcher
 
     if plan.learn == "during" and not as_json:
         typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
-    open_bank(orders.bank, make=True).close()
     with Quiet() if as_json else make_watcher() as watcher:
-        summary = run_batch(plan, orders, batch_parts(), watcher)
+        summary = run_campaign(plan, orders, watcher, states=states)
     typer.echo(json.dumps(summary.as_dict()) if as_json else _words_of(summary))
     if summary.stopped:
         typer.echo("sumo-adv: stopped; the same command again does the rest.", err=True)

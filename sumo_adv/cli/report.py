@@ -64,7 +64,8 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
-    from sumo_adv.cli.report_coverage import covered, write_coverage
+    from sumo_adv.app import shipped_bank
+    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index.build import write_report
     from sumo_adv.report.index.rows import read_rows
 
@@ -74,7 +75,8 @@ def _batch(
     table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
     runs = folder / "runs" if (folder / RESULTS).is_file() else folder
     packs, counter = _packs(folder), _Counter(quiet=quiet)
-    coverage = covered(folder, [runs / str(row["id"]) for row in table.rows], packs.outcomes)
+    of = [runs / str(row["id"]) for row in table.rows]
+    coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
     made = write_report(
         runs, target, folder.resolve().name, table, packs, coverage, most=pages, workers=workers, again=force,
         tell=counter.tell,

@@ -1,41 +1,35 @@
-"""The coverage that ``report`` shows of a campaign: its runs, its bank and its ODDs, read from its folder."""
+"""The coverage of a campaign: its runs, its bank and its ODDs, read from its folder."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from sumo_adv.config_odd import Odd
 from sumo_adv.errors import UsageError
-
-if TYPE_CHECKING:
-    from sumo_adv.config_odd import Odd
-    from sumo_adv.report.coverage import Coverage
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.report.coverage import Coverage, coverage_csv, make_coverage
+from sumo_adv.report.page.document import write_document
 
 OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
 
 
-def covered(folder: Path, runs: Sequence[Path], packed: Mapping[str, str]) -> Coverage:
-    """The coverage of the runs in a campaign's folder; ``packed``: the outcomes of packed runs as text, by id.
+def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
+    """The coverage of the runs in a campaign's folder.
 
-    The cells are those of the campaign's own bank, else of the shipped one. Raises UsageError or BankError.
+    packed: the outcomes of packed runs as text, by id. bank: its intents make the cells if the folder has no bank.
+    Raises UsageError or BankError.
     """
-    from sumo_adv.app import shipped_bank
-    from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.report.coverage import make_coverage
-
-    bank = folder / BANK if (folder / BANK).is_file() else shipped_bank()
-    with MemoryBank.open(bank, read_only=True) as opened:
+    own = folder / BANK
+    with MemoryBank.open(own if own.is_file() else bank, read_only=True) as opened:
         library = opened.intents()
     return make_coverage(_outcomes(runs, packed), library, _odds(folder / PLAN))
 
 
 def write_coverage(target: Path, coverage: Coverage) -> Path:
     """Write ``coverage.csv`` into the folder of the pages. Raises UsageError: it cannot be written."""
-    from sumo_adv.report.coverage import coverage_csv
-    from sumo_adv.report.page.document import write_document
-
     write_document(target / TABLE, coverage_csv(coverage))
     return target / TABLE
 
@@ -54,8 +48,6 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
 
 def _odds(plan: Path) -> list[Odd]:
     """The ODDs of a campaign's variants; none if a variant has none. Raises UsageError: the plan is damaged."""
-    from sumo_adv.config_odd import Odd
-
     if not plan.is_file():
         return []
     try:
