@@ -71,7 +71,7 @@ def run_one(case: tuple[str, str]) -> dict[str, str]:
             source, ego=ego, out=Path(folder) / "run", memory=str(Path(folder) / "bank.sqlite"), learn="off",
             until="valid", attempts=10, seed=0, fork=True,
         )  # fmt: skip
-        told = result.outcome
+        told = result.outcome.document
         states = result.folder / "states.csv.gz"
         content = gzip.decompress(states.read_bytes()) if states.is_file() else b""
     attempts = [{**{key: a[key] for key in CHOICE}, "mode": a["planner"]["mode"]} for a in told["attempts"]]

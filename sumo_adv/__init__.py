@@ -1,6 +1,7 @@
 """Online, retrieval-augmented generation of safety-critical scenarios inside SUMO.
 
-From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``).
+From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``),
+``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")`` (``api_batch.py``).
 A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
 """
 
@@ -11,13 +12,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sumo_adv.api import Result, judge, load, run
+    from sumo_adv.api_batch import Campaign, batch
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
 __version__ = "0.1.0"
-__all__ = ["LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "judge", "load", "run"]
+__all__ = [
+    "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "judge", "load", "run",
+]  # fmt: skip
 
 _HOMES = {
     **dict.fromkeys(("Result", "judge", "load", "run"), "sumo_adv.api"),
+    **dict.fromkeys(("Campaign", "batch"), "sumo_adv.api_batch"),
     **dict.fromkeys(("LaneSpeed", "Observation", "Pose", "Steer"), "sumo_adv.drivers"),
 }
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
     from sumo_adv.datatypes import Verdict
     from sumo_adv.report.export.choices import Format, Variant
+    from sumo_adv.report.run_outcome import Outcome
 
 HEIGHT = 720  # pixels of a page inside a notebook
-NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
+WORDS = ("id", "role", "lane")  # columns of tables that are text; all others are numbers
 Table = dict[str, NDArray[Any]]
 """Columns by name, all of one length: what ``pandas.DataFrame`` takes."""
 
@@ -37,9 +38,15 @@ class Result:
         self._keep = keep  # a temporary folder lives as long as this object
 
     @cached_property
-    def outcome(self) -> Mapping[str, Any]:
-        """``outcome.json``: times in s, distances in m, never = None. Raises UsageError: it is missing or damaged."""
-        return self._read().outcome
+    def outcome(self) -> Outcome:
+        """What came of the run: ``outcome.ending``, ``.level``, ``.verdict.min_ttc``, ``.attempts`` and so on.
+
+        Raises UsageError: ``outcome.json`` is missing or damaged.
+        """
+        from sumo_adv.report.page.read import OUTCOME, read_run
+        from sumo_adv.report.run_outcome import outcome_of
+
+        return outcome_of(read_run(self.folder).outcome, self.folder / OUTCOME)
 
     @cached_property
     def states(self) -> Table:
@@ -54,6 +61,18 @@ class Result:
     def raw(self) -> Table:
         """The same without the attack."""
         return _table(self.folder / "raw.csv.gz")
+
+    @cached_property
+    def criticality(self) -> Table:
+        """Measures between the ego and each vehicle near it over time, in the attempt that counts.
+
+        time [s]; id; ttc [s]; gap [m] between the boxes; drac [m/s2]; btn, the brake threat number; headway [s];
+        required_lateral [m/s2]; centre_distance [m]. Never, or no danger of that kind, is nan. No rows without an
+        attempt.
+        """
+        from sumo_adv.report.tables import SERIES_HEADER
+
+        return _table(self.folder / "criticality.csv.gz", SERIES_HEADER)
 
     def plot(self) -> Figure:
         """A figure of the encounter without and with the attack. Raises UsageError: no attempt was made."""
@@ -85,12 +104,7 @@ class Result:
         return Path(out)
 
     def __repr__(self) -> str:
-        return f"<sumo_adv.Result {self.outcome['ending']}: {self.folder}>"
-
-    def _read(self) -> Any:
-        from sumo_adv.report.page.read import read_run
-
-        return read_run(self.folder)
+        return f"<sumo_adv.Result {self.outcome.ending}: {self.folder}>"
 
 
 class Shown:
@@ -217,11 +231,16 @@ def judge(
     )  # fmt: skip
 
 
-def _table(file: Path) -> Table:
-    """The columns of a table of states, in its order."""
+def _table(file: Path, header: str | None = None) -> Table:
+    """The columns of a table of states, or of one with another ``header``, in its order."""
     from sumo_adv.report.page.read import columns_of
+    from sumo_adv.report.tables import HEADER
 
-    columns = columns_of(file)
-    return {
-        name: np.array(values, dtype=np.float64 if name in NUMBERS else object) for name, values in columns.items()
-    }  # fmt: skip
+    columns = columns_of(file, header or HEADER)
+    return {name: _column(name, values) for name, values in columns.items()}
+
+
+def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
+    if name in WORDS:
+        return np.array(values, dtype=object)
+    return np.array([value or "nan" for value in values], dtype=np.float64)

@@ -23,7 +23,9 @@ from sumo_adv.errors import BankError, UsageError
 if TYPE_CHECKING:
     from sumo_adv.agents.agents import Agents
     from sumo_adv.agents.prompts import Prompts
+    from sumo_adv.batch.campaign import Orders, Summary, Watcher
     from sumo_adv.batch.nouns import Parts as BatchParts
+    from sumo_adv.batch.plan import Plan
     from sumo_adv.benchmark.jobs import Parts as BenchParts
     from sumo_adv.config import Settings
     from sumo_adv.driver_check import Checked, DriverCheck
@@ -273,6 +275,43 @@ def batch_parts() -> BatchParts:
     from sumo_adv.report.outcome import MODEL_FILE
 
     return Parts(load, record_contents, open_agents, make_similarity, staged, write_run, MODEL_FILE)
+
+
+def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool = False) -> Summary:
+    """Run what is missing of a batch's plan, and write its table; with ``states`` also ``states.parquet``.
+
+    The workers do not run the user's script again. Raises UsageError, BankError or SumoAdvError.
+    """
+    from sumo_adv.batch.campaign import run_batch
+    from sumo_adv.batch.results import check_parquet
+
+    if states or orders.parquet:
+        check_parquet()
+    open_bank(orders.bank, make=True).close()
+    with _without_main():
+        summary = run_batch(plan, orders, batch_parts(), watcher)
+    if states:
+        _write_states(summary.folder, [str(row["id"]) for row in summary.rows])
+    return summary
+
+
+def _write_states(folder: Path, names: Sequence[str]) -> None:
+    """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
+    from sumo_adv.batch.pack import unpack
+    from sumo_adv.files import sentences
+    from sumo_adv.report.folder import staged
+    from sumo_adv.report.states_parquet import write_states_parquet
+
+    def runs() -> Iterator[tuple[str, Path]]:
+        for name in names:
+            if (folder / "runs" / name).is_dir():
+                yield name, folder / "runs" / name
+                continue
+            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+                yield name, unpack(folder, [name], Path(scratch), staged)[0]
+
+    with sentences(folder):
+        write_states_parquet(folder / "states.parquet", runs())
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:

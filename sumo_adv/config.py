@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
 
 from sumo_adv.config_model import ModelSettings
+from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Level, Limits
 from sumo_adv.errors import UsageError
 
@@ -88,6 +89,7 @@ class Settings(ModelSettings, BaseSettings):
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo", "mixed"] | None = None  # who drives recorded BVs; None = as the scenario says
+    odd: Odd | None = None  # encounters outside it are not attacked
     fork: bool = True
     bubblewrap: bool = True
 

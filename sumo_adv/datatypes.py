@@ -35,6 +35,29 @@ class Role(StrEnum):
     OBSTACLE = "obstacle"
 
 
+class RoadClass(StrEnum):
+    """Where the ego is when an attack may begin; ``episode/encounter_place.py`` has the rules."""
+
+    MOTORWAY = "motorway"
+    RURAL = "rural"
+    URBAN = "urban"
+    JUNCTION = "junction"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What surrounds the ego when an attack may begin.
+
+    road: None off the network. limit: the speed limit [m/s], None off the network. speed: the ego's [m/s].
+    vehicles_near: how many vehicles are within 70 m of it.
+    """
+
+    road: RoadClass | None
+    limit: float | None
+    speed: float
+    vehicles_near: int
+
+
 class Ending(StrEnum):
     """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
 
@@ -62,6 +85,13 @@ ENDING_SENTENCES: Mapping[Ending, str] = {
     Ending.SIMULATION_FAILED: "The simulation failed.",
     Ending.INTERRUPTED: "The run was interrupted.",
 }
+
+
+FAILED_ENDINGS = frozenset({
+    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+    Ending.INTERRUPTED,
+})  # fmt: skip
+"""Endings of episodes that failed: they say nothing about the ego."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import gzip
 import json
+import math
 import subprocess
 import sys
+from dataclasses import FrozenInstanceError
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,9 @@ from cli_samples import ROOT
 from run_samples import run_folder
 
 import sumo_adv
+from sumo_adv.datatypes import Level, Verdict
 from sumo_adv.errors import UsageError
+from sumo_adv.report.run_outcome import verdict_of
 
 UNGUARDED = """
 import sumo_adv
@@ -25,7 +29,7 @@ result = sumo_adv.run("motorway_cut_in_left", attempts=1, proposals=24, seed=0, 
                       tell=lambda what, value: told.append(what))
 folder = result.folder
 assert (folder / "outcome.json").is_file()
-print(result.outcome["ending"], told)
+print(result.outcome.ending, told)
 del result
 print(folder.exists())
 """
@@ -67,7 +71,8 @@ def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp
 
 def test_a_bare_network_gets_traffic(tmp_path: Path) -> None:
     result = sumo_adv.run("straight_3lane", density=1, end=20, out=tmp_path / "out", memory=tmp_path / "bank.sqlite")
-    assert result.outcome["ending"] == "no_encounter"
+    assert result.outcome.ending == "no_encounter"
+    assert result.outcome.verdict is None and result.outcome.level == Level.NONE
     assert {len(column) for column in result.states.values()} == {0}
     assert len(list((result.folder / "inputs").glob("*.rou.xml"))) == 1  # a copy of what was generated
     with pytest.raises(UsageError, match="made no attempt"):
@@ -78,8 +83,51 @@ def test_a_bare_network_gets_traffic(tmp_path: Path) -> None:
 
 def test_the_outcome_is_the_file() -> None:
     result = sumo_adv.load(run_folder("crossing"))
-    assert result.outcome == json.loads((result.folder / "outcome.json").read_text())
-    assert repr(result) == f"<sumo_adv.Result {result.outcome['ending']}: {result.folder}>"
+    outcome, written = result.outcome, json.loads((result.folder / "outcome.json").read_text())
+    assert outcome.document == written
+    assert repr(result) == f"<sumo_adv.Result {written['ending']}: {result.folder}>"
+    assert (outcome.ending, outcome.network, outcome.seed) == (written["ending"], written["network"], written["seed"])
+    assert (outcome.ego, outcome.ego_driver) == ("ego", "idm")
+    assert outcome.adversary == written["adversaries"][0]["id"] and outcome.trigger_time == written["trigger_time"]
+    assert outcome.intent is not None and outcome.intent.label == written["intent"]["label"]
+    assert [(a.index, a.intent, str(a.level)) for a in outcome.attempts] == [
+        (a["index"], a["intent"], a["level"]) for a in written["attempts"]
+    ]
+
+
+def test_the_verdict_is_the_noun_that_judge_returns() -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    verdict, written = result.outcome.verdict, result.outcome.document["outcome"]
+    assert isinstance(verdict, Verdict)
+    assert (str(verdict.level), verdict.collided) == (written["level"], written["collided"])
+    assert verdict.min_ttc == (math.inf if written["min_ttc"] is None else written["min_ttc"])
+    assert result.outcome.level == verdict.level
+    if written["preventable_by"] is not None:
+        assert verdict.preventability is not None
+        assert list(verdict.preventability.by) == written["preventable_by"]
+    with pytest.raises(FrozenInstanceError):
+        result.outcome.seed = 3  # type: ignore[misc]
+
+
+def test_never_is_infinite_and_null_in_the_file() -> None:
+    verdict = verdict_of(
+        {
+            "min_ttc": None, "min_distance": 2.5, "collided": False, "critical": False, "feasible": True,
+            "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [], "level": "none",
+        }
+    )  # fmt: skip
+    assert (verdict.min_ttc, verdict.min_distance, verdict.level) == (math.inf, 2.5, Level.NONE)
+
+
+def test_criticality_is_a_table_in_which_never_is_nan() -> None:
+    result = sumo_adv.load(run_folder("crossing"))
+    with gzip.open(result.folder / "criticality.csv.gz", "rt") as file:
+        rows = list(csv.DictReader(file))
+    table = result.criticality
+    assert list(table) == list(rows[0]) and {len(column) for column in table.values()} == {len(rows)}
+    k = next(k for k, row in enumerate(rows) if row["ttc"] == "")
+    assert np.isnan(table["ttc"][k]) and table["gap"][k] == float(rows[k]["gap"])
+    assert table["id"][k] == rows[k]["id"]
 
 
 @pytest.mark.parametrize("which", ["states", "raw"])
@@ -99,6 +147,9 @@ def test_pandas_takes_them() -> None:
     result = sumo_adv.load(run_folder("crossing"))
     frame = pandas.DataFrame(result.states)
     assert set(frame[frame.role == "ego"].id) == {"ego"}
+    least = pandas.DataFrame(result.criticality).groupby("id").gap.min()
+    adversary = result.criticality["id"] == result.outcome.adversary
+    assert least[result.outcome.adversary] == result.criticality["gap"][adversary].min()
 
 
 def test_plot_and_show_can_be_seen_inline() -> None:

@@ -21,6 +21,7 @@ from typer.main import get_command
 from sumo_adv.batch.plan import read_plan
 from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
+from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Ending
 from sumo_adv.simulation.scenario import load_scenario
 
@@ -162,8 +163,11 @@ def test_scenarios_and_plans_in_the_docs_are_read(tmp_path: Path) -> None:
     for block in tables:
         file = tmp_path / "given.toml"
         file.write_text(block.text, encoding="utf-8")
-        if "inputs" in tomllib.loads(block.text):
+        keys = set(tomllib.loads(block.text))
+        if "inputs" in keys:
             read_plan(file)
+        elif keys <= set(Odd.model_fields):
+            read_odd(file)
         else:
             load_scenario(file)
 

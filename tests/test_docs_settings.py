@@ -18,11 +18,13 @@ from pydantic_core import PydanticUndefined
 
 from sumo_adv.config import LimitSettings, Settings
 from sumo_adv.config_model import ModelSettings
+from sumo_adv.config_odd import Odd
 from sumo_adv.simulation.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
 
 PAGE = ROOT / "docs" / "settings.md"
 MODELS: Mapping[str, type[BaseModel]] = {
-    "Settings of a run": Settings, "Limits": LimitSettings, "Servers of language models": ModelSettings,
+    "Settings of a run": Settings, "Limits": LimitSettings,
+    "Operational design domain": Odd, "Servers of language models": ModelSettings,
     "Top of the file": Scenario, "[demand]": Demand, "[ego]": Ego, "[window]": Window, "[adversary]": Adversary,
     "[signals]": Signals, "[label]": Label, "[[parked]], [[pedestrians]], [[cyclists]]": Box,
 }  # fmt: skip

@@ -61,7 +61,7 @@ def test_the_scenario_runs(imported: Path, tmp_path: Path) -> None:
     result = sumo_adv.run(
         imported / SCENARIO, attempts=1, proposals=24, learn="off", out=tmp_path / "out", memory=bank
     )  # fmt: skip
-    assert len(result.outcome["attempts"]) == 1
+    assert len(result.outcome.attempts) == 1
 
 
 def text_of(*vehicles: str) -> str:

@@ -39,12 +39,12 @@ def test_a_class_defined_here_drives_and_the_run_says_what_it_answered(tmp_path:
     result = sumo_adv.run(
         "leader_two_lanes", ego=Hurried, out=out, memory=tmp_path / "bank.sqlite", until="serious", **SMALL
     )
-    assert result.outcome["ego"]["controller"] == "object:Hurried"
-    actions = result.outcome["ego_actions"]
+    assert result.outcome.ego_driver == "object:Hurried"
+    actions = result.outcome.document["ego_actions"]
     assert set(actions) == {"LaneSpeed", "SUMO", "limited"}
     assert abs(actions["LaneSpeed"] - actions["SUMO"]) <= 1 and 0 < actions["limited"] <= actions["LaneSpeed"]
     said = f"limited what the ego's driver asked for in {actions['limited']} of {actions['LaneSpeed']} steps."
-    assert f"SUMO's safe speed {said}" in summary(result.outcome, out)
+    assert f"SUMO's safe speed {said}" in summary(result.outcome.document, out)
     with pytest.raises(UsageError, match=r"was driven by an object from Python, 'Hurried', which no file holds"):
         trusted_driver(None, "object:Hurried", out)
 

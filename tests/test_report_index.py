@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,17 +10,21 @@ from typing import Any
 
 import pytest
 from cli_samples import Program
-from page_samples import ROOT, Visit, chromium, make_run, meeting, outcome
+from page_samples import ROOT, Visit, attempt, chromium, make_run, meeting, outcome
+from test_coverage import CUT_IN_BESIDE
 from test_report_page import HOSTILE, data_of
 
 from sumo_adv.batch.pack import pack
 from sumo_adv.batch.results import read_row, write_csv
 from sumo_adv.errors import UsageError
+from sumo_adv.report.coverage import make_coverage
 from sumo_adv.report.index.build import Packs, write_report
 from sumo_adv.report.index.make import Made, make_index, road_of
 from sumo_adv.report.index.rows import Table, read_rows
+from sumo_adv.report.index.summary import summarise
 
 MANY = 5000
+HITS = ((0, "serious", 4.0), (1, "valid", 2.0), (2, "collision", 1.0))
 NETWORK = "straight_3lane.net.xml"
 
 
@@ -30,7 +35,10 @@ def row(k: int, **other: Any) -> dict[str, Any]:
         "id": f"{k:016x}", "network": f"net{k % 4}", "ego": ("idm", "careful")[k % 2], "seed": k,
         "intent": ("Cut-in", "Brake", "")[k % 3], "ending": "critical",
         "failure": "It failed." if k % 100 == 99 else "",
-        "raw_min_ttc": None, "min_ttc": 0.0 if met else None if k % 10 == 1 else (k % 97) / 20, "collided": met,
+        "level": ("serious" if k % 20 == 0 else "collision") if met else "none", "severity": "minor" if met else "",
+        "relation": "neighbour", "road": "motorway", "preventable_by": "cc_human" if k % 20 == 0 else "",
+        "delta_v": 2.5 if met else None, "raw_min_ttc": None,
+        "min_ttc": 0.0 if met else None if k % 10 == 1 else (k % 97) / 20, "collided": met,
         "valid": k % 20 == 0 if met else None, "critical": met, "attempts": k % 25, "seconds": 1.5, **other,
     }  # fmt: skip
 
@@ -91,6 +99,42 @@ def test_some_pages_now_the_most_critical_first(batch: Path, tmp_path: Path) -> 
     assert (made.pages, made.made) == (1, 1) and not (tmp_path / "out" / "pages" / "cccc.html").exists()
     made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs())
     assert (made.pages, made.made) == (3, 2)
+
+
+def test_egos_against_outcomes_with_intervals() -> None:
+    hits = [row(k, ego="idm", level=level, severity="minor", delta_v=v, failure="") for k, level, v in HITS]
+    failed = row(7, ego="idm", level="", severity="", delta_v=None, failure="It broke.", ending="simulation_failed")
+    other = row(8, ego="careful", level="critical", severity="", delta_v=None, failure="")
+    careful, idm = summarise([*hits, failed, other])
+    assert (careful.ego, careful.episodes, idm.ego, idm.episodes) == ("careful", 1, "idm", 4)
+    # critical, collision, valid, strict, serious; the failed episode is in every denominator
+    assert [rate.value for rate in idm.reached] == [0.75, 0.75, 0.5, 0.25, 0.25]
+    assert (idm.failed.value, idm.failed.n) == (0.25, 4)
+    assert (idm.severity["minor"], idm.delta_v) == (2, 3.0)  # of the two that are valid: 2 and 4 m/s
+    # Wilson's interval of two of four: (0.5 + 1.92/4) / (1 + 3.84/4) -+ 0.35
+    assert (idm.reached[2].low, idm.reached[2].high) == pytest.approx((0.150, 0.850), abs=1e-3)
+    assert careful.delta_v is None and careful.reached[0].value == 1.0
+
+
+def test_the_report_of_a_campaign_has_its_coverage(batch: Path, program: Program) -> None:
+    file = batch / "runs" / "aaaa" / "outcome.json"
+    told = json.loads(file.read_text())
+    told["encounter"] |= {"road": "urban", "ego_speed": 10.0}
+    told["attempts"][0] |= {"intent": "Straight Lane Shift", "level": "valid"}
+    file.write_text(json.dumps(told))
+    odd = {"roads": ["urban"], "relations": ["neighbour", "leader"], "speed": [8.0, 13.0]}
+    (batch / "plan.json").write_text(json.dumps({"settings": [{"odd": odd}]}))
+    done = program("report", batch)
+    assert done.status == 0, done.err
+    # the shipped intents that a leader or a neighbour can try, on one road class, in one speed band
+    assert "Coverage: 1 of 5 cells have an encounter. Table: " in done.out
+    data = data_of((batch / "report" / "index.html").read_text())
+    assert sorted(count[0] for count in data["coverage"]["egos"]["all"]) == [0, 0, 0, 0, 1]
+    assert data["coverage"]["unplaced"] == 2  # a run without a place, and the failed run
+    with (batch / "report" / "coverage.csv").open(newline="") as file_of_cells:
+        rows = [each for each in csv.DictReader(file_of_cells) if each["ego"] == "all"]
+    assert [each["encounters"] for each in rows] == ["0", "0", "0", "0", "1"]
+    assert (rows[-1]["intent"], rows[-1]["failures"]) == ("Straight Lane Shift", "1")
 
 
 def test_what_was_done_before_an_interrupt_is_kept(batch: Path, tmp_path: Path) -> None:
@@ -190,14 +234,36 @@ def test_five_thousand_rows_sort_filter_and_scroll(browser: Any, large: Path) ->
 def test_histograms_filter_and_the_map_shows_where(browser: Any, large: Path) -> None:
     with Visit(browser, large) as visit:
         page = visit.page
-        page.click(".chart button:has-text('valid collision')")
-        assert page.input_value("#outcome") == "valid"
+        page.click(".chart button:has-text('serious collision')")
+        assert page.input_value("#outcome") == "serious"
         assert page.inner_text("#count").startswith(f"{MANY // 20} of {MANY}")
         box = page.locator("#spots").evaluate(
             """(c) => { const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
                 return new Set(new Uint32Array(d.buffer)).size; }"""
         )
         assert box > 5 and page.locator("#maps option").all_text_contents() == [f"straight_3lane ({MANY})"]
+        visit.clean()
+
+
+def test_coverage_and_egos_are_shown(browser: Any, tmp_path: Path) -> None:
+    told = outcome(attempts=[attempt(0, "a", intent="Cut-in", level="valid")])
+    told["encounter"] |= {"road": "motorway", "ego_speed": 25.0}
+    covered = make_coverage([told, {**told, "ego": {"controller": HOSTILE}}], [CUT_IN_BESIDE])
+    failed = row(1, ego=HOSTILE, failure="It broke.", level="", severity="")
+    file = tmp_path / "index.html"
+    file.write_text(make_index("c", Table([row(0), failed]), {}, {}, covered), encoding="utf-8")
+    with Visit(browser, file) as visit:
+        page = visit.page
+        assert page.inner_text("#covered").startswith("1 of 16 cells have an encounter, 15 are empty; in 1 the ego")
+        assert page.locator("#matrix td.empty").count() == 15
+        assert page.locator("#matrix td.met").all_text_contents() == ["2/2"]
+        assert page.locator("#cells tbody tr").first.inner_text().split("\t")[-3:] == ["0", "–", "–"]
+        assert "100 % 34–100" in page.locator("#cells tbody tr").last.inner_text()  # two of two
+        page.select_option("#of", "idm")
+        assert page.locator("#matrix td.met").all_text_contents() == ["1/1"]
+        assert "1 minor" in page.inner_text("#egos") and "100 % 21–100" in page.inner_text("#egos")
+        assert "✕ failed: It broke." in page.inner_text("#rows")
+        assert page.locator("img").count() == 0
         visit.clean()
 
 

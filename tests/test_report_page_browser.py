@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import gzip
 import html
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from page_samples import Visit, attempt, chromium, make_run, manifest, meeting, outcome, states
+from page_samples import ROOT, Visit, attempt, chromium, make_run, manifest, meeting, outcome, states
 from test_report_page import HOSTILE
 
 from sumo_adv.report.page import make_page
 
 PHONE = {"viewport": {"width": 375, "height": 720}, "has_touch": True, "is_mobile": True}
 FRAME = "window.replay.then((p) => p.frame)"
+ORIGIN = "window.replay.then((p) => p.scene.origin)"
 TIME = "window.replay.then((p) => p.timeOf(p.frame))"
 
 
@@ -47,6 +50,77 @@ def painted(page: Any, canvas: str) -> int:
         const d = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
         return new Set(new Uint32Array(d.buffer)).size; }"""
     return int(page.evaluate(script, canvas))
+
+
+def test_it_opens_shortly_before_the_point_with_both_vehicles_in_sight(browser: Any, file: Path) -> None:
+    """The two are closest at 4.8 s. At 3.3 s the ego is at x = 33 and the adversary at x = 67; they meet at 50."""
+    with Visit(browser, file) as visit:
+        page = visit.page
+        assert page.evaluate(TIME) == pytest.approx(3.3)
+        view, box = page.evaluate("window.replay.then((p) => p.map.view)"), page.locator("#map").bounding_box()
+        assert view["x"] + page.evaluate(ORIGIN)[0] == pytest.approx(50.0, abs=1.0)
+        # 34 m apart along the road and 3 m across it, and 12 m around them
+        assert view["scale"] == pytest.approx(min(box["width"] / 58, box["height"] / 27), rel=0.03)
+        visit.clean()
+
+
+def test_the_scale_is_under_the_map_and_true(browser: Any, file: Path) -> None:
+    with Visit(browser, file) as visit:
+        page = visit.page
+        frame, bar = (page.locator(name).bounding_box() for name in (".frame", "#scale"))
+        assert bar["y"] >= frame["y"] + frame["height"]
+        metres = float(page.inner_text("#scale").removesuffix(" m"))
+        scale = page.evaluate("window.replay.then((p) => p.map.view.scale)")  # px/m
+        assert bar["width"] == pytest.approx(metres * scale, abs=1)
+        visit.clean()
+
+
+def test_badges_say_level_severity_and_who_avoids_it(browser: Any, tmp_path: Path) -> None:
+    told = outcome()
+    told["outcome"] |= {
+        "collided": True, "valid": True, "level": "serious", "severity": "moderate", "delta_v": 6.5,
+        "preventable_by": ["cc_human", "fsm"], "contact_time": 4.5,
+    }  # fmt: skip
+    run = make_run(tmp_path / "run", told=told)
+    page = run / "report.html"
+    page.write_text(make_page(run), encoding="utf-8")
+    with Visit(browser, page) as visit:
+        badges = [text.replace("\u202f", " ") for text in visit.page.locator("#badges li").all_text_contents()]
+        assert badges[:3] == [
+            "level: serious", "severity: moderate, delta-v 6.5 m/s", "preventable by cc_human, fsm",
+        ]  # fmt: skip
+        visit.clean()
+
+
+LAMPS = """window.replay.then((p) => { const c = p.map.canvas.getContext("2d");
+    const found = new Set();
+    for (const { x, y } of p.map.lit) {
+        const at = (q) => q * p.map.view.scale;
+        const px = p.map.width / 2 + at(0.75 * x[0] + 0.25 * x[1] - p.map.view.x);
+        const py = p.map.height / 2 - at(0.75 * y[0] + 0.25 * y[1] - p.map.view.y);
+        const [r, g, b, a] = c.getImageData(Math.round(px * p.map.ratio), Math.round(py * p.map.ratio), 1, 1).data;
+        if (a === 255) found.add([r, g, b].join());
+    }
+    return [...found].sort(); })"""
+
+
+def test_stop_lines_have_the_colours_of_their_lights(browser: Any, tmp_path: Path) -> None:
+    """Red for all until 3 s, then green; the road is another network's, at the place where the vehicles are."""
+    network = "signalised_crossing.net.xml"
+    run = make_run(tmp_path / "run", pose=meeting, frames=80, written=manifest(network=f"0-{network}"))
+    shutil.copyfile(ROOT / "networks" / network, run / "inputs" / f"0-{network}")
+    rows = f"time,tls,state\n0.10,centre,{'r' * 16}\n3.00,centre,{'G' * 16}\n"
+    (run / "signals.csv.gz").write_bytes(gzip.compress(rows.encode()))
+    page = run / "report.html"
+    page.write_text(make_page(run), encoding="utf-8")
+    with Visit(browser, page, color_scheme="light") as visit:
+        assert visit.page.evaluate("window.replay.then((p) => p.map.lit.length)") == 8
+        visit.page.evaluate("window.replay.then((p) => { p.map.view = { x: -p.scene.origin[0], y: 0, scale: 3 }; })")
+        for time, colour in ((2.9, "196,22,28"), (3.0, "18,129,63")):
+            visit.page.evaluate("(t) => window.replay.then((p) => { p.jump(t); p.draw(); })", time)
+            assert visit.page.evaluate(LAMPS) == [colour]
+        visit.wrong[:] = [text for text in visit.wrong if "willReadFrequently" not in text]  # of reading the canvas
+        visit.clean()
 
 
 def test_it_plays_pauses_and_comes_to_the_end(browser: Any, file: Path) -> None:

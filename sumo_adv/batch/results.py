@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.batch.nouns import Job, Row
-from sumo_adv.datatypes import ENDING_SENTENCES, Ending
+from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 
@@ -18,17 +18,25 @@ SCHEMA = 1
 COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
-    "ego_stationary", "humanlike", "delta_v", "severity",
+    "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
+    "kind", "road", "ego_speed",
 )  # fmt: skip
-"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s; an empty min_ttc is never, an empty
-valid is no collision. ``valid``, ``strict`` and what follows ``level`` are of verdict version 2."""
+"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
+never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
+verdict version 2. ``road`` and ``ego_speed`` are those of the encounter."""
+
+
+WHOLES = ("seed", "attempts")
+NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed")
+TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike")
+"""The columns that are no text."""
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
     """The row of an episode whose folder is called ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
     failure = outcome.get("failure") or ""
-    if not failure and outcome["ending"] in FAILED:
+    if not failure and outcome["ending"] in FAILED_ENDINGS:
         failure = str(outcome["reason"])
     return {
         "id": name, "network": outcome["network"], "seed": outcome["seed"], "ego": outcome["ego"]["controller"],
@@ -40,6 +48,20 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "level": best.get("level"), "strict": best.get("strict"), "preventable_by": _joined(best.get("preventable_by")),
         "inconclusive": best.get("inconclusive"), "ego_stationary": best.get("ego_stationary"),
         "humanlike": best.get("humanlike"), "delta_v": best.get("delta_v"), "severity": best.get("severity"),
+        "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
+        "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
+    }  # fmt: skip
+
+
+def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """Who attacked, and where; None without an attempt or an encounter."""
+    encounter, best = outcome["encounter"] or {}, outcome["best"]
+    adversary = outcome["adversaries"][0]["id"] if outcome["adversaries"] else None
+    relations = {each["id"]: each["relation"] for each in encounter.get("ranking", ())}
+    return {
+        "adversary": adversary, "relation": relations.get(adversary),
+        "kind": None if best is None else outcome["attempts"][best].get("kind"),
+        "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
     }  # fmt: skip
 
 
@@ -47,15 +69,9 @@ def _joined(names: Sequence[str] | None) -> str | None:
     return None if names is None else " ".join(names)
 
 
-FAILED = {
-    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
-    Ending.INTERRUPTED,
-}  # fmt: skip
-
-
 def failed(row: Row) -> bool:
     """Whether the episode failed: it stays in the table, and in every denominator."""
-    return row["ending"] in FAILED
+    return row["ending"] in FAILED_ENDINGS
 
 
 def read_row(folder: Path) -> Row | None:
@@ -105,6 +121,28 @@ def _cell(value: Any) -> Any:
     return json.dumps(value) if isinstance(value, list | dict) else value
 
 
+def read_csv(file: Path) -> dict[str, list[Any]]:
+    """The columns of a ``results.csv`` with their types; what is empty is None. Raises UsageError: it is damaged."""
+    try:
+        with file.open(newline="", encoding="utf-8") as text:
+            reader = csv.DictReader(text)
+            columns: dict[str, list[Any]] = {name: [] for name in reader.fieldnames or ()}
+            for row in reader:
+                for name, column in columns.items():
+                    column.append(_value(name, row[name]))
+            return columns
+    except (OSError, ValueError, csv.Error) as error:
+        raise UsageError(f"{file} is not the table of a batch ({error}); say the batch's command again.") from error
+
+
+def _value(name: str, text: str) -> Any:
+    if not text:
+        return None
+    if name in TRUTHS:
+        return text == "true"
+    return int(text) if name in WHOLES else float(text) if name in NUMBERS else text
+
+
 def check_parquet() -> None:
     """Raises UsageError where Parquet cannot be written."""
     try:
@@ -119,13 +157,12 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     import pyarrow as pa
     from pyarrow import parquet
 
-    text, number, whole, truth = pa.string(), pa.float64(), pa.int64(), pa.bool_()
     kinds = {
-        "raw_min_ttc": number, "min_ttc": number, "seconds": number, "seed": whole, "attempts": whole,
-        "collided": truth, "valid": truth, "critical": truth, "strict": truth, "ego_stationary": truth,
-        "humanlike": truth, "delta_v": number,
+        **dict.fromkeys(WHOLES, pa.int64()), **dict.fromkeys(NUMBERS, pa.float64()), **dict.fromkeys(TRUTHS, pa.bool_())
     }  # fmt: skip
-    columns = {name: [row[name] for row in table] for name in COLUMNS}
+    columns = {
+        name: [row.get(name) for row in table] for name in COLUMNS
+    }  # rows packed by an earlier version lack some
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
-    arrays = {name: pa.array(values, kinds.get(name, text)) for name, values in columns.items()}
+    arrays = {name: pa.array(values, kinds.get(name, pa.string())) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

@@ -53,6 +53,9 @@ def batch(
     setting: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of every episode; repeatable.")
     ] = None,
+    odd: Annotated[
+        Path | None, typer.Option(help="TOML file of an operational design domain: attack only within it.")
+    ] = None,
     learn: Annotated[
         Learn | None, typer.Option(help="Into the bank: off, after (all, in order), during (rows depend on order).")
     ] = None,
@@ -67,6 +70,9 @@ def batch(
         str | None, typer.Option(metavar="ADDRESS", help="Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.")
     ] = None,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write results.parquet as well.")] = False,
+    states: Annotated[
+        bool, typer.Option("--states", help="Write states.parquet as well: all vehicles of every run.")
+    ] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the episodes and run none.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Go on in a folder of another plan.")] = False,
@@ -79,7 +85,7 @@ def batch(
     from sumo_adv.app import batch_parts
     from sumo_adv.batch.plan import is_plan, make_plan, read_plan
 
-    if parquet:
+    if parquet or states:
         from sumo_adv.batch.results import check_parquet
 
         check_parquet()
@@ -88,6 +94,8 @@ def batch(
     table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
     table |= _overrides(seeds, egos, records, learn, memory, figures)
     table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5")}
+    if odd is not None:
+        table["settings"] = _within(table["settings"], odd)
     said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
     plan = make_plan(table, folder, said, batch_parts(), settings_file)
     target = out or Path("runs") / (first.stem if planned else "batch")
@@ -97,7 +105,7 @@ def batch(
     from sumo_adv.batch.local import Pace
 
     pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
-    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), as_json=as_json)
+    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), states=states, as_json=as_json)
 
 
 def _overrides(
@@ -128,6 +136,15 @@ def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise UsageError(f"'{key}' of a plan is a table of settings: write [{key}].")
     return value
+
+
+def _within(settings: dict[str, Any], odd: Path) -> dict[str, Any]:
+    """The settings with the ODD of a file. Raises UsageError: they have one, or the file is bad."""
+    from sumo_adv.config_odd import read_odd
+
+    if "odd" in settings:
+        raise UsageError(f"The plan has [settings.odd], and --odd {odd} is given as well; keep one.")
+    return {**settings, "odd": read_odd(odd).model_dump(mode="json", exclude_unset=True)}
 
 
 def _orders(
@@ -163,16 +180,14 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
     typer.echo(f"{len(jobs)} episodes{twice}, into {out}.")
 
 
-def _run(plan: Plan, orders: Orders, *, as_json: bool) -> None:
-    from sumo_adv.app import batch_parts, open_bank
-    from sumo_adv.batch.campaign import run_batch
+def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
+    from sumo_adv.app import run_campaign
     from sumo_adv.cli.batch_progress import Quiet, make_watcher
 
     if plan.learn == "during" and not as_json:
         typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
-    open_bank(orders.bank, make=True).close()
     with Quiet() if as_json else make_watcher() as watcher:
-        summary = run_batch(plan, orders, batch_parts(), watcher)
+        summary = run_campaign(plan, orders, watcher, states=states)
     typer.echo(json.dumps(summary.as_dict()) if as_json else _words_of(summary))
     if summary.stopped:
         typer.echo("sumo-adv: stopped; the same command again does the rest.", err=True)

@@ -27,7 +27,7 @@ def report(
         Path | None, typer.Option(help="File of a run's page, or folder of a batch's (default: in DIR).")
     ] = None,
     pages: Annotated[
-        int | None, typer.Option(min=0, help="Of a batch: make at most so many replay pages now (default: all).")
+        int | None, typer.Option(min=0, help="Of a batch: maximum number of replay pages made now (default: all).")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes (default: the cores).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,
@@ -64,6 +64,8 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
+    from sumo_adv.app import shipped_bank
+    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index.build import write_report
     from sumo_adv.report.index.rows import read_rows
 
@@ -72,15 +74,20 @@ def _batch(
         raise UsageError(f"{target} is a file; give a folder as --out.")
     table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
     runs = folder / "runs" if (folder / RESULTS).is_file() else folder
-    counter = _Counter(quiet=quiet)
+    packs, counter = _packs(folder), _Counter(quiet=quiet)
+    of = [runs / str(row["id"]) for row in table.rows]
+    coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
     made = write_report(
-        runs, target, folder.resolve().name, table, _packs(folder), most=pages, workers=workers, again=force,
+        runs, target, folder.resolve().name, table, packs, coverage, most=pages, workers=workers, again=force,
         tell=counter.tell,
     )  # fmt: skip
     counter.close()
+    cells = write_coverage(target, coverage)
+    met, every = coverage.covered()
     return {
         "index": str(made.index), "episodes": made.episodes, "pages": made.pages, "made": made.made,
-        "damaged": list(made.damaged), "words": _words(made),
+        "damaged": list(made.damaged), "coverage": str(cells), "cells": every, "covered": met,
+        "words": f"{_words(made)}\nCoverage: {met} of {every} cells have an encounter. Table: {cells}",
     }  # fmt: skip
 
 
@@ -97,9 +104,9 @@ def _loose(folder: Path) -> list[Path]:
 
 def _table(runs: Sequence[Path]) -> Table:
     from sumo_adv.batch.results import read_row
-    from sumo_adv.report.index.rows import Table
+    from sumo_adv.report.index.rows import table_of
 
-    return Table([{**row, "intent": row["intent"] or ""} for run in runs if (row := read_row(run)) is not None])
+    return table_of(row for run in runs if (row := read_row(run)) is not None)
 
 
 def _packs(folder: Path) -> Packs:

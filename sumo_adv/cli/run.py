@@ -12,7 +12,7 @@ import typer
 from sumo_adv import app
 from sumo_adv.cli.memory_common import Metric
 from sumo_adv.config import Settings, Until, load_settings
-from sumo_adv.datatypes import Ending
+from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
-FAILED = {
-    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
-    Ending.INTERRUPTED,
-}  # fmt: skip
 OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class
 
 
@@ -160,7 +156,7 @@ def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -
         typer.echo(json.dumps({**result, "folder": str(folder.target)}))
     else:
         typer.echo(summary(result, folder.target))
-    if episode.ending in FAILED:
+    if episode.ending in FAILED_ENDINGS:
         typer.echo(f"sumo-adv: {result['reason']}", err=True)
         raise typer.Exit(1)
 

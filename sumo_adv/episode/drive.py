@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from sumo_adv.drivers.vehicle import Senses
 from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.ego_actions import ActionCount
 from sumo_adv.geometry import Pose
+from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
@@ -56,6 +58,7 @@ class Drive:
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
+        self.lights: LightsNear | None = None  # set where the states of traffic lights are to be recorded
         self.playback = playback
         if playback is not None:
             playback.start(self.simulation)
@@ -123,7 +126,10 @@ class Drive:
         self.simulation.step()
         snapshot = self.simulation.read()
         if self.playback is not None:
-            snapshot = Snapshot(snapshot.time, self.playback.after_step(snapshot.raw, snapshot.time))
+            snapshot = replace(snapshot, raw=self.playback.after_step(snapshot.raw, snapshot.time))
+        if self.lights is not None and self.ego is not None and self.ego in snapshot.raw:
+            x, y = snapshot.raw[self.ego][:2]
+            snapshot = replace(snapshot, lights=self.lights.states(self.simulation, x, y))
         self.recording.append(snapshot)
         if self.ego is not None and self.ego in snapshot.raw:
             self.actions.stepped(snapshot.raw[self.ego][3])

@@ -16,6 +16,7 @@ from sumo_adv.datatypes import Track
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.encounter_filter import danger
+from sumo_adv.episode.encounter_place import place_of
 from sumo_adv.episode.situation_builder import build_situations, trigger_state
 from sumo_adv.episode.start_times import MOST_SHIFT
 from sumo_adv.episode.task import FoundEncounter
@@ -56,8 +57,8 @@ def build_encounter(
         passed_over: reasons why earlier encounters were passed over.
     """
     if not ranking or drive.ego is None:
-        return "no vehicle near could endanger the ego"
-    trigger = trigger_state(drive, ranking)
+        return "no vehicle near could endanger the ego" + (" within the ODD" if settings.odd is not None else "")
+    trigger, place = trigger_state(drive, ranking), place_of(road, drive)
     late = MOST_SHIFT if all(c.meets_ahead for c in ranking) else 0.0
     baseline = baseline_for(settings.duration + max(settings.delays) + late)
     tracks = {name: t.between(-math.inf, trigger.time + checked) for name, t in baseline.tracks.items()}
@@ -72,7 +73,7 @@ def build_encounter(
     area = _area_around(baseline.tracks[trigger.ego].between(trigger.time, math.inf))
     encounter = FoundEncounter(
         trigger.ego, trigger.time, order, situations, baseline.snapshots, tuple(passed_over), road.drivable(*area),
-        baseline.sizes, area,
+        baseline.sizes, area, place=place,
     )  # fmt: skip
     return encounter, baseline
 

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.encounter_place import place_of
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
@@ -61,16 +63,22 @@ class _Seen:
     path: bool = False
     moved: bool = False
     near: bool = False
+    outside: bool = False  # the ego or a vehicle near, of the ODD
 
 
 class EncounterDetector:
     """Watches one ego. Call ``look`` every half second."""
 
-    def __init__(self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False) -> None:
-        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack, empty for all."""
+    def __init__(
+        self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False,
+        odd: Odd | None = None,
+    ) -> None:  # fmt: skip
+        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack, empty for all; odd: no
+        encounter begins outside it."""
         self.road = road
         self.shortlist = shortlist
         self.only = only
+        self.odd = odd
         self.best = 0.0
         self.moments: list[tuple[float, int]] = []  # of a recording, below the threshold: risk, step
         self._looks, self._recorded = 0, recorded
@@ -108,11 +116,27 @@ class EncounterDetector:
         names = self._near(drive, ego)
         self._seen.near |= bool(names)
         placed = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
+        if self.odd is not None and placed:
+            placed = self._inside(self.odd, drive, placed)
         return sorted(placed, key=lambda c: (-c.risk, c.id))[: self.shortlist]
+
+    def _inside(self, odd: Odd, drive: Drive, placed: list[RankedVehicle]) -> list[RankedVehicle]:
+        """Those of the vehicles that the ODD lets attack here."""
+        inside = odd.contains(place_of(self.road, drive))
+        kept = [c for c in placed if inside and odd.has_relation(c.relation)]
+        self._seen.outside |= len(kept) < len(placed)
+        return kept
+
+    @property
+    def outside(self) -> str:
+        """A sentence, if the ODD kept vehicles from attacking; else empty."""
+        return "The ODD kept vehicles from attacking." if self._seen.outside else ""
 
     @property
     def missing(self) -> str:
         """What kept the ego from an encounter, in a sentence."""
+        if self.outside:
+            return self.outside
         if not self._seen.path:
             return "The ego is on no road, or does not move in what is left of its log."
         if not self._seen.near:

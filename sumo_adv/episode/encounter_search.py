@@ -104,8 +104,9 @@ class EncounterSearch:
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(
-            self.road, self.task.settings.shortlist, self.task.only, recorded=self.drive.recorded()
-        )
+            self.road, self.task.settings.shortlist, self.task.only, recorded=self.drive.recorded(),
+            odd=self.task.settings.odd,
+        )  # fmt: skip
 
     def _inserted(self, name: str) -> float:
         """When a vehicle was first seen [s]. A recorded vehicle is there before its driver takes over."""
@@ -128,7 +129,7 @@ class EncounterSearch:
             Ending.NO_ENCOUNTER,
             f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
             f"(highest risk seen {detector.best:.2f}, {ON:.2f} is needed); "
-            "try a longer --end, more --density, another --seed or --ego-id.",
+            f"try a longer --end, more --density, another --seed or --ego-id. {detector.outside}".rstrip(),
         )
 
     def _refuse_unknown(self) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, reachable
-from sumo_adv.datatypes import Ending, Role, Verdict
+from sumo_adv.datatypes import Ending, Place, Role, Verdict
 from sumo_adv.drivers.given import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.ego_actions import EgoActions
@@ -63,6 +63,7 @@ class FoundEncounter:
     sizes: Mapping[str, tuple[float, float]]
     area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
     last: bool = False  # no other encounter comes
+    place: Place | None = None  # what surrounds the ego
     below_threshold: float | None = None  # the highest risk, where no moment of a recording reaches the threshold
 
     @property

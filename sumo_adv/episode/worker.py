@@ -32,6 +32,7 @@ from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
 from sumo_adv.simulation.engine import can_fork, in_forks
+from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import tracks_of
@@ -66,6 +67,8 @@ class Worker:
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
+        lights = LightsNear(self._road)
+        self._drive.lights = lights if len(lights) else None
         self._forks = task.settings.fork and can_fork() and controller.forkable
         self._search = EncounterSearch(self._drive, self._road, task)
 

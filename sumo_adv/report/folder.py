@@ -21,13 +21,14 @@ from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
-from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_states
+from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_signals, write_states
 from sumo_adv.report.verdicts import figures, judge_best
 from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts
+SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
 PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact
 
 
@@ -144,6 +145,7 @@ def _tables(stage: Path, episode: Episode) -> None:
     if best is not None:
         roles = episode.task.roles(episode.found.ego, best.proposal.bv)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
+    write_signals(stage / SIGNALS, _attempt_snapshots(episode))
     if episode.refinement.best:
         _first(stage / FIRST, episode, sizes)
 

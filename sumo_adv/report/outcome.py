@@ -24,6 +24,7 @@ from sumo_adv.datatypes import (
     plain_acceleration,
 )
 from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 
@@ -53,10 +54,7 @@ def outcome(
         "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
         "adversaries": [{"id": best.proposal.bv}] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
-        "encounter": None if found is None else {
-            "time": number(found.time), "passed_over": list(found.passed_over),
-            "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
-        },
+        "encounter": None if found is None else _encounter(found),
         "agents": _agents(episode),
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
@@ -66,6 +64,19 @@ def outcome(
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
+    }  # fmt: skip
+
+
+def _encounter(found: FoundEncounter) -> dict[str, Any]:
+    """When and where the attack could begin, and the vehicles that could attack."""
+    place = found.place
+    return {
+        "time": number(found.time), "passed_over": list(found.passed_over),
+        "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
+        "road": None if place is None or place.road is None else str(place.road),
+        "ego_speed": None if place is None else number(place.speed),
+        "limit": None if place is None else number(place.limit),
+        "vehicles_near": None if place is None else place.vehicles_near,
     }  # fmt: skip
 
 

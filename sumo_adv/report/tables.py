@@ -15,6 +15,7 @@ from sumo_adv.metrics.criticality import AVAILABLE
 from sumo_adv.metrics.series import series
 from sumo_adv.metrics.validity import MOST
 from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.signals import COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
@@ -50,6 +51,22 @@ def write_states(
             rows.append((time, order, text))
     rows.sort(key=lambda r: (r[0], r[1]))
     write_gzip(target, HEADER + "".join(r[2] for r in rows))
+
+
+def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
+    """``signals.csv.gz``: a row whenever a light near the ego changes, as ``simulation/signals.py`` reads it.
+
+    Nothing is written where no light was near.
+    """
+    shown: dict[str, str] = {}
+    rows = []
+    for snapshot in snapshots:
+        for name, state in snapshot.lights.items():
+            if shown.get(name) != state:
+                shown[name] = state
+                rows.append(f"{snapshot.time:.2f},{quoted(name)},{state}\n")
+    if rows:
+        write_gzip(target, ",".join(COLUMNS) + "\n" + "".join(rows))
 
 
 PLAN_HEADER = "time,x,y,heading,speed,acceleration\n"

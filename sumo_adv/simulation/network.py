@@ -100,6 +100,16 @@ class RoadMap:
         return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
 
     @cached_property
+    def meeting_junctions(self) -> frozenset[str]:
+        """Ids of the junctions that passenger cars reach from two or more edges."""
+        edges: dict[str, set[str]] = {}
+        for lane in self.lanes.values():
+            for connection in () if lane.internal else lane.connections:
+                if connection.link[0] and lane.passenger:
+                    edges.setdefault(connection.link[0], set()).add(lane.edge)
+        return frozenset(name for name, approaching in edges.items() if len(approaching) > 1)
+
+    @cached_property
     def _passenger_tree(self) -> tuple[Any, list[Lane]]:
         from shapely import LineString, STRtree
 

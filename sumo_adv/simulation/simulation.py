@@ -80,10 +80,14 @@ class SimulationSpec:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane."""
+    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane.
+
+    lights: by id the states of the traffic lights near the ego, where they are recorded.
+    """
 
     time: float
     raw: Mapping[str, RawState]
+    lights: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -22,6 +22,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.report.coverage import Coverage
 from sumo_adv.report.index.make import Made, make_index, road_of
 from sumo_adv.report.index.rows import Table
 from sumo_adv.report.page.document import write_document
@@ -60,6 +61,7 @@ def write_report(
     name: str,
     table: Table,
     packs: Packs,
+    coverage: Coverage | None = None,
     *,
     most: int | None = None,
     workers: int = 1,
@@ -68,8 +70,8 @@ def write_report(
 ) -> Report:
     """Make the pages that are missing, ``most`` of them (None: all), the most critical first, then the index.
 
-    ``runs``: the folder of the runs, by id; ``again``: make all of them anew. On Ctrl-C what is done is kept.
-    Raises UsageError where ``out`` cannot be written.
+    ``runs``: the folder of the runs, by id; ``coverage``: shown in the index; ``again``: make all pages anew. On Ctrl-C
+    what is done is kept. Raises UsageError where ``out`` cannot be written.
     """
     made, roads = _read(out) if not again else ({}, {})
     stamps = _stamps(runs, table, packs)
@@ -89,7 +91,7 @@ def write_report(
             tell(done, len(missing))
     finally:
         _write(out, made, roads)
-        write_document(out / INDEX, make_index(name, table, made, roads))
+        write_document(out / INDEX, make_index(name, table, made, roads, coverage))
     return Report(out / INDEX, len(table.rows), len(made), done - len(damaged), damaged)
 
 

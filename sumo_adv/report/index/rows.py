@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,10 @@ from typing import Any
 from sumo_adv.errors import UsageError
 
 RESULTS = "results.csv"
-WORDS = ("id", "network", "ego", "intent", "ending", "failure")
-NUMBERS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds")
+WORDS = (
+    "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
+)  # fmt: skip
+NUMBERS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 TRUTHS = ("collided", "valid", "critical")
 VARIED = "set_"
 
@@ -24,6 +26,11 @@ class Table:
 
     rows: Sequence[Mapping[str, Any]]
     varied: Sequence[str] = ()
+
+
+def table_of(rows: Iterable[Mapping[str, Any]]) -> Table:
+    """The table of rows that were made here, not read from a file."""
+    return Table([{**row, **{name: row[name] or "" for name in WORDS}} for row in rows])
 
 
 def read_rows(file: Path) -> Table:

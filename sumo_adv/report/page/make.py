@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Track
+from sumo_adv.datatypes import FAILED_ENDINGS, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.page.document import asset, document
+from sumo_adv.report.page.markings import lane_changes
 from sumo_adv.report.page.read import RunRead, read_run
-from sumo_adv.report.page.road import Strip, network, strips_near
+from sumo_adv.report.page.road import RoadNear, network, road_near
 from sumo_adv.report.page.scene import Shown, make_attempts, make_scene
 from sumo_adv.report.page.words import planner_versions
 
@@ -46,12 +47,13 @@ def page_of(folder: Path, back: str | None = None) -> Page:
         scene, moments, place = None, [], None
         if made is not None:
             grid, attempts = made
-            scene = make_scene(_strips(run, attempts), grid, attempts)
+            scene = make_scene(_road(run, attempts), grid, attempts, run.lights)
             moments = _moments(run.outcome, attempts)
             place = _place(run, attempts)
         data = {
             "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
             "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
+            "failed": run.outcome["ending"] in FAILED_ENDINGS,
         }  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise UsageError(
@@ -60,13 +62,13 @@ def page_of(folder: Path, back: str | None = None) -> Page:
     return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place, network_name(run.manifest))
 
 
-def _strips(run: RunRead, attempts: Sequence[Shown]) -> list[Strip]:
+def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
     name = network_name(run.manifest)
     file = run.folder / "inputs" / name
     if not name or not file.is_file():
-        return []
+        return RoadNear()
     paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
-    return strips_near(network(file), paths) if paths else []
+    return road_near(network(file), lane_changes(file), paths) if paths else RoadNear()
 
 
 def network_name(manifest: Mapping[str, Any]) -> str:

@@ -15,9 +15,10 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.report.folder import FIRST
+from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEADER
+from sumo_adv.simulation.signals import SignalLog, read_signals
 
 OUTCOME, MANIFEST = "outcome.json", "manifest.json"
 NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
@@ -29,7 +30,8 @@ class RunRead:
 
     ``best``: the attempt that counts from the start of its simulation on, or the unattacked run where there was no
     attempt; ``raw``: the unattacked run; ``first``: ego and adversary of the first attempt where that is another.
-    ``attacks``: the index of each attempt of another kind that succeeded too, and its tracks.
+    ``attacks``: the index of each attempt of another kind that succeeded too, and its tracks. ``lights``: what the
+    traffic lights near the ego showed in the attempt that counts.
     """
 
     folder: Path
@@ -39,6 +41,7 @@ class RunRead:
     raw: Sequence[Track]
     first: Sequence[Track]
     attacks: Sequence[tuple[int, Sequence[Track]]] = ()
+    lights: SignalLog = SignalLog({})  # noqa: RUF009 - frozen
 
 
 def read_run(folder: Path) -> RunRead:
@@ -48,7 +51,8 @@ def read_run(folder: Path) -> RunRead:
     outcome = _json(folder / OUTCOME)
     manifest = _json(folder / MANIFEST) if (folder / MANIFEST).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
-    return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome))
+    lights = read_signals(folder / SIGNALS) if (folder / SIGNALS).is_file() else SignalLog({})
+    return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights)
 
 
 def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[Track]]]:
@@ -74,9 +78,12 @@ def damaged(file: Path, error: Exception | str) -> UsageError:
     return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
 
 
-def columns_of(file: Path) -> dict[str, tuple[str, ...]]:
-    """The columns of a table of states as text; empty ones where there is no such file. Raises UsageError: damaged."""
-    names = HEADER.strip().split(",")
+def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:
+    """The columns of a table as text (of states, unless another header is ``expected``).
+
+    They are empty where there is no such file. Raises UsageError: the file is damaged.
+    """
+    names = expected.strip().split(",")
     if not file.is_file():
         return dict.fromkeys(names, ())
     try:

@@ -12,8 +12,10 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track
 from sumo_adv.metrics.series import series
 from sumo_adv.report.page.encode import Ints, packed, whole
+from sumo_adv.report.page.markings import lights_of
 from sumo_adv.report.page.read import RunRead
-from sumo_adv.report.page.road import Strip
+from sumo_adv.report.page.road import RoadNear
+from sumo_adv.simulation.signals import SignalLog
 
 BEFORE = 60.0  # s, shown before the trigger at most
 AFTER = 2.0  # s of the unattacked run after the attempts' end
@@ -67,13 +69,18 @@ class Grid:
         return round((time - self.start) / self.step)
 
 
-def make_scene(strips: Sequence[Strip], grid: Grid, attempts: Sequence[Shown]) -> dict[str, Any]:
+def make_scene(road: RoadNear, grid: Grid, attempts: Sequence[Shown], lights: SignalLog) -> dict[str, Any]:
     """The scene as JSON: figures as they are, positions, series and the road packed in ``blob``."""
+    names = lights_of(road.stops)
+    shown = [lights.lights.get(name, ((), ())) for name in names]
     return {
         "start": round(grid.start, 3), "step": grid.step, "frames": grid.frames, "origin": list(grid.origin),
         "attempts": [_described(a) for a in attempts],
-        "lanes": [[len(s.line), round(s.width, 2), s.kind] for s in strips],
-        "blob": packed(list(_columns(attempts, strips, grid))),
+        "lanes": [[len(s.line), round(s.width, 2), s.kind] for s in road.strips],
+        "markings": [[len(m.line), m.kind] for m in road.markings],
+        "stops": [[s.kind, names.index(s.light) if s.light else -1, list(s.links)] for s in road.stops],
+        "lights": [[[grid.frame(time) for time in times], list(states)] for times, states in shown],
+        "blob": packed(list(_columns(attempts, road, grid))),
     }  # fmt: skip
 
 
@@ -88,7 +95,7 @@ def _described(a: Shown) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _columns(attempts: Sequence[Shown], strips: Sequence[Strip], grid: Grid) -> Iterator[tuple[int, Ints]]:
+def _columns(attempts: Sequence[Shown], road: RoadNear, grid: Grid) -> Iterator[tuple[int, Ints]]:
     """In the order in which the script reads them; alike beside alike packs best."""
     for name in ("x", "y", "heading"):
         for attempt in attempts:
@@ -98,9 +105,10 @@ def _columns(attempts: Sequence[Shown], strips: Sequence[Strip], grid: Grid) -> 
     for attempt in attempts:
         for curve in attempt.curves:
             yield 1, curve
-    for axis in (0, 1):
-        for strip in strips:
-            yield 1, whole(strip.line[:, axis] - grid.origin[axis], CENTIMETRE)
+    for lines in (road.strips, road.markings, road.stops):
+        for axis in (0, 1):
+            for each in lines:
+                yield 1, whole(each.line[:, axis] - grid.origin[axis], CENTIMETRE)
 
 
 def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:

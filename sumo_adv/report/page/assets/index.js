@@ -1,9 +1,12 @@
 const ROW = 33, OVER = 12;  // px of a row with its line; rows kept beyond the visible ones
+const DRAWN = CLASSES.filter((c) => c.key !== "failed");
 const SECONDS = (v) => (v === null ? NEVER : v.toFixed(2));
 const HEADS = [
   { name: "network", words: "network", wide: "wide" }, { name: "ego", words: "ego", wide: "middle" }, { name: "seed", words: "seed", wide: "narrow" },
   { name: "intent", words: "intent", wide: "wide" }, { name: "raw_min_ttc", words: "unattacked", wide: "narrow", show: SECONDS },
   { name: "min_ttc", words: "min TTC", wide: "narrow", show: SECONDS }, { name: "class", words: "came to", wide: "wide" },
+  { name: "severity", words: "severity", wide: "narrow" }, { name: "delta_v", words: "delta-v [m/s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
+  { name: "preventable_by", words: "preventable by", wide: "wide" }, { name: "relation", words: "adversary", wide: "narrow" }, { name: "road", words: "road", wide: "narrow" },
   { name: "attempts", words: "attempts", wide: "narrow" }, { name: "seconds", words: "took [s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
   ...data.varied.map((name) => ({ name, words: name.slice(4), wide: "middle" })), { name: "id", words: "id", wide: "middle" },
 ];
@@ -13,7 +16,7 @@ const address = (i) => (data.page[i] ? `pages/${encodeURIComponent(columns.id[i]
 function textOf(head, i) {
   if (head.name === "class") {
     const kind = CLASSES.find((c) => c.key === classes[i]);
-    return `${kind.sign} ${columns.failure[i] || kind.words}`;
+    return `${kind.sign} ${kind.words}${columns.failure[i] ? `: ${columns.failure[i]}` : ""}`;
   }
   const value = columns[head.name][i];
   return head.show ? head.show(value) : value === null || value === "" ? "–" : String(value);
@@ -76,7 +79,7 @@ function gap(id, rows) {
   body.hidden = rows === 0;
 }
 
-const filter = { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", most: null };
+const filter = { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", severity: "", most: null };
 const order = { name: null, sign: 1 };
 
 function fill(id, options) {
@@ -87,8 +90,9 @@ function share(many, of) { return of ? `${many} (${((100 * many) / of).toFixed(1
 
 function counts(rows) {
   const came = counted(rows, (i) => classes[i]), of = (k) => came.get(k) || 0, n = rows.length;
+  const valid = of("serious") + of("strict") + of("valid");
   const critical = rows.filter((i) => columns.critical[i]).length;
-  return `${n} of ${total} episodes shown. Of these ${share(critical, n)} critical, ${share(of("valid") + of("collision"), n)} collided, ${share(of("valid"), n)} valid, ${share(of("failed"), n)} failed.`;
+  return `${n} of ${total} episodes shown. Of these ${share(critical, n)} critical, ${share(valid + of("collision"), n)} collided, ${share(valid, n)} valid, ${share(of("serious"), n)} serious, ${share(of("failed"), n)} failed.`;
 }
 
 function start() {
@@ -111,16 +115,19 @@ function start() {
   byId("lead").textContent = `${data.page.filter(Boolean).length} have a replay page. Failed episodes stay in every denominator.`;
   for (const name of ["network", "intent", "ego"]) fill(name, kinds[name].filter(Boolean).map((v) => [v, v]));
   fill("outcome", CLASSES.map((c) => [c.key, c.words]));
-  for (const name of ["network", "intent", "ego", "outcome", "valid"]) byId(name).addEventListener("change", (e) => { filter[name] = e.target.value; refresh(); });
+  fill("severity", SEVERITIES.map((name) => [name, name]));
+  for (const name of ["network", "intent", "ego", "outcome", "valid", "severity"]) byId(name).addEventListener("change", (e) => { filter[name] = e.target.value; refresh(); });
   byId("search").addEventListener("input", (e) => { filter.search = e.target.value.trim().toLowerCase(); refresh(); });
   byId("most").addEventListener("input", (e) => { filter.most = e.target.value === "" ? null : Number(e.target.value); refresh(); });
   byId("reset").addEventListener("click", () => {
-    Object.assign(filter, { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", most: null });
-    for (const name of ["search", "network", "intent", "ego", "outcome", "valid", "most"]) byId(name).value = "";
+    Object.assign(filter, { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", severity: "", most: null });
+    for (const name of ["search", "network", "intent", "ego", "outcome", "valid", "severity", "most"]) byId(name).value = "";
     refresh();
   });
   heads(refresh);
   startMap(places);
+  egosTable();
+  startCoverage();
   refresh();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => places.draw(places.rows));
   new ResizeObserver(() => { list.draw(); places.draw(places.rows); }).observe(byId("list"));
@@ -146,7 +153,7 @@ function startMap(places) {
   const many = counted(data.map.keys(), (i) => data.map[i]);
   byId("maps").replaceChildren(...data.maps.map((m, k) => el("option", { value: k }, `${m.name.replace(/^[0-9a-f]{12}-/, "").replace(/\.net\.xml(\.gz)?$/, "")} (${many.get(k)})`)));
   byId("maps").addEventListener("change", (e) => places.choose(Number(e.target.value)));
-  byId("key").replaceChildren(...CLASSES.slice(0, 4).map((c) => el("span", null, el("i", { class: `sign-${c.key}` }, c.sign), ` ${c.words}`)));
+  byId("key").replaceChildren(...DRAWN.map((c) => el("span", null, el("i", { class: `sign-${c.key}` }, c.sign), ` ${c.words}`)));
   places.choose(0);
 }
 

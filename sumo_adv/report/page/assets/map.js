@@ -1,4 +1,5 @@
 const SMALL = 13;  // px: a shorter vehicle gets a ring
+const SEAM = 0.1;  // m: by so much a lane is drawn wider, so that no seam shows between neighbours
 const FONT = "600 12px system-ui, sans-serif";
 
 /** The map: the road on one canvas, drawn again only when the view changes, and what moves on another. */
@@ -13,6 +14,8 @@ class MapView {
     this.beside = false;
     this.spot = { x: 0, y: 0, heading: 0 };
     this.paths = roadPaths(scene.lanes);
+    this.painted = paintPaths(scene);
+    this.lit = scene.stops.filter((stop) => stop.light);
     this.drawn = "";
     this.resize();
   }
@@ -81,6 +84,7 @@ class MapView {
     this.shownPanels = this.panels(attempts);
     const at = this.shownPanels.map((p) => this.centre(p.attempt, frame));
     this.drawRoad(at);
+    this.writeScale();
     const c = this.canvas.getContext("2d");
     c.setTransform(1, 0, 0, 1, 0, 0);
     c.clearRect(0, 0, this.canvas.width, this.canvas.height);
@@ -121,21 +125,40 @@ class MapView {
       c.rect(panel.left * r, panel.top * r, panel.width * r, panel.height * r);
       c.clip();
       c.setTransform(s, 0, 0, -s, (panel.left + panel.width / 2) * r - at[i].x * s, (panel.top + panel.height / 2) * r + at[i].y * s);
-      c.lineJoin = "round";
-      c.fillStyle = k.junction;
-      c.fill(this.paths.areas);
-      for (const { path, width, kind } of this.paths.strips) {
-        const mark = kind === 0 ? Math.max(0.24, 1.2 / s) : 0;
-        c.lineWidth = width;
-        c.strokeStyle = kind === 2 ? k.footway : kind === 1 ? k.junction : k.marking;
-        c.stroke(path);
-        if (!mark) continue;
-        c.lineWidth = Math.max(width - mark, 0.1);
-        c.strokeStyle = k.asphalt;
-        c.stroke(path);
-      }
+      this.drawSurface(c, k);
+      this.drawPaint(c, k, s);
       c.restore();
     });
+  }
+
+  /** Footways, then one surface of lanes and junctions: ends of lanes reach into junctions, neighbours overlap. */
+  drawSurface(c, k) {
+    c.lineJoin = "round";
+    c.fillStyle = k.asphalt;
+    for (const { path, width, kind } of this.paths.strips) {
+      c.lineCap = kind === 2 ? "butt" : "square";
+      c.lineWidth = width + (kind === 2 ? 0 : SEAM);
+      c.strokeStyle = kind === 2 ? k.footway : k.asphalt;
+      c.stroke(path);
+    }
+    c.fill(this.paths.areas);
+    c.lineWidth = SEAM;
+    c.stroke(this.paths.areas);
+  }
+
+  /** Lines along lanes and across them; those of traffic lights are drawn with what moves. */
+  drawPaint(c, k, s) {
+    c.lineCap = "butt";
+    c.strokeStyle = k.marking;
+    c.lineWidth = Math.max(0.15, 1.1 / s);
+    c.stroke(this.painted.solid);
+    c.setLineDash([3, 6]);
+    c.stroke(this.painted.dashed);
+    c.lineWidth = Math.max(0.5, 2 / s);
+    c.setLineDash([0.5, 0.4]);
+    c.stroke(this.painted.giveWay);
+    c.setLineDash([]);
+    c.stroke(this.painted.stop);
   }
 
   drawPanel(c, panel, at, ghosts, frame) {
@@ -143,11 +166,11 @@ class MapView {
     const ox = panel.left + panel.width / 2 - at.x * s, oy = panel.top + panel.height / 2 + at.y * s;
     const place = { s, ox, oy, panel };
     const now = Math.min(frame, a.to);
+    this.drawLights(c, place, now);
     this.drawTrails(c, place, [a, ...ghosts], now);
     this.drawOthers(c, place, a, now);
     for (const g of ghosts) this.drawPair(c, place, g, Math.min(frame, g.to), true);
     this.drawPair(c, place, a, now, false);
-    this.drawScale(c, panel, s);
     c.font = FONT;
     c.textAlign = "left";
     if (this.beside || ghosts.length === 0) this.label(c, a.name + (a.key === "first" ? ": ego and adversary" : "") + (frame > a.to + 0.5 ? " (ended)" : ""), panel.left + 10, panel.top + 18, k[a.key] || k.ink);
@@ -155,6 +178,23 @@ class MapView {
       c.strokeStyle = k.soft;
       c.lineWidth = 1;
       c.strokeRect(panel.left - 0.5, panel.top - 0.5, panel.width + 1, panel.height + 1);
+    }
+  }
+
+  /** Stop lines at traffic lights: a part for each connection, in the colour that it has then. */
+  drawLights(c, { s, ox, oy }, frame) {
+    const k = this.colours;
+    c.lineWidth = Math.max(0.9 * s, 3);
+    for (const { light, links, x, y } of this.lit) {
+      const state = stateAt(light, frame), n = links.length;
+      links.forEach((link, i) => {
+        const at = (part) => [ox + (x[0] + (x[1] - x[0]) * part) * s, oy - (y[0] + (y[1] - y[0]) * part) * s];
+        c.strokeStyle = { r: k.stop, R: k.stop, y: k.wait, Y: k.wait, u: k.wait, g: k.go, G: k.go }[state[link]] || k.marking;
+        c.beginPath();
+        c.moveTo(...at(i / n));
+        c.lineTo(...at((i + 1) / n));
+        c.stroke();
+      });
     }
   }
 
@@ -263,14 +303,12 @@ class MapView {
     c.fillText(text, x, y);
   }
 
-  drawScale(c, panel, s) {
-    const metres = [500, 200, 100, 50, 20, 10, 5, 2].find((m) => m * s <= panel.width / 3) || 1;
-    const x = panel.left + 12, y = panel.top + panel.height - 12;
-    c.fillStyle = this.colours.ink;
-    c.fillRect(x, y, metres * s, 3);
-    c.font = FONT;
-    c.textAlign = "left";
-    this.label(c, `${metres} m`, x, y - 5, this.colours.ink);
+  /** The scale, under the map. */
+  writeScale() {
+    const s = this.view.scale, metres = [500, 200, 100, 50, 20, 10, 5, 2].find((m) => m * s <= this.width / 4) || 1;
+    const words = `${metres} m`, bar = byId("scale");
+    if (bar.textContent !== words) bar.textContent = words;
+    bar.style.width = `${metres * s}px`;
   }
 }
 
@@ -300,6 +338,15 @@ function trail(vehicle, from, to) {
     on = true;
   }
   return path;
+}
+
+/** The paint as paths in metres: what is drawn alike together. */
+function paintPaths({ markings, stops }) {
+  const painted = { solid: new Path2D(), dashed: new Path2D(), stop: new Path2D(), giveWay: new Path2D() };
+  const add = (path, line) => { for (let i = 0; i < line.count; i++) i ? path.lineTo(line.x[i], line.y[i]) : path.moveTo(line.x[i], line.y[i]); };
+  for (const line of markings) add(line.kind ? painted.dashed : painted.solid, line);
+  for (const line of stops) if (!line.light) add(line.kind === 1 ? painted.giveWay : painted.stop, line);
+  return painted;
 }
 
 /** Lanes as paths in metres, those of one width and kind together; the areas of junctions as one. */

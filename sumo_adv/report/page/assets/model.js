@@ -18,14 +18,18 @@ async function unpack(scene) {
     for (const name of CURVES) a.curve[name] = columns.next(a.curves[1], 1, 0.01);
   }
   const lanes = scene.lanes.map(([count, width, kind]) => ({ count, width, kind, x: null, y: null }));
-  for (const axis of ["x", "y"]) for (const lane of lanes) lane[axis] = columns.next(lane.count, 1, 0.01);
+  const markings = scene.markings.map(([count, kind]) => ({ count, kind }));
+  const stops = scene.stops.map(([kind, light, links]) => ({ count: 2, kind, light: light < 0 ? null : scene.lights[light], links }));
+  for (const lines of [lanes, markings, stops]) {
+    for (const axis of ["x", "y"]) for (const line of lines) line[axis] = columns.next(line.count, 1, 0.01);
+  }
   for (const a of attempts.slice(1)) prepend(a, attempts[0]);
   for (const a of attempts) {
     a.egoVehicle = a.vehicles.find((v) => v.id === a.ego) || null;
     a.adversaryVehicle = a.vehicles.find((v) => v.id === a.adversary) || null;
     a.others = a.vehicles.filter((v) => v !== a.egoVehicle && v !== a.adversaryVehicle);
   }
-  return { ...scene, attempts, lanes };
+  return { ...scene, attempts, lanes, markings, stops };
 }
 
 /** Give an attempt what it shares with the one that counts: all frames up to its own first. */
@@ -72,6 +76,13 @@ function pose(vehicle, frame, out) {
     return true;
   }
   return false;
+}
+
+/** What a light shows at a frame, a letter for each of its connections; empty where it was not recorded. */
+function stateAt([frames, states], frame) {
+  let shown = "";
+  for (let i = 0; i < frames.length && frames[i] <= frame + 1e-6; i++) shown = states[i];
+  return shown;
 }
 
 /** A curve's value at a frame; null where there is none. */

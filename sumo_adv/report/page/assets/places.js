@@ -39,8 +39,8 @@ class Places {
     for (const line of map.lines) line.forEach(([x, y], n) => { const p = this.at(x, y); n ? c.lineTo(...p) : c.moveTo(...p); });
     c.stroke();
     c.globalAlpha = 0.85;
-    for (const kind of ["calm", "critical", "collision", "valid"]) {
-      c.fillStyle = c.strokeStyle = { valid: k.adversary, collision: k.ego, critical: k.raw, calm: k.soft }[kind];
+    for (const kind of DRAWN.map((each) => each.key).reverse()) {
+      c.fillStyle = c.strokeStyle = { serious: k.adversary, strict: k.adversary, valid: k.adversary, collision: k.ego, critical: k.raw, calm: k.soft }[kind];
       for (const i of here) if (classes[i] === kind) sign(c, kind, ...this.at(data.x[i], data.y[i]));
     }
     c.globalAlpha = 1;
@@ -82,10 +82,15 @@ function boundsOf(chosen) {
 function sign(c, kind, x, y) {
   c.beginPath();
   if (kind === "collision") c.rect(x - 4, y - 4, 8, 8);
+  else if (kind === "serious") { for (const [dx, dy] of [[0, -7], [6, 0], [0, 7], [-6, 0]]) c.lineTo(x + dx, y + dy); c.closePath(); }
   else if (kind === "critical") { c.moveTo(x, y - 5); c.lineTo(x + 5, y + 4); c.lineTo(x - 5, y + 4); c.closePath(); }
   else c.arc(x, y, 4.5, 0, 7);
   c.lineWidth = 1.5;
-  if (kind === "calm") c.stroke(); else c.fill();
+  if (kind === "calm" || kind === "valid") c.stroke(); else c.fill();
+  if (kind !== "valid") return;
+  c.beginPath();
+  c.arc(x, y, 2, 0, 7);
+  c.fill();
 }
 
 async function roadLines(map) {

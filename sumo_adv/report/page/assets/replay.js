@@ -1,4 +1,4 @@
-const LEAD = 3, SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const LEAD = 3, OPENS = 1.5, SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const reduced = window.matchMedia("(prefers-reduced-motion: reduce)");
 
 /** Holds the time and what is shown; draws when something has changed. */
@@ -39,6 +39,20 @@ class Player {
   fit() {
     const all = this.scene.attempts, own = all.filter((a) => a.key !== "raw" || all.length === 1);
     this.map.fit(own, Math.max(this.from, Math.floor(this.trigger)), this.to, this.attempts());
+    this.redraw();
+  }
+
+  /** Begin shortly before the contact, or the closest approach, with the two vehicles as large as the map allows. */
+  open() {
+    const point = ["contact", "closest", "min_ttc"].map((key) => this.moments.find((m) => m.key === key)).find(Boolean);
+    if (!point) {
+      this.fit();
+      if (this.map.view.scale < 1) { this.map.view.scale = 3; this.setFollow(true); }
+      return;
+    }
+    const at = this.frameOf(point.time);
+    this.frame = Math.min(Math.max(Math.round(at - OPENS / this.scene.step), this.from), this.to);
+    this.map.fit(this.scene.attempts.slice(0, 1), this.frame, Math.ceil(at), this.attempts());
     this.redraw();
   }
 
@@ -278,8 +292,7 @@ async function start() {
   connect(player);
   connectPointers(player);
   connectKeys(player);
-  player.fit();
-  if (player.map.view.scale < 1) { player.map.view.scale = 3; player.setFollow(true); }
+  player.open();
   goTo(player, location.hash);
   player.draw();
   return player;

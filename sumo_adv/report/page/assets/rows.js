@@ -9,20 +9,21 @@ for (const [name, values] of Object.entries(data.columns)) {
 
 /** What an episode came to, the worst first: a key, its words, its sign on the map. */
 const CLASSES = [
-  { key: "valid", words: "valid collision", sign: "●" }, { key: "collision", words: "collision, not valid", sign: "■" },
+  { key: "serious", words: "serious collision", sign: "◆" }, { key: "strict", words: "strict collision", sign: "●" },
+  { key: "valid", words: "valid collision", sign: "◉" }, { key: "collision", words: "collision, not valid", sign: "■" },
   { key: "critical", words: "critical, no contact", sign: "▲" }, { key: "calm", words: "not critical", sign: "○" },
   { key: "failed", words: "failed", sign: "✕" },
 ];
 
 function classOf(i) {
   if (columns.failure[i]) return "failed";
-  if (columns.collided[i]) return columns.valid[i] ? "valid" : "collision";
+  if (columns.collided[i]) return ["serious", "strict"].includes(columns.level[i]) ? columns.level[i] : columns.valid[i] ? "valid" : "collision";
   return columns.critical[i] ? "critical" : "calm";
 }
 
 const classes = Array.from({ length: total }, (_, i) => classOf(i));
 const haystack = Array.from({ length: total }, (_, i) =>
-  ["id", "network", "ego", "intent", "ending", "failure"].map((name) => columns[name][i]).join("\n").toLowerCase());
+  ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by"].map((name) => columns[name][i]).join("\n").toLowerCase());
 
 /** The numbers of the rows that pass a filter, in the order of a column. */
 function selected(filter, order) {
@@ -34,6 +35,7 @@ function selected(filter, order) {
     if (filter.ego && columns.ego[i] !== filter.ego) continue;
     if (filter.outcome && classes[i] !== filter.outcome) continue;
     if (filter.valid && { true: "yes", false: "no" }[columns.valid[i]] !== filter.valid && !(filter.valid === "none" && columns.valid[i] === null)) continue;
+    if (filter.severity && columns.severity[i] !== filter.severity) continue;
     if (filter.most !== null && !(columns.min_ttc[i] !== null && columns.min_ttc[i] <= filter.most)) continue;
     rows.push(i);
   }

@@ -32,19 +32,19 @@ function headline(outcome) {
     quoted(outcome.ego.controller), `, seed ${outcome.seed}. `, quoted(outcome.reason)));
   const v = outcome.outcome, badges = [];
   if (v) {
+    if (v.level) badges.push([`level: ${answer(v.level)}`, ["valid", "strict", "serious"].includes(v.level) ? "level good" : "level"]);
+    if (v.severity) badges.push([`severity: ${answer(v.severity)}, delta-v ${number(v.delta_v, 1, "m/s")}`, "level"]);
+    if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", "level"]);
     badges.push([v.collided ? "collision" : "no contact", v.collided ? "bad" : ""]);
     badges.push([`min TTC ${number(v.min_ttc, 2, "s")}`, ""]);
-    badges.push([v.critical ? "critical" : "not critical", ""]);
-    if (v.valid !== null) badges.push([v.valid ? "✓ valid" : "✗ not valid", v.valid ? "good" : "bad"]);
+    if (!v.level) badges.push([v.critical ? "critical" : "not critical", ""]);
+    if (!v.level && v.valid !== null) badges.push([v.valid ? "✓ valid" : "✗ not valid", v.valid ? "good" : "bad"]);
     badges.push([v.feasible ? "✓ feasible" : "✗ not feasible", v.feasible ? "good" : "bad"]);
-    if (v.level && v.level !== "none") badges.push([`level: ${v.level}`, ["valid", "strict", "serious"].includes(v.level) ? "good" : ""]);
-    if (v.severity) badges.push([`${v.severity}, delta-v ${number(v.delta_v, 1, "m/s")}`, ""]);
-    if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", ""]);
     if (v.inconclusive) badges.push([`inconclusive: ${answer(v.inconclusive)}`, "bad"]);
     if (v.ego_stationary) badges.push(["the ego stood", "bad"]);
     if (v.avoidable && !v.level) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
     if (v.rear_end) badges.push(["rear-end", "bad"]);
-  } else badges.push([answer(outcome.ending), "bad"]);
+  } else badges.push([data.failed ? `failed: ${answer(outcome.ending)}` : answer(outcome.ending), "bad"]);
   byId("badges").replaceChildren(...badges.map(([words, kind]) => el("li", { class: kind || null }, words)));
 }
 

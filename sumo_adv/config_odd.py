@@ -1,0 +1,77 @@
+"""The operational design domain (ODD) of a campaign: encounters outside it are not attacked.
+
+    roads = ["urban", "junction"]            # motorway | rural | urban | junction; left out: all
+    relations = ["oncoming", "crossing"]     # leader | follower | neighbour | oncoming | crossing | merging
+    speed = [0.0, 14.0]                      # m/s, of the ego when the attack may begin
+    vehicles_near = [1, 12]                  # vehicles within 70 m of the ego then
+
+A key that is left out restricts nothing. Both ends of a range belong to it.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from sumo_adv.datatypes import Place, RoadClass
+from sumo_adv.errors import UsageError
+from sumo_adv.situation import Relation
+
+
+def _ascending(given: tuple[float, float]) -> tuple[float, float]:
+    if given[0] > given[1]:
+        raise ValueError("write the lower end of the range first")
+    return given
+
+
+Speeds = Annotated[
+    tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], AfterValidator(_ascending)
+]  # m/s
+Counts = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ascending)]
+
+
+class Odd(BaseModel):
+    """Limits of the encounters that may be attacked."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    roads: tuple[RoadClass, ...] = ()
+    relations: tuple[Relation, ...] = ()
+    speed: Speeds | None = None
+    vehicles_near: Counts | None = None
+
+    def contains(self, place: Place) -> bool:
+        """Whether an attack may begin at a place. Off the network only an ODD without ``roads`` contains it."""
+        on_road = not self.roads or place.road in self.roads
+        low, high = self.speed or (0.0, math.inf)
+        fewest, most = self.vehicles_near or (0, math.inf)
+        return on_road and low <= place.speed <= high and fewest <= place.vehicles_near <= most
+
+    def has_relation(self, relation: str) -> bool:
+        """Whether a vehicle of that relation to the ego may attack."""
+        return not self.relations or relation in self.relations
+
+
+def read_odd(path: Path) -> Odd:
+    """The ODD in a TOML file. Raises UsageError: the file is missing, is no TOML, or has a bad key or value."""
+    try:
+        return Odd.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise UsageError(f"The ODD {path} cannot be read: {error.strerror or error}.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"The ODD {path} is not valid TOML: {error}.") from error
+    except ValidationError as error:
+        raise UsageError(f"The ODD {path} {_wrong(error)}") from error
+
+
+def _wrong(error: ValidationError) -> str:
+    first = error.errors()[0]
+    key = str(first["loc"][0])
+    if first["type"] == "extra_forbidden":
+        return f"has an unknown key '{key}'; known keys are {', '.join(Odd.model_fields)}."
+    message = first["msg"].removeprefix("Value error, ")
+    return f"has a bad '{key}': {message[:1].lower()}{message[1:]}."

@@ -1,0 +1,151 @@
+"""What a campaign has covered: encounters and failures by intent, relation, road class and speed of the ego.
+
+A cell is one combination of the four. An encounter counts in a cell if one of its attempts had the cell's intent and
+came from a vehicle of the cell's relation; it counts once, however many such attempts there were. It is a failure of
+the ego if one of these attempts reached the level ``valid``: a collision that a reference driver avoids.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from sumo_adv.config_odd import Odd
+from sumo_adv.datatypes import Level, RoadClass
+from sumo_adv.memory.records import IntentRecord
+from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.report.run_outcome import level_of
+
+BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
+HEADER = (
+    "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
+)  # fmt: skip
+ALL = "all"  # egos together
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Cell:
+    """One combination; ``band`` is an index into ``BANDS``."""
+
+    intent: str
+    relation: str
+    road: str
+    band: int
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A cell with its encounters and those of them in which the ego failed."""
+
+    cell: Cell
+    encounters: int
+    failures: int
+
+    @property
+    def rate(self) -> Estimate:
+        """The share of failures, with Wilson's 95 % interval; an empty cell has the value nan."""
+        return wilson(self.failures, self.encounters)
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """All cells of a campaign by ego, ``ALL`` first; cells without an encounter first, then those with the fewest.
+
+    unplaced: episodes that are in no cell, because no attempt was made or the run does not tell its place.
+    """
+
+    rows: Mapping[str, Sequence[Row]]
+    unplaced: int
+
+    def covered(self, ego: str = ALL) -> tuple[int, int]:
+        """How many cells have an encounter, and how many cells there are."""
+        return sum(row.encounters > 0 for row in self.rows[ego]), len(self.rows[ego])
+
+
+def band_of(speed: float) -> int:
+    """The index of the speed band [m/s]; a lower bound belongs to its band."""
+    return next(k for k, (_, high) in enumerate(BANDS) if speed < high)
+
+
+def cells_of(document: Mapping[str, Any]) -> dict[Cell, bool]:
+    """The cells that an episode counts in, and whether the ego failed there; from its ``outcome.json``."""
+    encounter = document["encounter"] or {}
+    road, speed = encounter.get("road"), encounter.get("ego_speed")
+    if road is None or speed is None:
+        return {}
+    relations = {each["id"]: each["relation"] for each in encounter["ranking"]}
+    found: dict[Cell, bool] = {}
+    for attempt in document["attempts"]:
+        relation = relations.get(attempt["adversaries"][0])
+        if relation is not None:
+            cell = Cell(attempt["intent"], relation, road, band_of(speed))
+            found[cell] = found.get(cell, False) or level_of(attempt.get("level")) >= Level.VALID
+    return found
+
+
+def pairs_of(library: Iterable[IntentRecord]) -> set[tuple[str, str]]:
+    """The intents of a bank with the relations that they can be tried from."""
+    active = [record for record in library if record.status == "active"]
+    return {(record.label, relation.split("_")[0]) for record in active for relation in record.applies}
+
+
+def make_coverage(
+    documents: Iterable[Mapping[str, Any]], library: Iterable[IntentRecord], odds: Sequence[Odd] = ()
+) -> Coverage:
+    """The coverage of episodes, given as their ``outcome.json``.
+
+    library: the bank's intents; what they apply to makes the cells. odds: the campaign's ODDs; a cell outside all of
+    them is left out unless it was met. Cells of an oncoming adversary on a motorway, which do not exist, are left out.
+    """
+    counts: dict[str, dict[Cell, list[int]]] = {ALL: {}}
+    unplaced = 0
+    for document in documents:
+        found = cells_of(document)
+        unplaced += not found
+        for ego in (ALL, str(document["ego"]["controller"])):
+            tally = counts.setdefault(ego, {})
+            for cell, failed in found.items():
+                count = tally.setdefault(cell, [0, 0])
+                count[0] += 1
+                count[1] += failed
+    pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL]}
+    roads, bands = tuple(str(road) for road in RoadClass), range(len(BANDS))
+    every = {Cell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
+    wanted = {cell for cell in every if _exists(cell) and (not odds or any(_within(cell, odd) for odd in odds))}
+    return Coverage({ego: _rows(wanted | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
+
+
+def _exists(cell: Cell) -> bool:
+    return (cell.relation, cell.road) != ("oncoming", str(RoadClass.MOTORWAY))
+
+
+def _within(cell: Cell, odd: Odd) -> bool:
+    """Whether an ODD contains some encounter of a cell."""
+    low, high = BANDS[cell.band]
+    slowest, fastest = odd.speed or (0.0, math.inf)
+    on_road = not odd.roads or cell.road in odd.roads
+    return on_road and odd.has_relation(cell.relation) and low <= fastest and slowest < high
+
+
+def _rows(cells: Iterable[Cell], tally: Mapping[Cell, Sequence[int]]) -> list[Row]:
+    rows = [Row(cell, *tally.get(cell, (0, 0))) for cell in cells]
+    return sorted(rows, key=lambda row: (row.encounters, -row.failures, row.cell))
+
+
+def coverage_csv(coverage: Coverage) -> str:
+    """All rows as CSV: the ego, the cell, counts, the rate of failures with its interval. An open end is empty."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(HEADER)
+    for ego, rows in coverage.rows.items():
+        for row in rows:
+            (low, high), rate, cell = BANDS[row.cell.band], row.rate, row.cell
+            shown = (f"{rate.value:.4f}" if row.encounters else "", f"{rate.low:.4f}", f"{rate.high:.4f}")
+            speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
+            writer.writerow((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
+    return text.getvalue()

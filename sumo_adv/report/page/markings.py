@@ -1,0 +1,123 @@
+"""What is painted on the road: lines beside lanes, stop lines and give-way lines, from a network.
+
+A network says little about paint, so these rules stand for it:
+
+between lanes of one direction   dashed if cars may change lanes over it from both sides (SUMO's ``changeLeft`` and
+                                 ``changeRight``), else solid
+edges of a carriageway           solid
+end of a lane                    a stop line at a traffic light or a stop sign; a dashed line if every way on gives way
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.simulation.scan import parse
+
+SOLID, DASHED = 0, 1
+STOP, GIVE_WAY, LIGHT = 0, 1, 2
+INSET = 0.15  # m from the edge of a carriageway to the line beside it
+BACK = 0.4  # m from the end of a lane to the middle of its line
+MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
+
+Changes = Mapping[str, tuple[bool, bool]]
+"""By lane, whether passenger cars may leave it to the left and to the right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Marking:
+    """A line along the road: ``(n, 2)`` [m], and whether it is ``SOLID`` or ``DASHED``."""
+
+    line: Floats
+    kind: int
+
+
+@dataclass(frozen=True, slots=True)
+class StopLine:
+    """A line across a lane from its right to its left side, ``(2, 2)`` [m].
+
+    kind: ``STOP``, ``GIVE_WAY`` or ``LIGHT``. light: the traffic light's id, '' without one; links: the places of the
+    lane's connections in the light's state, rightmost first.
+    """
+
+    line: Floats
+    kind: int
+    light: str = ""
+    links: tuple[int, ...] = ()
+
+
+@lru_cache(maxsize=4)
+def lane_changes(path: Path) -> Changes:
+    """Which lanes of a network restrict the change of lanes; the others do not. Raises UsageError."""
+    found: dict[str, tuple[bool, bool]] = {}
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if tag == "lane" and ("changeLeft" in attributes or "changeRight" in attributes):
+            found[attributes["id"]] = _allowed(attributes.get("changeLeft")), _allowed(attributes.get("changeRight"))
+
+    parse(path, start)
+    return found
+
+
+def _allowed(classes: str | None) -> bool:
+    """Whether a list of vehicle classes, or a list that is not given, has passenger cars in it."""
+    return classes is None or bool({"passenger", "all"} & set(classes.split()))
+
+
+def markings_of(road: RoadMap, changes: Changes) -> Iterator[Marking]:
+    """The lines along all edges outside junctions."""
+    for names in road.edges.values():
+        lanes = [road.lanes[name] for name in names if len(road.lanes[name].shape) > 1]
+        driven = [lane for lane in lanes if lane.passenger and not lane.internal]
+        if not driven:
+            continue
+        yield Marking(_beside(driven[0], INSET - driven[0].width / 2), SOLID)
+        for right, left in pairwise(driven):
+            both = changes.get(right.id, (True, True))[0] and changes.get(left.id, (True, True))[1]
+            yield Marking(_beside(right, right.width / 2), DASHED if both else SOLID)
+        yield Marking(_beside(driven[-1], driven[-1].width / 2 - INSET), SOLID)
+
+
+def _beside(lane: Lane, offset: float) -> Floats:
+    """A line beside the middle of a lane; ``offset`` [m] is positive to the left."""
+    from shapely import LineString
+
+    moved = LineString(lane.shape).offset_curve(offset, join_style="mitre")
+    points = np.asarray(moved.coords, float) if moved.geom_type == "LineString" else np.empty((0, 2))
+    return points if len(points) > 1 else lane.shape  # an offset that degenerates: a lane shorter than it is wide
+
+
+def stop_lines(road: RoadMap) -> Iterator[StopLine]:
+    """The lines across lanes at junctions."""
+    for lane in road.lanes.values():
+        onward = [c for c in lane.connections if c.movement != "u-turn"]
+        if lane.internal or not lane.passenger or not onward or len(lane.shape) < 2:
+            continue
+        lit = [c.light for c in onward if c.light[0]]
+        if lit:
+            yield StopLine(_across(lane), LIGHT, lit[0][0], tuple(k for _, k in lit))
+        elif all(c.state in MUST_STOP for c in onward):
+            yield StopLine(_across(lane), STOP)
+        elif all(c.state in MUST_STOP + MUST_YIELD for c in onward):
+            yield StopLine(_across(lane), GIVE_WAY)
+
+
+def _across(lane: Lane) -> Floats:
+    end, before = lane.shape[-1], lane.shape[-2]
+    forward = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
+    left = np.array([-forward[1], forward[0]]) * (lane.width / 2 - 0.1)
+    middle = end - BACK * forward
+    return np.stack([middle - left, middle + left])
+
+
+def lights_of(stops: Sequence[StopLine]) -> list[str]:
+    """The ids of the lights of some stop lines, each once."""
+    return sorted({stop.light for stop in stops if stop.light})

@@ -1,0 +1,180 @@
+"""A run's ``outcome.json`` as an object with attributes: what ``Result.outcome`` is.
+
+The verdict and the intents are the nouns of ``datatypes``. Times in s, distances in m, speeds in m/s; *never* is
+``inf``, and None means that the question does not arise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict
+from sumo_adv.errors import UsageError
+
+NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
+LISTS = ("failed_gates", "log_gates", "beyond_human")
+
+
+@dataclass(frozen=True, slots=True)
+class Unattacked:
+    """The unattacked run over the time of the attempt that counts."""
+
+    min_ttc: float
+    collided: bool
+
+
+@dataclass(frozen=True, slots=True)
+class EncounterRecord:
+    """Where and when the attack could begin.
+
+    ranking: id, relation and risk of the vehicles that could attack, highest risk first. road: motorway, rural, urban
+    or junction; ego_speed [m/s]; limit: the speed limit [m/s]; vehicles_near: within 70 m of the ego. None: not known.
+    """
+
+    time: float
+    ranking: tuple[tuple[str, str, float], ...]
+    road: str | None = None
+    ego_speed: float | None = None
+    limit: float | None = None
+    vehicles_near: int | None = None
+
+    def relation(self, vehicle: str) -> str | None:
+        """The relation of a ranked vehicle to the ego; None for a vehicle that is not ranked."""
+        return next((relation for name, relation, _ in self.ranking if name == vehicle), None)
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptRecord:
+    """One attempt. mode: the planner's; kind: intent, relation and side of the ego that is hit."""
+
+    index: int
+    intent: str
+    adversary: str
+    mode: str
+    trigger_time: float
+    level: Level
+    kind: str
+    min_ttc: float
+    min_distance: float
+    collided: bool
+    critical: bool
+    feasible: bool
+    valid: bool | None
+    strict: bool | None
+    delta_v: float | None
+    failed_gates: tuple[str, ...]
+    parameters: Mapping[str, float | None]
+    ending: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The outcome of a run.
+
+    best: the index of the attempt that counts. adversary, trigger_time [s], verdict: of this attempt, None without one.
+    ego_driver: the name of the driver under test. document: all of ``outcome.json``.
+    """
+
+    ending: Ending
+    reason: str
+    network: str
+    seed: int
+    ego: str | None
+    ego_driver: str | None
+    adversary: str | None
+    trigger_time: float | None
+    encounter: EncounterRecord | None
+    intent: Intent | None
+    intents: tuple[Intent, ...]
+    unattacked: Unattacked | None
+    attempts: tuple[AttemptRecord, ...]
+    best: int | None
+    verdict: Verdict | None
+    timing: Mapping[str, float | None]
+    notes: tuple[str, ...]
+    document: Mapping[str, Any] = field(repr=False, compare=False)
+
+    @property
+    def level(self) -> Level:
+        """The level of the attempt that counts; ``Level.NONE`` without an attempt."""
+        return Level.NONE if self.verdict is None else self.verdict.level
+
+    @property
+    def relation(self) -> str | None:
+        """The adversary's relation to the ego at the encounter; None without an attempt."""
+        known = self.encounter is not None and self.adversary is not None
+        return self.encounter.relation(self.adversary) if known else None  # type: ignore[union-attr, arg-type]
+
+
+def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
+    """The content of ``outcome.json``; ``file`` is named in errors. Raises UsageError: it is not as we write it."""
+    try:
+        ego, adversaries, verdict = document["ego"], document["adversaries"], document["outcome"]
+        raw, encounter, intent = document["raw"], document["encounter"], document["intent"]
+        return Outcome(
+            Ending(document["ending"]), str(document["reason"]), str(document["network"]), int(document["seed"]),
+            ego["id"], ego["controller"], adversaries[0]["id"] if adversaries else None, document["trigger_time"],
+            None if encounter is None else _encounter(encounter), None if intent is None else _intent(intent),
+            tuple(_intent(i) for i in document["intents"]),
+            None if raw is None else Unattacked(_time(raw["min_ttc"]), bool(raw["collided"])),
+            tuple(_attempt(a) for a in document["attempts"]), document["best"],
+            None if verdict is None else verdict_of(verdict), dict(document["timing"] or {}),
+            tuple(document["notes"]), dict(document),
+        )  # fmt: skip
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise UsageError(
+            f"{file} is not as this program writes it ({type(error).__name__}: {error}); run it again."
+        ) from error
+
+
+def verdict_of(written: Mapping[str, Any]) -> Verdict:
+    """The verdict that ``outcome`` of the file holds."""
+    known = {f.name for f in fields(Verdict)} & written.keys()
+    values = {name: written[name] for name in known}
+    values |= {name: _time(written[name]) for name in NEVER if name in known}
+    values |= {name: tuple(written[name] or ()) for name in LISTS if name in known}
+    values |= {"level": level_of(written.get("level")), "max_drac": written.get("max_drac") or 0.0}
+    if written.get("references") is not None:
+        alarms = written.get("alarms") or {}
+        values["preventability"] = Preventability(
+            written["references"], alarms, written["inconclusive"], bool(written["simulated"])
+        )
+    return Verdict(**values)
+
+
+def level_of(name: str | None) -> Level:
+    """The level of that name; ``Level.NONE`` where a run of an earlier version has none."""
+    return Level.NONE if name is None else Level[name.upper()]
+
+
+def _time(value: float | None) -> float:
+    return math.inf if value is None else float(value)
+
+
+def _encounter(written: Mapping[str, Any]) -> EncounterRecord:
+    ranking = tuple((str(r["id"]), str(r["relation"]), float(r["risk"])) for r in written["ranking"])
+    place = {name: written.get(name) for name in ("road", "ego_speed", "limit", "vehicles_near")}
+    return EncounterRecord(float(written["time"]), ranking, **place)
+
+
+def _intent(written: Mapping[str, Any]) -> Intent:
+    knots = written["acceleration"]
+    acceleration = tuple((float(t), float(a)) for t, a in knots) if isinstance(knots, list) else float(knots)
+    return Intent(
+        written["bv"], written["label"], written["description"], written["risk"], acceleration, written["reason"],
+        written["source"],
+    )  # fmt: skip
+
+
+def _attempt(a: Mapping[str, Any]) -> AttemptRecord:
+    return AttemptRecord(
+        int(a["index"]), a["intent"], a["adversaries"][0], a["planner"]["mode"], a["trigger_time"],
+        level_of(a.get("level")), a.get("kind", ""), _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
+        a["critical"], a["feasible"], a["valid"], a["strict"], a.get("delta_v"), tuple(a["failed_gates"]),
+        a["parameters"], a["ending"], a["message"],
+    )  # fmt: skip

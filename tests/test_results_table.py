@@ -1,0 +1,62 @@
+"""The table of a campaign, as a test engineer reads it: its columns from a run's outcome, and its types in pandas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_samples import attempt, outcome
+
+from sumo_adv.batch.results import row_of, write_csv, write_parquet
+
+HIT: dict[str, Any] = {
+    "collided": True, "valid": True, "strict": True, "level": "serious", "preventable_by": ["cc_human", "fsm"],
+    "inconclusive": None, "ego_stationary": False, "humanlike": True, "delta_v": 4.1, "severity": "minor",
+    "fault": "adversary", "contact_time": 9.7, "min_ttc": 0.0,
+}  # fmt: skip
+
+
+def hit(**other: Any) -> dict[str, Any]:
+    """The outcome of a run whose second attempt is a serious collision."""
+    told = outcome(attempts=[attempt(0, "a"), attempt(1, "a", kind="Cut-in / neighbour / left")], best=1, **other)
+    told["outcome"] |= HIT
+    told["encounter"] |= {"road": "motorway", "ego_speed": 27.6}
+    return told
+
+
+def test_a_row_says_who_attacked_and_where() -> None:
+    row = row_of("a", hit(), False)
+    assert (row["level"], row["strict"], row["serious"]) == ("serious", True, True)
+    assert (row["fault"], row["delta_v"], row["contact_time"]) == ("adversary", 4.1, 9.7)
+    assert row["preventable_by"] == "cc_human fsm"
+    assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
+    assert row["kind"] == "Cut-in / neighbour / left"
+    assert (row["road"], row["ego_speed"], row["ego_stationary"]) == ("motorway", 27.6, False)
+
+
+def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
+    row = row_of("a", outcome(), False)
+    asked = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road")
+    assert {row[name] for name in asked} == {None}
+    assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
+
+
+def test_pandas_reads_the_table_with_its_types(tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed (extra dev)")
+    rows = [row_of("a", hit(), False), row_of("b", outcome(), False)]
+    write_csv(tmp_path / "results.csv", rows, ())
+    frame = pandas.read_csv(tmp_path / "results.csv", index_col="id")
+    assert frame.delta_v.max() == 4.1 and frame.min_ttc.dtype == float
+    assert frame[frame.serious == True].index.tolist() == ["a"]  # noqa: E712 - a column
+    assert frame.collided.tolist() == [True, False] and frame.serious.isna().tolist() == [False, True]
+    assert frame.groupby("ego").collided.mean()["idm"] == 0.5
+
+
+def test_parquet_has_the_same_types(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra batch)")
+    rows = [row_of("a", hit(), False), row_of("b", outcome(), False)]
+    write_parquet(tmp_path / "results.parquet", rows, ())
+    first, second = parquet.read_table(tmp_path / "results.parquet").to_pylist()
+    assert (first["serious"], first["contact_time"], first["ego_speed"]) == (True, 9.7, 27.6)
+    assert (second["serious"], second["contact_time"], second["road"]) == (None, None, None)
