@@ -88,6 +88,8 @@ def _read_toml(file: Path) -> dict[str, Any]:
 def _read_text(file: Path, limit: int) -> str:
     """The text of a regular file; anything else, such as a link out of the folder, is refused."""
     try:
+        if file.parent.is_symlink():
+            raise BankError(f"{file.parent} is a link; a bank in text holds plain folders and files only.")
         if file.is_symlink() or not file.is_file():
             raise BankError(f"{file} is not a plain file; a bank in text holds plain files only.")
         if file.stat().st_size > limit:
