@@ -171,7 +171,7 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
     tried: dict[str, Attempt] = {}
     for attempt in episode.refinement.attempts:
         name = attempt.proposal.planner.hash
-        if attempt.ending == "ego_lost":  # the ego was not driven, so this says nothing of the planner
+        if attempt.ending in ("ego_lost", "crashed"):  # it was not driven to its end: that says nothing of the planner
             continue
         if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
             tried[name] = attempt
