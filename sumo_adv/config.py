@@ -14,6 +14,7 @@ from sumo_adv.config_model import ModelSettings
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Level, Limits
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import read_toml
 
 PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
 KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
@@ -178,6 +179,8 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     """
     if file is not None and not file.is_file():
         raise UsageError(f"The settings file {file} does not exist.")
+    if file is not None:
+        read_toml(file, "The settings file")
     _chosen_file.append(file) if file else None
     try:
         return Settings(**{k: v for k, v in given.items() if v is not None})

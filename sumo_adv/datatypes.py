@@ -529,7 +529,7 @@ class Attempt:
     proposal: Proposal
     trigger_time: float
     verdict: Verdict
-    ending: str  # contact | passed | time_limit | ego_left | ego_lost | planner_failed
+    ending: str  # contact | passed | time_limit | ego_left | ego_lost | planner_failed | crashed
     message: str = ""
     diagnosis: Diagnosis | None = None
     kind: str = ""  # intent, relation and side of the ego that is hit

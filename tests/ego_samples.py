@@ -1,6 +1,10 @@
-"""Drivers for ``--ego ego_samples:Class``. In both of them SUMO's IDM drives; one brakes from a given time on."""
+"""Drivers for ``--ego ego_samples:Class``. SUMO's IDM drives in all of them; some brake, fail or crash at a time."""
 
 from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
 
 from sumo_adv.drivers import LaneSpeed, Observation
 
@@ -46,4 +50,20 @@ class FailingEgo(CalmEgo):
         """Fails when it is time."""
         if seen.time > BRAKES_AT:
             raise RuntimeError("the driver fell asleep")
+        return None
+
+
+class CrashingEgo(CalmEgo):
+    """Ends its process by a signal at 6 s, as a crash of SUMO does: at the visits to that time, counted from 1, that
+    the file ``crashes`` names. The first visit is that of the run without an attack."""
+
+    name = "crashing"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Counts the visit, and crashes if it is one of those."""
+        if abs(seen.time - BRAKES_AT) < seen.dt / 2:
+            with Path("visits").open("a") as file:
+                file.write("x")
+            if Path("visits").stat().st_size in map(int, Path("crashes").read_text().split()):
+                os.kill(os.getpid(), signal.SIGSEGV)
         return None

@@ -70,8 +70,9 @@ class Errands:
         }
         return in_forks([lambda: 1, failures[what]])
 
-    def fork_again(self, numbers: list[int]) -> list[str]:
-        """Numbers as words. A negative one crashes until the simulation was loaded again, 0 always."""
+    def fork_again(self, numbers: list[int], skip: bool = False) -> list[str]:
+        """Numbers as words. A negative one crashes until the simulation was loaded again, 0 always; with ``skip`` the
+        sentence about it, in capitals, is its result."""
 
         def work(number: int, note: str = "") -> str:
             if number == 0 or (number < 0 and not note):
@@ -81,7 +82,7 @@ class Errands:
         def reloaded(work: Callable[[], Any]) -> Callable[[], Any]:
             return partial(work, note=" reloaded")
 
-        return in_forks([partial(work, n) for n in numbers], reloaded)
+        return in_forks([partial(work, n) for n in numbers], reloaded, str.upper if skip else None)
 
     def simulate(self, spec: SimulationSpec) -> float:
         """Start SUMO, take one step, stop."""

@@ -65,7 +65,7 @@ def test_evidence_about_the_unknown_is_refused_and_leaves_nothing(tmp_path: Path
             bank.record(evidence(), intent=BRAKING, planner=CUT_PLANNER)
         with pytest.raises(BankError, match="the intent given is"):
             bank.record(evidence(), intent=CUT_IN, planner=BRAKE_PLANNER)
-        with pytest.raises(BankError, match="not a number"):
+        with pytest.raises(BankError, match="min_ttc must be a number of 0 or more"):
             bank.record(evidence(min_ttc=math.nan), intent=BRAKING, planner=BRAKE_PLANNER)
         with pytest.raises(BankError, match="finite"):
             bank.record(evidence(parameters={"a": math.inf}), intent=BRAKING, planner=BRAKE_PLANNER)

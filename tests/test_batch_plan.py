@@ -12,7 +12,7 @@ import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
-from sumo_adv.batch.learning import Lesson, as_text, from_text, teach
+from sumo_adv.batch.learning import Lesson, as_text, lessons_of, teach
 from sumo_adv.batch.nouns import Job
 from sumo_adv.batch.pack import pack, packed_rows, packed_texts, unpack
 from sumo_adv.batch.plan import Plan, differences, is_plan, make_plan, read_plan
@@ -318,15 +318,15 @@ def lesson(seed: int, *, success: bool = True, source: str = TRAIL) -> Lesson:
 
 def test_lessons_survive_as_text() -> None:
     lessons = [lesson(0), lesson(1, success=False), Lesson(lesson(2).evidence, None, None)]
-    assert from_text(as_text(lessons)) == lessons
+    assert lessons_of(as_text(lessons), "it") == lessons
     assert "Infinity" not in as_text(lessons)
 
 
 def test_teaching_twice_teaches_once(tmp_path: Path) -> None:
-    texts = [as_text([lesson(0), lesson(1)]), as_text([lesson(2)])]
+    lessons = [lesson(0), lesson(1), lesson(2)]
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
-        assert teach(bank, texts[:1]) == 2  # broken off
-        assert teach(bank, texts) == 1
-        assert teach(bank, texts) == 0
+        assert teach(bank, lessons[:2]) == 2  # broken off
+        assert teach(bank, lessons) == 1
+        assert teach(bank, lessons) == 0
         assert [e.seed for e in bank.evidence("Odd Driving")] == [0, 1, 2]
         assert len(bank.planners("Odd Driving")) == 1

@@ -113,6 +113,13 @@ def test_a_fork_that_dies_is_repeated_once_by_reload(engine: Engine) -> None:
 
 
 @needs_fork
+def test_a_fork_that_dies_twice_may_be_skipped(engine: Engine) -> None:
+    one, died, two = engine.request("fork_again", [1, 0, 2], True)
+    assert (one, two) == ("1", "2")
+    assert died.startswith("SUMO OR THE EGO'S DRIVER CRASHED IN A FORKED ATTEMPT (SIGSEGV), ALSO WHEN")
+
+
+@needs_fork
 def test_forks_run_as_the_process_itself_would(engine: Engine, tmp_path: Path) -> None:
     cars = [vehicle(f"car{k}", "eastbound", k % 3, 40.0 + 9.0 * k, 12.0, "nervous") for k in range(8)]
     spec = make_spec(tmp_path, "straight_3lane", [*cars, vehicle("leader", "eastbound", 0, 125.0, 12.0)])

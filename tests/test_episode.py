@@ -5,8 +5,13 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from cli_samples import Done, Program, Runs, States, moves, position, read_states
+import pytest
+from cli_samples import Done, Program, Runs, States, lacking, moves, position, read_states
 from ego_samples import BRAKES_AT
+
+from sumo_adv.simulation.engine import can_fork
+
+needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
 
 TRIGGER = 5.0  # s, of the scenario motorway_cut_in_left
 NEVER_NEAR = 150.0  # m
@@ -79,6 +84,38 @@ def test_a_driver_that_fails_ends_the_run_with_a_sentence(program: Program) -> N
     assert done.outcome["ending"] in {"simulation_failed", "ego_lost"}
     assert "asleep" in done.outcome["reason"]
     assert program.leftovers() == ["out"]
+
+
+CRASHING = ("run", "motorway_cut_in_left", "--ego", "ego_samples:CrashingEgo", "--attempts", "3", "--out", "out")
+
+
+@needs_fork
+def test_a_candidate_in_which_sumo_crashes_twice_is_skipped(program: Program) -> None:
+    """The run without an attack is the first visit to 6 s; the first attempt and its repetition are the next two."""
+    (program.folder / "crashes").write_text("2 3")
+    done = program(*CRASHING, "--json", "--until", "serious")
+    assert done.status == 0 and done.err == ""
+    first, *rest = done.outcome["attempts"]
+    assert (first["ending"], first["feasible"]) == ("crashed", False)
+    assert "crashed in a forked attempt (SIGSEGV), also when the simulation was loaded again" in first["message"]
+    assert rest and all(attempt["ending"] != "crashed" for attempt in rest)
+
+
+@needs_fork
+def test_a_crash_that_a_repetition_does_not_show_costs_nothing(program: Program) -> None:
+    (program.folder / "crashes").write_text("2")
+    done = program(*CRASHING, "--json")
+    assert done.status == 0 and [a["ending"] for a in done.outcome["attempts"] if a["ending"] == "crashed"] == []
+
+
+@needs_fork
+def test_where_every_attempt_crashes_the_run_says_so(program: Program) -> None:
+    (program.folder / "crashes").write_text(" ".join(map(str, range(2, 50))))
+    done = program(*CRASHING)
+    assert done.status == 1 and len(done.err.splitlines()) == 1
+    assert done.outcome["ending"] == "simulation_failed" and "SIGSEGV" in done.outcome["reason"]
+    assert [a["ending"] for a in done.outcome["attempts"]] == ["crashed"] * 3
+    assert lacking(done.folder) == set()
 
 
 # -- attacked and unattacked

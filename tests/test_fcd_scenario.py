@@ -72,6 +72,9 @@ CAR = '<vehicle id="a" x="12.5" y="-1.6" angle="90" speed="3" lane="eastbound_0"
 PERSON = '<person id="p" x="7" y="5" angle="0" speed="1"/>'
 
 
+AT_NIGHT = f'<timestep time="1.01">{CAR}</timestep><timestep time="500000">{CAR}</timestep></fcd-export>'  # 5e7 steps
+
+
 def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
     (tmp_path / "fcd.xml").write_text(text_of(CAR, PERSON))
     assert write_scenario(tmp_path, tmp_path / "fcd.xml", NETWORK, "a") == 2
@@ -90,6 +93,12 @@ def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
         (text_of(CAR.replace('x="12.5"', 'x="nan"')), "not finite"),
         (text_of(CAR.replace('angle="90"', "")), "is no FCD of SUMO"),
         (text_of(), "has no vehicle in a timestep"),
+        (text_of(CAR).replace('time="1.00"', 'time="inf"'), "a timestep at inf"),
+        (text_of(CAR).replace('time="1.00"', 'time="nan"'), "a timestep at nan"),
+        (text_of(CAR).replace('time="1.00"', f'time="1{"0" * 400}"'), "a timestep at 1000"),
+        (text_of(CAR.replace('x="12.5"', 'x="1e308"')), "no place on a map"),
+        (text_of(CAR).replace("</fcd-export>", AT_NIGHT), "more than 2e.07 states"),
+        ('<?xml version="1.0" encoding="klingon"?>' + text_of(CAR), "written in 'klingon': write it in UTF-8"),
         ("<fcd-export><timestep", "is not valid XML"),
     ],
 )

@@ -188,6 +188,8 @@ HEAD = TRAIL.partition('    pose = at(ego["path"]')[0]
         (HEAD + '    return {"x": 1 / ego["speed"], "y": 0.0, "heading": 0.0, "speed": 5.0, "time": 9.0}\n',
          "standing"),
         (TRAIL + "\n\ndef trajectory(bv, endpoint, road, dt):\n    return []\n", "1 to 400 states"),
+        (TRAIL + "\n\ndef trajectory(bv, endpoint, road, dt):\n    v = bv['speed']\n"
+         "    return [(bv['x'], bv['y'], 0.0, v), (bv['x'] + 500.0, bv['y'], 0.0, v)]\n", "jumps between states 0"),
         (HEAD + '    return {"x": bv["x"], "y": bv["y"] + 40.0, "heading": 0.0, "speed": 5.0, "time": 3.0}\n',
          "m beside the road"),
     ],

@@ -63,6 +63,18 @@ def test_the_nearest_success_is_recalled_a_valid_one_first(tmp_path: Path) -> No
         assert bank.recall_scene(SCENE) is None
 
 
+def test_evidence_outside_its_planners_bounds_is_not_recalled(tmp_path: Path) -> None:
+    """BRAKE_PLANNER has one parameter, hardness, from 2 to 8 m/s2."""
+    with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        for wrong in ({"hardness": 1e9}, {"hardness": 1.9}, {}, {"hardness": 7.0, "other": 1.0}, {"softness": 7.0}):
+            bank.record(evidence(scene=SCENE, parameters=wrong))
+        assert bank.recall_scene(SCENE) is None
+        bank.record(evidence(scene=SCENE, parameters={"hardness": 8.00005}, seed=1))  # rounded to four digits
+        nearest = bank.recall_scene(SCENE)
+        assert nearest is not None and nearest.seed == 1
+
+
 def test_of_equally_near_ones_the_order_of_the_rows_does_not_decide() -> None:
     rows = [evidence(scene=SCENE, seed=seed, parameters={"hardness": 7.0 - seed}) for seed in range(6)]
     first = SceneIndex(rows).nearest(SCENE, 1.0)

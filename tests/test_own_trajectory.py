@@ -266,6 +266,9 @@ def test_where_a_trajectory_is_refused_the_built_in_one_drives_and_the_reason_is
     [
         ("return [(bv['x'], bv['y'], float('nan'), 1.0)]", "heading must be finite"),
         ("return [(bv['x'] + k + (5 if k > 7 else 0), bv['y'], 0.0, 10.0) for k in range(30)]", "jumps between states"),
+        # 500 m where 12 m/s lead 1.2 m in 0.1 s
+        ("return [(bv['x'], bv['y'], 0.0, 12.0), (bv['x'] + 500.0, bv['y'], 0.0, 12.0)]", "498.8 m from where the veh"),
+        ("return [(bv['x'] + 9.0 * k, bv['y'], 0.0, 90.0) for k in range(30)]", "jumps between states 0 and 1, 7.8 m"),
         ("return [(bv['x'] + 9.0 + k, bv['y'], 0.0, 10.0) for k in range(30)]", "begins 9.0 m from where the vehicle"),
         ("return []", "must return 1 to 400 states"),
         ("return 1 / 0", "ZeroDivisionError"),

@@ -38,7 +38,7 @@ CUT_IN = (
 )
 # The ego drives along x at 10 m/s: at 2 s it is at x = 20.
 EGO = {"length": 5.0, "path": [(float(t), 10.0 * t, 0.0, 0.0, 10.0) for t in range(5)]}
-BV = {"x": -4.0, "y": 3.5, "speed": 12.0}
+BV = {"x": -4.0, "y": 3.5, "heading": 0.0, "speed": 12.0}
 ROADS = {"a": {"side": 0.0}, "b": {"side": 3.5}}
 SMALL = SandboxLimits(call_seconds=0.1, batch_seconds=1.0, grace_seconds=0.3)
 

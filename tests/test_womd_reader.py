@@ -164,6 +164,17 @@ def bad(change: str) -> bytes:
         message.tracks[1].id = 1
     elif change == "nan":
         message.map_features[0].lane.polyline[3].x = float("nan")
+    elif change == "a point at 1e7 m":
+        message.map_features[0].lane.polyline[3].x = 1e7
+    elif change == "a point 30 km off":
+        message.map_features[0].lane.polyline[3].x = 30_000.0
+    elif change == "an object 30 km off":
+        message.tracks[1].states[7].center_y = -30_000.0
+    elif change == "to and fro":
+        for k, place in enumerate(message.map_features[0].lane.polyline):
+            place.x = 9_000.0 * (-1) ** k
+    elif change == "a year":
+        message.timestamps_seconds[90] = 3.2e7
     return message.SerializeToString()
 
 
@@ -181,6 +192,11 @@ def bad(change: str) -> bytes:
         ("few states", r"has 50 states for its track 2, not one a step \(91\)"),
         ("two of one id", "two tracks of the same id"),
         ("nan", "a map point that is not a finite number"),
+        ("a point at 1e7 m", r"a map point 1e\+07 m from the origin"),
+        ("a point 30 km off", "a map point 30.* km from another place"),
+        ("an object 30 km off", "a position of an object 30.* km from another place"),
+        ("to and fro", "km of lines, more than the 500 that are read"),
+        ("a year", r"spans 3.2e\+07 s, more than the 3600 s that are read"),
     ],
 )
 def test_a_bad_record_is_one_sentence_and_can_be_passed_over(tmp_path: Path, change: str, sentence: str) -> None:

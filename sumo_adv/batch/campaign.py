@@ -13,16 +13,17 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.batch.learning import teach
+from sumo_adv.batch.learning import Lesson, lessons_of, teach
 from sumo_adv.batch.local import LocalWorkers, Pace, Stop
 from sumo_adv.batch.nouns import Done, Job, Learn, Parts, Row, Setup
 from sumo_adv.batch.pack import packed_texts
 from sumo_adv.batch.plan import Plan
 from sumo_adv.batch.results import LEARNT, failed, table_of, write_csv, write_parquet
 from sumo_adv.batch.store import TAUGHT, Store, open_store
-from sumo_adv.errors import BankError
+from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.parsing import parse_json
 
 Told = Callable[[Job, Done], None]
 
@@ -126,6 +127,8 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
         try:
             with stopping(watcher) as stop:
                 missing = [job for job in plan.jobs if job.id not in rows]
+                with sentences(orders.out):
+                    store.clear(job.id for job in missing)
                 for job in [job for job in missing if job.input.error]:
                     told(job, store.fail(job, job.input.error, ""))
                 with closing(_workers(setup, orders, scratch, store, stop)) as workers:
@@ -172,23 +175,31 @@ def _write_table(store: Store, plan: Plan, table: Sequence[Row], *, parquet: boo
         write_parquet(store.folder / "results.parquet", table, varied)
 
 
+def _taught(marker: Path) -> int:
+    """How much a batch has taught the bank. Raises UsageError for a damaged file."""
+    try:
+        return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
+
+
 def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
-    """Write what was learnt into the bank, in the plan's order, once. Raises BankError."""
+    """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
     marker = store.folder / TAUGHT
     if marker.exists():
-        return int(json.loads(marker.read_text(encoding="utf-8"))["written"])
+        return _taught(marker)
     packed = packed_texts(store.folder, LEARNT)
 
-    def texts() -> Iterator[str]:
+    def lessons() -> Iterator[Lesson]:
         for job in plan.jobs:
             file = store.runs / job.id / LEARNT
             if job.id in packed:
-                yield packed[job.id]
+                yield from lessons_of(packed[job.id], f"The lessons of the packed run {job.id}")
             elif job.id in rows and file.exists():
-                yield file.read_text(encoding="utf-8")
+                yield from lessons_of(file.read_text(encoding="utf-8", errors="replace"), f"The file {file}")
 
     with MemoryBank.open(orders.bank) as bank, sentences(orders.out):
-        written = teach(bank, texts())
+        written = teach(bank, lessons())
         write_text(marker, json.dumps({"written": written, "bank": str(orders.bank)}) + "\n")
     return written
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.batch.inputs import hash_of
-from sumo_adv.batch.learning import teach
+from sumo_adv.batch.learning import lessons_of, teach
 from sumo_adv.batch.local import LocalWorkers, Pace, Stop
 from sumo_adv.batch.nouns import Done, Job, Learn, Setup
 from sumo_adv.batch.results import LEARNT, OUTCOME, read_row, write_failure
@@ -117,7 +117,7 @@ class ClusterWorkers:
         kept = self._setup.runs / job.id
         if self._setup.learn is Learn.DURING and (kept / LEARNT).exists():
             with MemoryBank.open(self._setup.bank) as bank:
-                if teach(bank, [(kept / LEARNT).read_text(encoding="utf-8")]):
+                if teach(bank, lessons_of((kept / LEARNT).read_text(encoding="utf-8"), f"The file {kept / LEARNT}")):
                     self._sent = self._send()
         return Done(job.id, read_row(kept), size)
 

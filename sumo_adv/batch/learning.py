@@ -8,8 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner
+from sumo_adv.errors import BankError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
+from sumo_adv.parsing import parse_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +42,14 @@ def as_text(lessons: Iterable[Lesson]) -> str:
     return json.dumps(plain, indent=1, ensure_ascii=False, allow_nan=False)
 
 
-def from_text(text: str) -> list[Lesson]:
-    """What ``as_text`` wrote. Raises ValueError, KeyError or TypeError for anything else."""
-    return [Lesson(_evidence(e["evidence"]), _intent(e["intent"]), _planner(e["planner"])) for e in json.loads(text)]
+def lessons_of(text: str, what: str) -> list[Lesson]:
+    """What ``as_text`` wrote. Raises UsageError that names ``what`` for anything else."""
+    try:
+        table = parse_json(text)
+        return [Lesson(_evidence(e["evidence"]), _intent(e["intent"]), _planner(e["planner"])) for e in table]
+    except (ValueError, LookupError, TypeError, AttributeError, BankError) as error:
+        said = f"{type(error).__name__}: {error}"[:300]
+        raise UsageError(f"{what} is damaged ({said}); delete the run's folder to have it run again.") from error
 
 
 def _evidence(e: dict[str, Any]) -> Evidence:
@@ -63,24 +70,22 @@ def _planner(p: dict[str, Any] | None) -> Planner | None:
     return None if p is None else Planner(**{**p, "parameters": tuple(Parameter(**q) for q in p["parameters"])})
 
 
-def teach(bank: MemoryBank, texts: Iterable[str]) -> int:
-    """Record the lessons of ``texts`` (of ``as_text``) in their order, but evidence that the bank holds; the number of
-    pieces written.
+def teach(bank: MemoryBank, lessons: Iterable[Lesson]) -> int:
+    """Record lessons in their order, but evidence that the bank holds; the number of pieces written.
 
-    So it may be broken off and done again. Raises BankError, ValueError.
+    So it may be broken off and done again. Raises BankError.
     """
     held = {_key(e) for e in bank.evidence()}
     written = 0
-    for text in texts:
-        for lesson in from_text(text):
-            if (key := _key(lesson.evidence)) in held:
-                continue
-            held.add(key)
-            known = lesson.planner is None or any(
-                p.hash == lesson.planner.hash for p in bank.planners(lesson.evidence.label)
-            )
-            bank.record(lesson.evidence, intent=lesson.intent, planner=None if known else lesson.planner)
-            written += 1
+    for lesson in lessons:
+        if (key := _key(lesson.evidence)) in held:
+            continue
+        held.add(key)
+        known = lesson.planner is None or any(
+            p.hash == lesson.planner.hash for p in bank.planners(lesson.evidence.label)
+        )
+        bank.record(lesson.evidence, intent=lesson.intent, planner=None if known else lesson.planner)
+        written += 1
     return written
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -16,13 +17,15 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.batch.nouns import Row
-from sumo_adv.batch.results import OUTCOME, read_row
+from sumo_adv.batch.results import OUTCOME, checked_row, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text, write_whole
+from sumo_adv.parsing import parse_json
 
 SCHEMA = 1
 MOST_RUNS = 1000
 STORED = (".gz", ".png", ".zip")  # compressed already
+BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a zip file that is damaged or enciphered
 EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
@@ -50,7 +53,7 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
                         found[run] = source.read(f"{run}/{name}").decode()
-        except (zipfile.BadZipFile, OSError) as error:
+        except (*BROKEN, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
     return found
 
@@ -83,7 +86,7 @@ def _measure(runs: Sequence[Path]) -> tuple[int, int]:
 
 
 def _pack_one(folder: Path, runs: Sequence[Path], rows: dict[Path, Row]) -> tuple[Path, Path]:
-    number = 1 + max((int(i.stem) for i in (folder / "packs").glob("*.zip")), default=-1)
+    number = 1 + max((int(i.stem) for i in (folder / "packs").glob("*.zip") if i.stem.isdecimal()), default=-1)
     target = folder / "packs" / f"{number:04d}.zip"
     index = {run.name: {"row": rows[run], "inputs": sorted(p.name for p in (run / "inputs").glob("*"))} for run in runs}
     write_whole(target, lambda part: _zip(part, runs))
@@ -153,6 +156,8 @@ def _unpack_one(
                     continue
                 members = {n: n.removeprefix(f"{run}/") for n in names if n.startswith(f"{run}/")}
                 members |= {f"inputs/{n}": f"inputs/{n}" for n in inputs}
+                if not all(is_plain_name(part) for outside in members.values() for part in outside.split("/")):
+                    raise KeyError("it names what is no file in a run's folder")
                 with staged(into / run, force=True, marker=OUTCOME) as folder:
                     for inside, outside in members.items():
                         target = folder.stage / outside
@@ -160,8 +165,13 @@ def _unpack_one(
                         target.write_bytes(source.read(inside))
                     folder.keep(force=True)
                 yield into / run
-    except (zipfile.BadZipFile, FileNotFoundError, KeyError) as error:
+    except (*BROKEN, FileNotFoundError, KeyError) as error:
         raise _damaged(file, error) from error
+
+
+def is_plain_name(name: Any) -> bool:
+    """Whether it names an entry of a folder, and no place elsewhere."""
+    return isinstance(name, str) and name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
 
 
 def _damaged(file: Path, error: Exception) -> UsageError:
@@ -174,7 +184,10 @@ def _indices(folder: Path) -> list[Path]:
 
 def _read(index: Path) -> dict[str, Any]:
     try:
-        table = json.loads(index.read_text(encoding="utf-8"))
-        return dict(table["runs"])
+        runs = dict(parse_json(index.read_text(encoding="utf-8"))["runs"])
+        names = [name for run, entry in runs.items() for name in (run, *entry["inputs"])]
+        if not all(is_plain_name(name) for name in names):
+            raise ValueError("it names what is no file in a folder")
+        return {run: {"row": checked_row(entry["row"]), "inputs": entry["inputs"]} for run, entry in runs.items()}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"The index {index} of a pack is damaged ({error}); restore it from a copy.") from error

@@ -19,7 +19,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +31,7 @@ from sumo_adv.batch.inputs import find_inputs
 from sumo_adv.batch.nouns import Input, Job, Learn, Parts
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_toml, read_toml
 
 SCHEMA = 1
 ID_DIGITS = 16
@@ -101,12 +101,7 @@ def _id(content: str, ego: str | None, seed: int, settings: str) -> str:
 
 def read_plan(path: Path) -> dict[str, Any]:
     """The TOML table of a plan, with its paths counted from its folder. Raises UsageError."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"The plan {path} cannot be read: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"The plan {path} is not valid TOML: {error}.") from error
+    table = read_toml(path, "The plan")
     if isinstance(table.get("memory"), str):
         table["memory"] = str(path.parent / table["memory"])
     return table
@@ -117,7 +112,7 @@ def is_plan(path: Path) -> bool:
     if not path.name.lower().endswith(".toml") or not path.is_file():
         return False
     try:
-        return "network" not in tomllib.loads(path.read_text(encoding="utf-8"))
+        return "network" not in parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return True  # its error is told as a plan's
 
@@ -171,6 +166,21 @@ def _sentence(said: str, error: ValidationError) -> str:
     if detail["type"] == "missing":
         return f"{said} lacks the key '{key}'."
     return f"{said} has a bad '{key}': {detail['msg'][:1].lower()}{detail['msg'][1:]}."
+
+
+def checked_plan(value: Any) -> dict[str, Any]:
+    """What a folder remembers of its plan, as ``Plan.as_dict`` gives it. Raises ValueError for anything else."""
+    if not isinstance(value, dict) or value.get("schema") != SCHEMA:
+        raise ValueError(f"it is no table with schema {SCHEMA}")
+    for key in ("inputs", "egos", "seeds", "settings"):
+        if not isinstance(value.get(key), list):
+            raise ValueError(f"it has no list '{key}'")
+    for given in value["inputs"]:
+        if not isinstance(given, dict) or not all(isinstance(given.get(k), str) for k in ("name", "content", "broken")):
+            raise ValueError("an input in it has no name, content and broken")
+    if not all(isinstance(variant, dict) for variant in value["settings"]):
+        raise ValueError("its settings are no tables")
+    return value
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:

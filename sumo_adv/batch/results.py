@@ -12,6 +12,7 @@ from sumo_adv.batch.nouns import Job, Row
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
+from sumo_adv.parsing import parse_json
 
 OUTCOME, TRACEBACK, LEARNT = "outcome.json", "traceback.txt", "learnt.json"
 SCHEMA = 1
@@ -65,6 +66,25 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v")
+WHOLES = ("seed", "attempts")
+TRUTHS = ("collided", "valid", "critical", "strict", "ego_stationary", "humanlike")
+"""Columns that hold numbers, whole numbers, yes or no; the others hold text. Any may be empty."""
+
+
+def checked_row(row: Any) -> Row:
+    """A row that was read from a file. Raises ValueError, KeyError or TypeError for what is none."""
+    for name in COLUMNS:
+        value = row[name]
+        kind = float if name in NUMBERS else int if name in WHOLES else bool if name in TRUTHS else str
+        ok = isinstance(value, int | float) if kind is float else isinstance(value, kind)
+        if value is not None and (not ok or (isinstance(value, bool) and kind is not bool)):
+            raise ValueError(f"its {name} cannot be {str(value)[:40]!r}")
+    if row["ending"] not in set(Ending):
+        raise ValueError("its ending is none")
+    return dict(row)
+
+
 def _joined(names: Sequence[str] | None) -> str | None:
     return None if names is None else " ".join(names)
 
@@ -77,9 +97,9 @@ def failed(row: Row) -> bool:
 def read_row(folder: Path) -> Row | None:
     """The row of a run's folder; None if there is none, or it is damaged."""
     try:
-        outcome = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
-        return row_of(folder.name, outcome, (folder / TRACEBACK).exists())
-    except (OSError, ValueError, KeyError, TypeError):
+        outcome = parse_json((folder / OUTCOME).read_text(encoding="utf-8"))
+        return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK).exists()))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
 
 

@@ -15,18 +15,19 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.batch.nouns import Done, Job, Row
 from sumo_adv.batch.pack import packed_rows
-from sumo_adv.batch.plan import differences
+from sumo_adv.batch.plan import checked_plan, differences
 from sumo_adv.batch.results import OUTCOME, failed, read_row, write_failure
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.store import connect
+from sumo_adv.parsing import parse_json
 
 PLAN, BANK, TAUGHT, LOCK = "plan.json", "bank.sqlite", "taught.json", ".lock"
 
@@ -44,8 +45,8 @@ class Store:
         if not file.is_file():
             return None
         try:
-            return dict(json.loads(file.read_text(encoding="utf-8")))
-        except ValueError as error:
+            return checked_plan(parse_json(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
             raise UsageError(f"{file} is not the plan of a batch ({error}); give another --out.") from error
 
     def check(self, plan: Mapping[str, Any], *, force: bool) -> None:
@@ -81,7 +82,7 @@ class Store:
         part.replace(self.bank)
 
     def rows(self, jobs: Mapping[str, Job]) -> dict[str, Row]:
-        """The rows of those jobs that are finished, packed ones too."""
+        """The rows of those jobs that are finished, packed ones too. What is damaged is taken for missing."""
         packed = packed_rows(self.folder)
         rows = {name: row for name, row in packed.items() if name in jobs}
         for entry in self.runs.iterdir():
@@ -93,7 +94,12 @@ class Store:
         """Take failed episodes for missing. Raises OSError."""
         for name in [name for name, row in rows.items() if failed(row)]:
             del rows[name]
-            shutil.rmtree(self.runs / name, ignore_errors=True)
+            discard(self.runs / name)
+
+    def clear(self, names: Iterable[str]) -> None:
+        """Remove what lies at the places of runs that are missing: what is left of damaged ones. Raises OSError."""
+        for name in names:
+            discard(self.runs / name)
 
     def fail(self, job: Job, why: str, text: str) -> Done:
         """Write down an episode that could not be run. Raises SumoAdvError."""
@@ -107,6 +113,14 @@ class Store:
         """Remove what broken-off runs left half-written."""
         for left in self.runs.glob(f".{name}*"):
             shutil.rmtree(left, ignore_errors=True)
+
+
+def discard(place: Path) -> None:
+    """Remove the folder, file or link at ``place``, if there is one. Raises OSError."""
+    if place.is_dir() and not place.is_symlink():
+        shutil.rmtree(place, ignore_errors=True)
+    else:
+        place.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import signal
@@ -21,6 +20,7 @@ from sumo_adv.benchmark.jobs import Job, Setup, cell_path
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_json
 from sumo_adv.simulation.engine import deaf
 
 TICK = 0.5  # s between looks at the clock
@@ -200,7 +200,7 @@ def read_cells(folder: Path) -> list[Cell]:
     cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
-            cell = json.loads(file.read_text(encoding="utf-8"))
+            cell = parse_json(file.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:

@@ -18,6 +18,7 @@ from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.parsing import parse_json
 
 SCHEMA = 1
 PLAN, LOCK = "bench.json", "bench.lock"
@@ -96,9 +97,11 @@ def _keep_plan(now: Mapping[str, Any], folder: Path) -> None:
     file = folder / PLAN
     if file.exists():
         try:
-            before = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as error:
+            before = parse_json(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
             raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
+        if not isinstance(before, dict):
+            raise UsageError(f"{file} is damaged (it holds no table); give another --out.")
         changed = [k for k in now if before.get(k) != now[k]]
         if changed:
             raise UsageError(

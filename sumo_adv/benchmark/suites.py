@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import json
-import tomllib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -32,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_json, read_toml
 from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
 from sumo_adv.simulation.network import read_network
 
@@ -149,12 +148,7 @@ def _sources(name: str) -> list[Path]:
 
 
 def _table(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"The file {path} is not valid TOML: {error}.") from error
+    return read_toml(path, "The file")
 
 
 def _listed(path: Path) -> Suite:
@@ -216,7 +210,7 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:
     if not path.is_file():
         return {}
     try:
-        labels: Labels = LABELS.validate_python(json.loads(path.read_text(encoding="utf-8")))
+        labels: Labels = LABELS.validate_python(parse_json(path.read_text(encoding="utf-8")))
     except (ValidationError, ValueError) as error:
         raise UsageError(
             f"{path} does not hold labels by case, ego and criterion (collision, valid, annotated)."

@@ -51,6 +51,11 @@ def convert(
             if not keep_going:
                 raise
             tell(error)
+        except Exception as error:
+            fault = SumoAdvError(_fault(record.scenario_id, error))
+            if not keep_going:
+                raise fault from error
+            tell(fault)
         else:
             if not as_json:
                 note = reports[-1]["sampling"]["note"]
@@ -61,6 +66,16 @@ def convert(
         show(reports)
     if failed and not reports:
         raise typer.Exit(1)
+
+
+def _fault(record: str, error: Exception) -> str:
+    """What to say of a record that no check refused and that cannot be converted all the same."""
+    if isinstance(error, MemoryError):
+        return f"Record {record} needs more memory than there is; convert it on a larger machine, or leave it out."
+    what = f"{type(error).__name__}: {error}"[:300]
+    return (
+        f"Record {record} cannot be converted: a fault of sumo_adv itself ({what}); please report it with the record."
+    )
 
 
 def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:

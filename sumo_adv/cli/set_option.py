@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from typing import Any
 
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_toml
 
 
 def set_values(given: Sequence[str], example: str) -> dict[str, Any]:
@@ -17,7 +17,7 @@ def set_values(given: Sequence[str], example: str) -> dict[str, Any]:
         if not equals or not name:
             raise UsageError(f"--set takes NAME=VALUE, such as {example}, not '{each}'.")
         try:
-            values[name] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+            values[name] = parse_toml(f"value = {value}")["value"]
+        except ValueError:
             values[name] = value
     return values

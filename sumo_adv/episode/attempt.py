@@ -33,10 +33,10 @@ LEFT_LINE = 1.0  # m: a larger distance from a planner's own trajectory is repor
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """How an attempt went. ``message``: why the planner failed, or how its trajectories were changed; ``beyond``: the
-    adversary's planned motion after the contact."""
+    """How an attempt went. ``message``: why the planner or SUMO failed, or how its trajectories were changed;
+    ``beyond``: the adversary's planned motion after the contact."""
 
-    ending: str  # contact | passed | time_limit | ego_left | planner_failed
+    ending: str  # contact | passed | time_limit | ego_left | planner_failed | crashed
     message: str
     beyond: Track | None
 

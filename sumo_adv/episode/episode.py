@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -32,6 +32,7 @@ class Episode:
     known_labels: frozenset[str] = frozenset()  # of intents that the bank had
     forked: bool = False
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
+    stopped: Mapping[str, int] = field(default_factory=dict)  # calls that ran into a limit, by the planner's hash
     isolation: str = ""
     bank_hash: str = ""
     agents: Agents | None = None  # None in a replay

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Limits, Planner, Proposal, acceleration_of
 from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
@@ -47,13 +47,13 @@ def recall(
     episode: Episode, found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Intent, Proposal] | None:
     """The attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
-    began, allowed = time.perf_counter(), episode.source.intents
+    began, allowed, limits = time.perf_counter(), episode.source.intents, episode.settings.limits.limits()
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
             scene = signature(situation, target.state.id, episode.task.ego_driver)
             evidence = bank.recall_scene(scene)
-            remains = _remembered(library, evidence) if evidence is not None else None
+            remains = _remembered(library, evidence, limits) if evidence is not None else None
             if evidence is None or remains is None or (allowed and evidence.label not in allowed):
                 continue
             entry, planner = remains
@@ -70,8 +70,15 @@ def recall(
     return None if best is None else best[1:]
 
 
-def _remembered(library: Sequence[LibraryEntry], evidence: Evidence) -> tuple[LibraryEntry, Planner] | None:
-    """The entry and the planner that a piece of evidence is about; None if they are retired."""
+def _remembered(
+    library: Sequence[LibraryEntry], evidence: Evidence, limits: Limits
+) -> tuple[LibraryEntry, Planner] | None:
+    """The entry and the planner that a piece of evidence is about; None if they are retired, or if the acceleration
+    is beyond the limits of this run."""
+    try:
+        acceleration_of(evidence.acceleration, limits)
+    except ValueError:
+        return None
     for entry in library:
         for planner in entry.planners:
             if entry.label == evidence.label and planner.hash == evidence.planner_hash:
@@ -164,7 +171,7 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
     tried: dict[str, Attempt] = {}
     for attempt in episode.refinement.attempts:
         name = attempt.proposal.planner.hash
-        if attempt.ending == "ego_lost":  # the ego was not driven, so this says nothing of the planner
+        if attempt.ending in ("ego_lost", "crashed"):  # it was not driven to its end: that says nothing of the planner
             continue
         if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
             tried[name] = attempt

@@ -57,6 +57,7 @@ def find_attackable(
         if found is None:
             return None
         planned = with_predictions(episode, found, sandbox, bank)
+        episode.stopped = planned.predictor.stopped
         if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
             return planned
         episode.skips += 1
@@ -69,7 +70,7 @@ def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, 
     share = settings.per_planner if modified else settings.attempts
     weights = SearchSettings(proposals=settings.proposals, share=share)
     shown = {} if settings.learn == "off" else weights_of_driver(bank, episode.task.ego_driver)
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed)
     search, known = searched(episode, found, predictor, library, bank, weights)

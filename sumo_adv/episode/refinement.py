@@ -90,6 +90,8 @@ class Refiner:
             self._observe(optimizer, found, len(plans))
         if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
+        if found.attempts and all(a.ending == "crashed" for a in found.attempts):
+            found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
         found.seconds = time.perf_counter() - began
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
-from sumo_adv.episode.attempt import attack, leader
+from sumo_adv.episode.attempt import Driven, attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
@@ -143,18 +143,24 @@ class Worker:
         return self._map.strips(x, y, radius)
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
-        """The results of attempts from the trigger. As many run at the same time as there are slots."""
+        """The results of attempts from the trigger. As many run at the same time as there are slots.
+
+        An attempt in which SUMO dies, also when it is repeated, has the ending ``crashed``.
+        """
         results: list[AttemptResult] = []
         for first in range(0, len(plans), len(self._slots)):
             batch = list(enumerate(plans))[first : first + len(self._slots)]
             works = [self._work(k, p, slot) for (k, p), slot in zip(batch, self._slots, strict=False)]
-            results += self._branch(works)
+            results += self._branch(works, self._crashed)
         return results
+
+    def _crashed(self, why: str) -> AttemptResult:
+        return AttemptResult(Driven("crashed", why, None), None, self._encounter.time)
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """By reference driver, whether it avoids the collision of an attempt when it drives the ego.
 
-        Empty if the attempt had no collision, or if one of the two vehicles left before the attack.
+        Empty if the attempt had no collision, if one of the two vehicles left before the attack, or if SUMO dies.
         """
         self._at_trigger()
         case, verdict = self._case(proposal, result), result.verdict
@@ -173,7 +179,9 @@ class Worker:
         }
         if order.plan is not None:
             works[MANOEUVRE] = partial(self._refer, order, None)
-        answers = dict(zip(works, self._branch(list(works.values())), strict=True))
+        answers = dict(zip(works, self._branch(list(works.values()), lambda why: None), strict=True))
+        if None in answers.values():  # SUMO died: it cannot say what these drivers do
+            return {}
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
     def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
@@ -210,9 +218,10 @@ class Worker:
 
     # -- branching ----------------------------------------------------------------------------------------------
 
-    def _branch(self, works: Sequence[Callable[[], Any]]) -> list[Any]:
+    def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
+        """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
         if self._forks:
-            return in_forks(works, self._reloaded)
+            return in_forks(works, self._reloaded, lost)
         results = []
         for work in works:
             self._at_trigger()

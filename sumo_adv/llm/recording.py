@@ -17,6 +17,7 @@ from typing import Any
 
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest, Messages
+from sumo_adv.parsing import parse_json
 
 KIND = "sumo_adv recording of a language model"
 SCHEMA = 1
@@ -227,8 +228,8 @@ def _reply(value: dict[str, Any]) -> ChatReply:
 
 def _json(line: str) -> Any:
     try:
-        return json.loads(line)
-    except (ValueError, RecursionError):
+        return parse_json(line)
+    except ValueError:
         return None
 
 

@@ -21,7 +21,7 @@ from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
 from sumo_adv.memory.migrations import Clock, utc_now
-from sumo_adv.memory.recall import LIMIT, SceneIndex
+from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
 from sumo_adv.memory.records import (
     BankStatistics,
     Evidence,
@@ -143,15 +143,16 @@ class MemoryBank:
         """The evidence of a success in a similar scene, at most ``limit`` away by ``recall.signature_distance``.
 
         Valid collisions have precedence over other successes, then the nearest scene. Retired intents and planners are
-        left out.
+        left out, and so is evidence whose parameters the planner does not have or does not allow.
         """
         if self._scenes is None:
             active = {
-                (record.label, planner.hash) for record in self._active() for planner in self.planners(record.label)
+                (record.label, planner.hash): planner
+                for record in self._active()
+                for planner in self.planners(record.label)
             }
-            self._scenes = SceneIndex(
-                [e for e in self._content.evidence if e.success and (e.label, e.planner_hash) in active]
-            )
+            known = [(e, active.get((e.label, e.planner_hash))) for e in self._content.evidence if e.success]
+            self._scenes = SceneIndex([e for e, planner in known if planner is not None and allows(planner, e)])
         return self._scenes.nearest(signature, limit)
 
     def settings(self, prefix: str) -> dict[str, object]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from string import Template
@@ -25,6 +24,7 @@ from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
 from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical
 from sumo_adv.memory.similarity import TfIdf
 from sumo_adv.memory.store import connect, publish, sentences
+from sumo_adv.parsing import parse_toml
 
 Parse = Callable[[str], tuple[Parameter, ...]]
 Refuse = Callable[[str, str, BankError], None]
@@ -71,8 +71,8 @@ def read_intent(file: Path) -> IntentRecord:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(_read_text(file, MAX_TEXT_BYTES))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        table = parse_toml(_read_text(file, MAX_TEXT_BYTES))
+    except ValueError as error:
         raise BankError(f"{file} cannot be read as TOML: {error}.") from error
     known = {**_KEYS, **_MORE_KEYS}
     if not set(_KEYS) <= set(table) <= set(known) or any(not isinstance(v, known[k]) for k, v in table.items()):
@@ -88,6 +88,8 @@ def _read_toml(file: Path) -> dict[str, Any]:
 def _read_text(file: Path, limit: int) -> str:
     """The text of a regular file; anything else, such as a link out of the folder, is refused."""
     try:
+        if file.parent.is_symlink():
+            raise BankError(f"{file.parent} is a link; a bank in text holds plain folders and files only.")
         if file.is_symlink() or not file.is_file():
             raise BankError(f"{file} is not a plain file; a bank in text holds plain files only.")
         if file.stat().st_size > limit:

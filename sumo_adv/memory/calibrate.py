@@ -8,7 +8,6 @@ half (even places of each list); figures are of the other half, which nothing wa
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import BankError
 from sumo_adv.memory.records import IntentRecord, canonical
 from sumo_adv.memory.similarity import Similarity
+from sumo_adv.parsing import parse_toml
 
 RESAMPLES = 2000
 CONFIDENCE = 0.95
@@ -73,14 +73,15 @@ def read_paraphrases(file: Path) -> tuple[list[Paraphrase], list[Paraphrase]]:
     """The (tuning, reporting) halves of a TOML file with ``[known]`` LABEL = [[name, description], ..] and ``[novel]``
     behaviours = [..]: even and odd places of each list. Raises BankError."""
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = parse_toml(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BankError(f"The paraphrases {file} cannot be read: {error}.") from error
+    try:
         lists = [(label, pairs) for label, pairs in table["known"].items()] + [(None, table["novel"]["behaviours"])]
         halves: tuple[list[Paraphrase], list[Paraphrase]] = ([], [])
         for intent, pairs in lists:
             for place, (name, description) in enumerate(pairs):
                 halves[place % 2].append(Paraphrase(intent, str(name), str(description)))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BankError(f"The paraphrases {file} cannot be read: {error}.") from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BankError(f"The paraphrases {file} need [known] with lists of [name, text], and [novel].") from error
     return halves

@@ -15,12 +15,14 @@ from collections.abc import Collection, Mapping, Sequence
 
 from sumo_adv.datatypes import acceleration_of, plain_acceleration
 from sumo_adv.errors import BankError
-from sumo_adv.memory.records import Evidence, SceneSignature
+from sumo_adv.memory.records import Evidence, SceneSignature, named_numbers
 
 COLUMNS = (
     "planner", "geometry", "relation", "controller", "relative", "parameters", "acceleration", "delay", "attempts",
     "min_ttc", "collided", "critical", "feasible", "rear_end", "valid", "strict", "version", "network", "seed",
 )  # fmt: skip
+
+MOST_ROWS = 200_000  # of a file: about 150 MB in memory
 
 
 def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> str:
@@ -57,14 +59,17 @@ def read_evidence(
         head = tuple(next(lines, ()))
         if head != COLUMNS:
             raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
-        found = []
+        found: list[Evidence] = []
         for row in lines:
+            if len(found) >= MOST_ROWS:
+                raise BankError(f"{where} has more than {MOST_ROWS} rows; leave old ones out.")
             if row and row[0] in left_out:
                 continue
             try:
                 found.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
-            except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {error}.") from error
+            except (ValueError, KeyError, TypeError, RecursionError, BankError) as error:
+                said = str(error).rstrip(".")
+                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {said}.") from error
     except csv.Error as error:
         raise BankError(f"{where} cannot be read as CSV: {error}.") from error
     return tuple(found)
@@ -76,18 +81,12 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
     for name in ("geometry", "relation", "controller", "version", "network"):
         if len(row[name]) > 200 or not row[name].isprintable():
             raise ValueError(f"{name} must be short text")
-    attempts, seed = int(row["attempts"]), int(row["seed"])
-    if attempts < 1 or abs(seed) >= 2**63 or attempts >= 2**63:
-        raise ValueError("attempts must be 1 or more, and seed a whole number of SQLite")
-    min_ttc = _number(row["min_ttc"]) if row["min_ttc"] else math.inf
-    if min_ttc < 0.0:
-        raise ValueError("min_ttc must be 0 or more")
     return Evidence(
         label=label,
         planner_hash=hashes[row["planner"]],
         scene=SceneSignature(row["geometry"], row["relation"], _numbers(row["relative"]), row["controller"]),
-        attempts=attempts,
-        min_ttc=min_ttc,
+        attempts=int(row["attempts"]),
+        min_ttc=_number(row["min_ttc"]) if row["min_ttc"] else math.inf,
         collided=_flag(row["collided"]),
         critical=_flag(row["critical"]),
         feasible=_flag(row["feasible"]),
@@ -96,7 +95,7 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
         strict=_flag(row["strict"]) if row["strict"] else None,
         version=row["version"],
         network=row["network"],
-        seed=seed,
+        seed=int(row["seed"]),
         parameters=_numbers(row["parameters"]),
         acceleration=acceleration_of(json.loads(row["acceleration"])),
         delay=_number(row["delay"]),
@@ -117,10 +116,4 @@ def _number(text: str) -> float:
 
 
 def _numbers(text: str) -> dict[str, float]:
-    table = json.loads(text)
-    if not isinstance(table, dict) or len(table) > 100:
-        raise ValueError("relative and parameters are objects of numbers")
-    for name, value in table.items():
-        if type(value) not in (int, float) or not math.isfinite(value):
-            raise ValueError(f"{name[:40]!r} must be a finite number")
-    return {name[:100]: value for name, value in table.items()}
+    return named_numbers(json.loads(text))

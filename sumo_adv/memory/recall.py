@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, acceleration_at
+from sumo_adv.datatypes import Floats, Planner, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
 SCALES: Mapping[str, float] = MappingProxyType(
@@ -23,6 +23,8 @@ SCALES: Mapping[str, float] = MappingProxyType(
 """[m, m, rad, m/s, m/s]: position of the BV in the ego's frame, its heading there, and both speeds. Chosen by hand."""
 
 LIMIT = 1.0  # the distance up to which two scenes count as similar
+
+ROUNDED = 1e-4  # candidates are rounded to four digits, and may lie that far outside of their planner's bounds
 
 _NAMES = tuple(SCALES)
 _HEADING = _NAMES.index("heading")
@@ -41,6 +43,14 @@ def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
     if numbers_a is None or numbers_b is None:
         return math.inf
     return float(_distances(numbers_a[None, :], numbers_b)[0])
+
+
+def allows(planner: Planner, evidence: Evidence) -> bool:
+    """Whether evidence gives each parameter of its planner, no other one, and each within its bounds."""
+    given = evidence.parameters
+    return given.keys() == planner.defaults().keys() and all(
+        p.low - ROUNDED <= given[p.name] <= p.high + ROUNDED for p in planner.parameters
+    )
 
 
 class SceneIndex:

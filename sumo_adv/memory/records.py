@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from sumo_adv.datatypes import Acceleration, Planner, Verdict
+from sumo_adv.datatypes import Acceleration, Planner, Verdict, acceleration_of
 from sumo_adv.errors import BankError
 
 RELATIONS = (
@@ -22,6 +24,27 @@ RELATIONS = (
 
 STATUSES = ("active", "retired")
 
+LARGEST = 1e9  # bound of the numbers of evidence in SI units: beyond any of an encounter, and squares stay finite
+MOST_NUMBERS = 100  # in a relative state or among parameters
+
+
+def named_numbers(value: Any) -> dict[str, float]:
+    """``value`` as a dictionary, if it is a table of at most ``MOST_NUMBERS`` numbers within ``LARGEST``.
+
+    Raises ValueError with a sentence for anything else.
+    """
+    if not isinstance(value, Mapping) or len(value) > MOST_NUMBERS:
+        raise ValueError(f"relative and parameters must be tables of at most {MOST_NUMBERS} numbers")
+    for name, number in value.items():
+        if not isinstance(name, str) or len(name) > 100 or not is_number(number):
+            raise ValueError(f"{str(name)[:40]!r} must be a finite number of at most {LARGEST:g}, under a short name")
+    return dict(value)
+
+
+def is_number(value: Any) -> bool:
+    """Whether it is a number within ``LARGEST``; a whole number of any length compares exactly, and nan never does."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST
+
 
 def canonical(label: str) -> str:
     """A label without case, spaces, hyphens or other signs: ``"Cut-in "`` and ``"cut in"`` are one."""
@@ -30,7 +53,7 @@ def canonical(label: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class IntentRecord:
-    """One intent of the bank: the paper's phi_j. ``applies`` lists the relations it can be tried from.
+    """One intent of the bank: the paper's phi_j. ``applies`` lists the relations it can be tried from, each once.
 
     Raises BankError for an empty label or description, or a relation or status that does not exist.
     """
@@ -51,6 +74,8 @@ class IntentRecord:
             raise BankError(
                 f"The intent {self.label!r} says it applies to {given}; use some of: {', '.join(RELATIONS)}."
             )
+        if len(set(self.applies)) < len(self.applies):  # each costs a trial of every planner
+            raise BankError(f"The intent {self.label!r} names a relation twice in what it applies to; name each once.")
         if self.status not in STATUSES:
             raise BankError(f"The intent {self.label!r} has the status {self.status!r}; it is active or retired.")
 
@@ -70,7 +95,10 @@ class SceneSignature:
 class Evidence:
     """What one planner once achieved in one scene. ``min_ttc`` [s], ``inf`` = never; ``valid`` and ``strict`` are None
     where there was no collision; ``acceleration`` [m/s2] and ``delay`` [s] are what it was driven with, ``parameters``
-    the planner's tuned values. ``created`` (ISO 8601, UTC) is set by the bank and no part of the content."""
+    the planner's tuned values. ``created`` (ISO 8601, UTC) is set by the bank and no part of the content.
+
+    Raises BankError for a number that is not finite or beyond ``LARGEST``, and for a value of another kind.
+    """
 
     label: str
     planner_hash: str
@@ -90,6 +118,35 @@ class Evidence:
     acceleration: Acceleration = 0.0
     delay: float = 0.0
     created: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        try:
+            self._check()
+        except ValueError as error:
+            raise BankError(
+                f"The evidence for {str(self.label)[:80]!r} cannot be used: {str(error).rstrip('.')}."
+            ) from error
+
+    def _check(self) -> None:
+        scene = self.scene
+        texts = (self.label, self.planner_hash, scene.geometry, scene.relation, scene.controller, self.version,
+                 self.network, self.created)  # fmt: skip
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError("its names must be texts")
+        named_numbers(scene.relative)
+        named_numbers(self.parameters)
+        if not all(isinstance(n, int) and -(2**63) <= n < 2**63 for n in (self.attempts, self.seed)):
+            raise ValueError("attempts and seed must be whole numbers of 64 bits")
+        if self.attempts < 1:
+            raise ValueError("attempts must be 1 or more")
+        if self.min_ttc != math.inf and not (is_number(self.min_ttc) and self.min_ttc >= 0.0):
+            raise ValueError("min_ttc must be a number of 0 or more")
+        if not is_number(self.delay):
+            raise ValueError("delay must be a finite number")
+        flags = (self.collided, self.critical, self.feasible, self.rear_end)
+        if not all(isinstance(f, bool) for f in flags) or not {self.valid, self.strict} <= {True, False, None}:
+            raise ValueError("its flags must be yes or no")
+        acceleration_of(self.acceleration)
 
     @property
     def success(self) -> bool:

@@ -6,19 +6,24 @@ import json
 import math
 import sqlite3
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from sumo_adv.datatypes import Parameter, Planner, acceleration_at, acceleration_of
+from sumo_adv.datatypes import Planner, acceleration_at
 from sumo_adv.errors import BankError
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical
+from sumo_adv.memory import content_check
+from sumo_adv.memory.records import Evidence, IntentRecord, canonical
+from sumo_adv.memory.schema import REPAIR
 
 _EVIDENCE_COLUMNS = (
     "geometry, relation, relative, controller, parameters, acceleration, knots, delay, attempts, min_ttc,"
     " collided, critical, feasible, rear_end, valid, strict, version, network, seed, created"
 )
 
-MERGED = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
+_PLANNER_COLUMNS = "mode, source, parameters, parent, origin"
+
+MERGED = content_check.MERGED  # settings ``merged.<key>``: the label of the intent into which this one was merged
 
 
 @dataclass(slots=True)
@@ -33,7 +38,7 @@ class Content:
 
 
 def load(connection: sqlite3.Connection) -> Content:
-    """Everything, from one consistent view of the file."""
+    """Everything, from one consistent view of the file. Raises BankError for content that no bank can have."""
     connection.execute("BEGIN")
     try:
         return read(connection)
@@ -42,35 +47,53 @@ def load(connection: sqlite3.Connection) -> Content:
 
 
 def read(connection: sqlite3.Connection) -> Content:
-    """Everything; to be called within a transaction."""
+    """Everything; to be called within a transaction. Raises BankError for content that no bank can have."""
     content = Content()
     keys: dict[int, str] = {}
     for id_, key, *rest in connection.execute(
         "SELECT id, key, label, description, applies, status FROM intents ORDER BY id"
     ):
+        with _named(connection, f"row {id_} of its intents"):
+            record = content_check.intent(key, *rest)
         keys[id_] = key
-        content.intents[key] = _intent(*rest)
+        content.intents[key] = record
         content.planners[key] = []
-    for id_, mode, source, parameters, parent, origin, status in connection.execute(
-        "SELECT intent, mode, source, parameters, parent, origin, status FROM planners ORDER BY id"
+    for row, id_, status, planner_hash, *rest in connection.execute(
+        f"SELECT id, intent, status, hash, {_PLANNER_COLUMNS} FROM planners ORDER BY id"
     ):
         key = keys[id_]
-        planner = _planner(content.intents[key].label, mode, source, parameters, parent, origin)
+        with _named(connection, f"row {row} of its planners"):
+            planner = content_check.planner(content.intents[key].label, planner_hash, *rest)
         content.planners[key].append(planner)
         if status == "retired":
             content.retired.add((key, planner.hash))
-    for id_, planner_hash, *values in connection.execute(
-        f"SELECT intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
+    for row, id_, planner_hash, *values in connection.execute(
+        f"SELECT id, intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
     ):
-        content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
+        with _named(connection, f"row {row} of its evidence"):
+            content.evidence.append(content_check.evidence(content.intents[keys[id_]].label, planner_hash, values))
     content.settings = read_settings(connection)
     return content
 
 
+@contextmanager
+def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
+    """Within it, what is wrong with a row is raised as BankError that names the file and the row."""
+    try:
+        yield
+    except (ValueError, TypeError, RecursionError, BankError) as error:
+        said = str(error).rstrip(".")
+        path = connection.execute("PRAGMA database_list").fetchone()[2]
+        raise BankError(f"The memory bank {path} is damaged in {row}: {said[:300]}; {REPAIR}.") from error
+
+
 def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
-    """All settings, by key."""
-    rows = connection.execute("SELECT key, value FROM settings ORDER BY key")
-    return {key: json.loads(value) for key, value in rows}
+    """All settings, by key. Raises BankError for a value that cannot be one."""
+    settings = {}
+    for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
+        with _named(connection, f"its setting {str(key)[:80]!r}"):
+            settings[key] = content_check.setting(key, value)
+    return settings
 
 
 def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str) -> None:
@@ -84,16 +107,19 @@ def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str
 
 def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | None:
     """The intent of that label in any spelling, as stored."""
-    row = connection.execute(
-        "SELECT label, description, applies, status FROM intents WHERE key = ?", (canonical(label),)
-    ).fetchone()
-    return None if row is None else _intent(*row)
+    key = canonical(label)
+    row = connection.execute("SELECT label, description, applies, status FROM intents WHERE key = ?", (key,)).fetchone()
+    return None if row is None else content_check.intent(key, *row)
 
 
 def insert_planner(
     connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str = "active"
 ) -> None:
-    """Add a planner to an intent that exists, unless it has that source already."""
+    """Add a planner to an intent that exists, unless it has that source already. Raises BankError."""
+    try:
+        content_check.parameters_of(planner)
+    except ValueError as error:
+        raise BankError(f"The planner cannot be kept: {error}.") from error
     parameters = [list(asdict(parameter).values()) for parameter in planner.parameters]
     connection.execute(
         "INSERT INTO planners (intent, mode, source, parameters, hash, parent, origin, status, created)"
@@ -109,18 +135,16 @@ def insert_planner(
 def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) -> tuple[Planner, str] | None:
     """One planner of an intent, as stored, and its status."""
     row = connection.execute(
-        "SELECT intents.label, mode, source, parameters, parent, origin, planners.status FROM planners"
+        f"SELECT planners.status, intents.label, hash, {_PLANNER_COLUMNS} FROM planners"
         " JOIN intents ON intents.id = planners.intent WHERE key = ? AND hash = ?",
         (canonical(label), planner_hash),
     ).fetchone()
-    return None if row is None else (_planner(*row[:-1]), row[-1])
+    return None if row is None else (content_check.planner(*row[1:]), row[0])
 
 
 def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str, *, wake: bool = True) -> None:
     """Add evidence about an intent and a planner that exist; with ``wake`` a success makes both active again."""
     scene = evidence.scene
-    if math.isnan(evidence.min_ttc):
-        raise BankError(f"The evidence for {evidence.label!r} has a min TTC that is not a number.")
     values = (
         scene.geometry, scene.relation, _json(scene.relative), scene.controller, _json(evidence.parameters),
         acceleration_at(evidence.acceleration, 0.0),
@@ -174,40 +198,6 @@ def canonical_items(content: Content) -> Iterator[list[Any]]:
         yield ["evidence", plain]
     for key, value in content.settings.items():
         yield ["setting", key, value]
-
-
-def _intent(label: str, description: str, applies: str, status: str) -> IntentRecord:
-    return IntentRecord(label, description, tuple(json.loads(applies)), status)
-
-
-def _planner(label: str, mode: str, source: str, parameters: str, parent: str | None, origin: str) -> Planner:
-    numbers = tuple(Parameter(*values) for values in json.loads(parameters))
-    return Planner(label, mode, source, numbers, origin, parent)
-
-
-def _evidence(label: str, planner_hash: str, values: list[Any]) -> Evidence:
-    geometry, relation, relative, controller, parameters, acceleration, knots, delay, attempts, min_ttc, *rest = values
-    collided, critical, feasible, rear_end, valid, strict, version, network, seed, created = rest
-    return Evidence(
-        label=label,
-        planner_hash=planner_hash,
-        scene=SceneSignature(geometry, relation, json.loads(relative), controller),
-        attempts=attempts,
-        min_ttc=math.inf if min_ttc is None else min_ttc,
-        collided=bool(collided),
-        critical=bool(critical),
-        feasible=bool(feasible),
-        rear_end=bool(rear_end),
-        valid=None if valid is None else bool(valid),
-        strict=None if strict is None else bool(strict),
-        version=version,
-        network=network,
-        seed=seed,
-        parameters=json.loads(parameters),
-        acceleration=acceleration if knots is None else acceleration_of(json.loads(knots)),
-        delay=delay,
-        created=created,
-    )
 
 
 def stored(evidence: Evidence, label: str, now: str) -> Evidence:

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from sumo_adv.errors import BankError
+from sumo_adv.memory import rows
 from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, Clock, check_identity, migrate, utc_now
+from sumo_adv.memory.schema import REPAIR, check_references, check_schema
 
 BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
 _MAGIC = b"SQLite format 3\0"
@@ -25,7 +27,7 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
         sqlite3.SQLITE_READONLY: "is read-only; give another path, or make the file and its folder writable",
         sqlite3.SQLITE_CANTOPEN: "cannot be opened; check that you may read the file and write in its folder",
         sqlite3.SQLITE_BUSY: f"was in use by another process for over {BUSY_TIMEOUT_MS / 1000:.0f} s; try again",
-        sqlite3.SQLITE_CORRUPT: "is damaged; move it away to start from the shipped one, or restore a copy",
+        sqlite3.SQLITE_CORRUPT: f"is damaged; {REPAIR}",
         sqlite3.SQLITE_NOTADB: "is not a SQLite file; give the path of a memory bank",
     }
     primary = code & 0xFF if isinstance(code, int) else None
@@ -133,12 +135,13 @@ def _open_readable(path: Path) -> sqlite3.Connection:
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> int:
-    """The version of the file; BankError if it is another program's, newer or damaged. Changes nothing."""
+    """The version of the file; BankError if it is another program's, newer, laid out otherwise or damaged. Changes
+    nothing."""
     version = check_identity(connection, str(path))
+    check_schema(connection, str(path), version)
     if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
-        raise BankError(
-            f"The memory bank {path} is damaged; move it away to start from the shipped one, or restore a copy."
-        )
+        raise BankError(f"The memory bank {path} is damaged; {REPAIR}.")
+    check_references(connection, str(path))
     return version
 
 
@@ -171,6 +174,8 @@ def fill_new(fresh: Path, seed_from: Path | None, clock: Clock) -> None:
                 _copy(seed_from, connection)
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         migrate(connection, str(seed_from or fresh), clock)
+        if seed_from is not None:
+            rows.load(connection)  # refuses content that no bank can have, before the copy gets its name
     finally:
         connection.close()
 

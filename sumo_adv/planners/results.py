@@ -171,6 +171,13 @@ def check_motion(
     away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
     if away > MAX_START_GAP + 1.5 * bv["speed"] * dt:
         raise PlannerResultError(f"{subject}: its trajectory begins {away:.1f} m from where the vehicle is.")
+    if len(states) > 1:  # from the vehicle's own velocity to that of the first two states: up to two steps of time
+        (ax, ay, *_), (bx, by, *_) = states[:2]
+        step = bv["speed"] * dt
+        change = math.hypot(bx - ax - step * math.cos(bv["heading"]), by - ay - step * math.sin(bv["heading"]))
+        if change > 2.0 * MAX_CHANGE * dt * dt:
+            jump = f"jumps between states 0 and 1, {change:.1f} m from where the vehicle was going"
+            raise PlannerResultError(f"{subject}: its trajectory {jump}.")
     for k in range(1, len(states) - 1):
         (ax, ay, *_), (bx, by, *_), (cx, cy, *_) = states[k - 1 : k + 2]
         change = math.hypot(cx - 2 * bx + ax, cy - 2 * by + ay)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -18,7 +18,7 @@ from sumo_adv.planners.follower import leaves_road
 from sumo_adv.planners.results import subject_of
 from sumo_adv.planners.road import road_of
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.session import Call, PlannerSession
+from sumo_adv.planners.session import MOST_STOPPED, Call, PlannerSession
 from sumo_adv.planners.trusted import InProcessSession, is_trusted
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
@@ -53,9 +53,12 @@ class Sessions:
         failed: planners that failed earlier, as hash -> sentence; they are not asked again.
         drivable: the road surface that the planners' own trajectories must stay on; None does not check it.
         in_process: let trusted planners answer in this process.
+        stopped: how many calls of each planner ran into a limit earlier, by hash.
 
     Attributes:
-        failures: planners that failed for all of their proposals, as hash -> sentence.
+        failures: planners that failed for all of their proposals, or ran into a limit ``MOST_STOPPED`` times, as
+            hash -> sentence.
+        stopped: as above, with the calls since.
         broken: proposals that failed, as their place -> sentence; ``answers`` does not ask them again.
     """
 
@@ -69,15 +72,20 @@ class Sessions:
         *,
         drivable: Drivable | None = None,
         in_process: bool = False,
+        stopped: Mapping[str, int] | None = None,
     ) -> None:
         self._roads, self._drivable, self._in_process = roads, drivable, in_process
         self._spent: dict[str, float] = defaultdict(float)  # planner hash -> s in its trajectory()
         self._sandbox, self._seed = sandbox, seed
         self._open: dict[str, PlannerSession | InProcessSession] = {}
         self.failures: dict[str, str] = dict(failed or {})
+        self.stopped = Counter(stopped or {})
         self.broken: dict[int, str] = {}
         self._proposals: dict[str, list[Proposal]] = {}  # by planner hash
         for p in proposals:
+            if self.stopped[p.planner.hash] >= MOST_STOPPED:
+                said = "it ran into its limits again and again, and is not asked any more: make it faster."
+                self.failures.setdefault(p.planner.hash, f"{subject_of(p.planner)}: {said}")
             if p.course is None and p.planner.hash not in self.failures:
                 self._proposals.setdefault(p.planner.hash, []).append(p)
 
@@ -130,8 +138,9 @@ class Sessions:
                     answers[k] = self._answer(proposals[k], observations[k], end, TRAJECTORY_SECONDS)
                 except SandboxError as error:
                     self.broken[k] = str(error)
+                    self.stopped[name] += isinstance(error, PlannerLimitError)
             broken = [self.broken[k] for k in sorted(self.broken) if proposals[k].planner.hash == name]
-            if len(broken) >= len(self._proposals[name]):
+            if len(broken) >= len(self._proposals[name]) or self.stopped[name] >= MOST_STOPPED:
                 self.failures[name] = broken[0]
         return answers
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from sumo_adv.datatypes import Level, Role, Track, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import with_level
+from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import PLAN
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
@@ -70,8 +70,8 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 def is_version_2(folder: Path) -> bool:
     """Whether a run's files hold all that the kinematic verdict of version 2 needs."""
     try:
-        outcome = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        outcome = parse_json((folder / OUTCOME).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise damaged(folder / OUTCOME, error) from error
     return isinstance(outcome, dict) and outcome.get("verdict_version") == 2
 

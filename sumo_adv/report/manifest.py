@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
@@ -43,7 +43,7 @@ def read_manifest(folder: Path) -> Recorded:
     if not file.is_file():
         raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")
     try:
-        m: dict[str, Any] = json.loads(file.read_text())
+        m: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
         if m["schema"] != SCHEMA:
             raise UsageError(
                 f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it."

@@ -29,8 +29,10 @@ class Predictor:
     def __init__(
         self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation],
         weights: ScoreSettings | None = None, driver_weights: Mapping[str, float] | None = None,
+        stopped: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
-        """``driver_weights``: what earlier encounters showed of an unknown driver."""
+        """``driver_weights``: what earlier encounters showed of an unknown driver; ``stopped``: how many calls of each
+        planner ran into a limit in them, by hash."""
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
@@ -41,6 +43,7 @@ class Predictor:
             self._situations = self._all_driven_by(self._driver.model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
+        self.stopped: Mapping[str, int] = dict(stopped or {})
 
     @property
     def driver_weights(self) -> dict[str, float]:
@@ -123,8 +126,9 @@ class Predictor:
         """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, in_process=True
-        ) as sessions:
+            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, in_process=True,
+            stopped=self.stopped,
+        ) as sessions:  # fmt: skip
             rollouts = predict(
                 situations, proposals, lambda rows, observations: sessions.answers(proposals, rows, observations),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
@@ -132,6 +136,7 @@ class Predictor:
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures
+            self.stopped = sessions.stopped
         failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}
         return rollouts, {**sessions.broken, **failed}
 

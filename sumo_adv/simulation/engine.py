@@ -160,21 +160,24 @@ def can_fork() -> bool:
 
 
 def in_forks(
-    works: Sequence[Callable[[], Any]], reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None
+    works: Sequence[Callable[[], Any]],
+    reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
+    lost: Callable[[str], Any] | None = None,
 ) -> list[Any]:
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
     reloaded: makes of a piece of work one that loads the simulation again first. A fork that dies is repeated with it.
+    lost: makes a result of the sentence that says why a fork died, for one that dies again when it is repeated.
 
     Raises:
-        SimulationError: a fork died, and again when it was repeated, or its work failed.
+        SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
     """
     results = _forked(works)
     if reloaded is not None:
         for k, (data, _) in enumerate(results):
             if not data:
                 results[k] = _forked([reloaded(works[k])])[0]
-    return [_result(data, status, repeated=reloaded is not None) for data, status in results]
+    return [_result(data, _death(status, repeated=reloaded is not None), lost) for data, status in results]
 
 
 def _forked(works: Sequence[Callable[[], Any]]) -> list[tuple[bytes, int]]:
@@ -211,21 +214,23 @@ def _child(work: Callable[[], Any], outlet: int) -> None:
         os._exit(0)
 
 
-def _result(data: bytes, status: int, *, repeated: bool) -> Any:
+def _result(data: bytes, death: str, lost: Callable[[str], Any] | None) -> Any:
     if not data:
-        again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
-        raise SimulationError(f"{_death(status)}{again}.")
+        if lost is None:
+            raise SimulationError(death)
+        return lost(death)
     kind, value = pickle.loads(data)
     if kind == "error":
         raise value
     return value
 
 
-def _death(status: int) -> str:
+def _death(status: int, *, repeated: bool) -> str:
     """Why a fork ended without a result, from its exit code."""
+    again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
     if status >= 0:
-        return f"A forked attempt ended without a result (exit status {status})"
+        return f"A forked attempt ended without a result (exit status {status}){again}."
     name = signal.Signals(-status).name
     crash = name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
     what = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
-    return f"{what} ({name})"
+    return f"{what} ({name}){again}."

@@ -24,6 +24,9 @@ from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
 SCENARIO, TRACKS, ROUTES = "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
 CAR, PERSON = (5.0, 1.8), (0.215, 0.478)  # m, length and width: SUMO's defaults
+LATEST = 1e7  # s, about four months: of times in a recording
+MOST_STATES = 20_000_000  # of all objects at all times: about 700 MB
+LARGEST, FARTHEST = 100.0, 1e9  # m: the size of a vehicle, and a place
 Size = tuple[float, float]
 Seen = dict[str, dict[float, dict[str, str]]]
 
@@ -66,6 +69,8 @@ def _read(recording: Path) -> tuple[Seen, set[str]]:
         nonlocal now
         if tag == "timestep":
             now = float(attributes["time"])
+            if not abs(now) < LATEST:
+                raise ValueError(f"a timestep at {attributes['time'][:40]}")
         elif tag in ("vehicle", "person"):
             seen.setdefault(attributes["id"], {})[now] = attributes
             if tag == "person":
@@ -88,6 +93,8 @@ def _sizes(types: Sequence[Path]) -> dict[str, Size]:
         if tag == "vType":
             length, width = (attributes.get(k, d) for k, d in (("length", CAR[0]), ("width", CAR[1])))
             found[attributes["id"]] = float(length), float(width)
+            if not all(0.0 < size < LARGEST for size in found[attributes["id"]]):
+                raise ValueError(f"its size is {length} m by {width} m")
 
     for file in types:
         try:
@@ -101,6 +108,11 @@ def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Siz
     times = np.array(sorted({time for states in seen.values() for time in states}))
     step = float(np.diff(times).min()) if len(times) > 1 else 0.1
     count = round((times[-1] - times[0]) / step) + 1
+    if count * len(seen) > MOST_STATES:
+        raise UsageError(
+            f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {step:.3g} s with {len(seen)} objects, more"
+            f" than {MOST_STATES:.0e} states; cut it to the part that is to be run."
+        )
     grid = times[0] + step * np.arange(count)
     try:
         tracks = {n: _track(n, states, n in persons, sizes, grid, step) for n, states in seen.items()}
@@ -129,8 +141,8 @@ def _track(
         y[k] = float(state["y"]) - back * math.sin(heading[k])
         speed[k] = float(state["speed"])
         valid[k] = True
-    if not np.isfinite([x, y, heading, speed]).all():
-        raise ValueError(f"'{name}' has a number that is not finite")
+    if not (np.abs([x, y, heading, speed]) < FARTHEST).all():
+        raise ValueError(f"'{name}' has a number that is not finite, or no place on a map")
     return LoggedTrack(name, "pedestrian" if person else "vehicle", valid, x, y, heading, speed, length, width)
 
 

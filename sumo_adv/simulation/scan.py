@@ -13,7 +13,10 @@ from xml.parsers import expat
 
 from sumo_adv.errors import UsageError
 
+LONGEST_LANE = 1e6  # m, and m/s: beyond any
+FARTHEST = 1e9  # m from the origin
 _Handler = Callable[[str, dict[str, str]], None]
+ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # those that expat knows by itself
 _DRIVING = ("vehicle", "trip", "flow")
 
 
@@ -41,7 +44,8 @@ class DemandScan:
 def scan_network(path: Path) -> NetworkScan:
     """The edges of the SUMO network ``path``.
 
-    Raises UsageError if it is damaged, is no SUMO network, or has no lane for passenger cars.
+    Raises UsageError if it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
+    or has no lane for passenger cars.
     """
     edges: set[str] = set()
     drivable: set[str] = set()
@@ -58,13 +62,37 @@ def scan_network(path: Path) -> NetworkScan:
             current = attributes.get("id", "") if attributes.get("function", "normal") == "normal" else ""
             if current:
                 edges.add(current)
-        elif tag == "lane" and current and allows_passenger(attributes):
-            drivable.add(current)
+        elif tag == "lane":
+            _check_lane(path, attributes)
+            if current and allows_passenger(attributes):
+                drivable.add(current)
 
     parse(path, start)
     if not drivable:
         raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
     return NetworkScan(frozenset(edges), frozenset(drivable))
+
+
+def _check_lane(path: Path, lane: dict[str, str]) -> None:
+    """Raises UsageError for a lane that nothing can be on."""
+    shape = lane.get("shape", "")
+    try:
+        length, width, speed = float(lane["length"]), float(lane.get("width", "3.2")), float(lane["speed"])
+        places = [float(number) for number in shape.replace(",", " ").split()]
+    except (KeyError, ValueError) as error:
+        raise UsageError(_bad_lane(path, lane, f"lacks a number or has a wrong one ({error})")) from error
+    if not 0.0 < length < LONGEST_LANE:
+        raise UsageError(_bad_lane(path, lane, f"has a length of {lane['length']} m"))
+    if not 0.0 < width < LONGEST_LANE or not 0.0 <= speed < LONGEST_LANE:
+        raise UsageError(_bad_lane(path, lane, f"has a width of {width:g} m and a speed of {speed:g} m/s"))
+    if len(shape.split()) < 2 or not all(abs(place) < FARTHEST for place in places):
+        raise UsageError(_bad_lane(path, lane, "has no shape of two places or more"))
+
+
+def _bad_lane(path: Path, lane: dict[str, str], what: str) -> str:
+    return (
+        f"The lane '{lane.get('id', '')[:80]}' of the network {path} {what}; build the network again with netconvert."
+    )
 
 
 def allows_passenger(lane: dict[str, str]) -> bool:
@@ -138,8 +166,14 @@ def seconds(path: Path, key: str, value: str | None) -> float | None:
 
 def parse(path: Path, start: _Handler) -> None:
     """Feeds every element's start to ``start``; a damaged file is a UsageError."""
+
+    def known_encoding(version: str, encoding: str | None, standalone: int) -> None:
+        if encoding is not None and encoding.lower() not in ENCODINGS:
+            raise UsageError(f"{path} says that it is written in {encoding[:40]!r}: write it in UTF-8.")
+
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
+    parser.XmlDeclHandler = known_encoding
     try:
         with _open(path) as file:
             parser.ParseFile(file)

@@ -25,14 +25,14 @@ Nothing here opens any file but the scenario; ``inputs.py`` checks what it names
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
 
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import read_toml
 
 SCHEMA = 1
 DEFAULT_WARM_UP = 3.0  # s after the ego's insertion
@@ -169,12 +169,7 @@ def load_scenario(path: Path) -> Scenario:
 
     Raises UsageError, one sentence with file and key, for what cannot be read, unknown keys and bad values.
     """
-    try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UsageError(f"The scenario {path} cannot be read: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"The scenario {path} is not valid TOML: {error}.") from error
+    table = read_toml(path, "The scenario")
     try:
         return Scenario.model_validate(table, context={"folder": path.parent})
     except ValidationError as error:

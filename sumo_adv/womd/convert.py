@@ -22,6 +22,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.files import user_folder
+from sumo_adv.parsing import parse_json
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.scene import SCENARIO, write_scene
 
@@ -124,8 +125,8 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
 def _known(place: Path) -> dict[str, Any] | None:
     """The report of a whole conversion at ``place``, or None."""
     try:
-        return dict(json.loads((place / REPORT).read_text(encoding="utf-8")))
-    except (OSError, ValueError):
+        return dict(parse_json((place / REPORT).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
         return None
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
+from sumo_adv.womd.bounds import check_bounds
 from sumo_adv.womd.framing import Frame, read_frames
 from sumo_adv.womd.record import (
     AreaFeature,
@@ -32,6 +33,7 @@ from sumo_adv.womd.record import (
 )
 
 MPH = 0.44704  # m/s
+LARGEST_OBJECT = 100.0  # m, length or width: a state with a larger one is taken for invalid
 INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
 _AREAS = ("crosswalk", "speed_bump", "driveway")
@@ -158,7 +160,7 @@ def _read(frame: Frame, path: Path, wanted: str | None, parse: Callable[[bytes],
 def record_of(message: Any, where: str) -> Record:
     """A Scenario message as a record. ``where`` names it in errors.
 
-    Raises UsageError if it has no id, steps, current step, ego or map, or contradicts itself.
+    Raises UsageError if it has no id, steps, current step, ego or map, contradicts itself, or spans too much.
     """
     name, time = message.scenario_id, np.array(message.timestamps_seconds, dtype=np.float64)
     if not name or not len(time):
@@ -179,12 +181,14 @@ def record_of(message: Any, where: str) -> Record:
     if len({t.id for t in tracks}) < len(tracks):
         raise UsageError(f"{where} has two tracks of the same id.")
     to_predict = tuple(p.track_index for p in message.tracks_to_predict if 0 <= p.track_index < len(tracks))
-    return Record(
+    record = Record(
         scenario_id=name, time=time, current=message.current_time_index, sdc=message.sdc_track_index, tracks=tracks,
         objects_of_interest=tuple(message.objects_of_interest), to_predict=to_predict, lanes=lanes,
         lines=_lines(message, where), stop_signs=_stop_signs(message, where), areas=_areas(message, where),
         signals=_signals(message, len(time), where),
     )  # fmt: skip
+    check_bounds(record, where)
+    return record
 
 
 def _points(points: Sequence[Any], where: str) -> Floats:
@@ -265,7 +269,8 @@ def _track(track: Any, steps: int, where: str) -> ObjectTrack:
     columns = np.array(
         [[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64
     )  # fmt: skip
-    sound = np.isfinite(columns).all(axis=0) & (columns[3] > 0.0) & (columns[4] > 0.0)
+    size = columns[3:5]
+    sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < LARGEST_OBJECT).all(axis=0)
     valid = np.array([state.valid for state in track.states], dtype=bool) & sound
     x, y, z, length, width, height, heading, vx, vy = columns
     return ObjectTrack(

@@ -22,6 +22,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.parsing import parse_json
 from sumo_adv.report.coverage import Coverage
 from sumo_adv.report.index.make import Made, make_index, road_of
 from sumo_adv.report.index.rows import Table
@@ -179,7 +180,7 @@ def _ignore_interrupts() -> None:
 def _read(out: Path) -> tuple[dict[str, Made], dict[str, Any]]:
     """What the last time made; nothing where there was none, or another version made it."""
     try:
-        kept = json.loads((out / MADE).read_text(encoding="utf-8"))
+        kept = parse_json((out / MADE).read_text(encoding="utf-8"))
         if kept["version"] != __version__:
             return {}, {}
         made = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEADER
@@ -65,8 +65,8 @@ def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[T
 
 def _json(file: Path) -> dict[str, Any]:
     try:
-        value = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        value = parse_json(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise damaged(file, error) from error
     if not isinstance(value, dict):
         raise damaged(file, "not an object")
