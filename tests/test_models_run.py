@@ -120,7 +120,7 @@ def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], 
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
     run = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
     outcome = run.outcome
-    assert [agent_of(a) for a in run.questions] == ["analyzer", "confirm", "generator", "modifier"]
+    assert [agent_of(a) for a in run.questions] == ["analyzer", "generator", "modifier"]
     assert (outcome["ending"], outcome["intent"]["source"]) == ("critical", "generated")
     assert [a["critical"] for a in outcome["attempts"]] == [False, True]
     assert outcome["learnt"] is True
