@@ -101,7 +101,7 @@ def open_for_run(settings: Settings) -> MemoryBank:
 def make_similarity(settings: Settings) -> Similarity:
     """The metric that the settings name. Raises UsageError: no such model folder, or no server for the name."""
     from sumo_adv.memory.embeddings import Embedded
-    from sumo_adv.memory.similarity import TfIdf
+    from sumo_adv.memory.similarity import TextAndSlots
 
     kind, _, name = settings.metric.partition(":")
     if kind == "endpoint":
@@ -112,7 +112,7 @@ def make_similarity(settings: Settings) -> Similarity:
         from sumo_adv.memory.sentence_model import SentenceModel
 
         return Embedded(SentenceModel(Path(name).expanduser()), kind)
-    return TfIdf()
+    return TextAndSlots()
 
 
 # -- analyzer, generator and modifier -----------------------------------------------------------------------------

@@ -86,7 +86,7 @@ class Settings(ModelSettings, BaseSettings):
     learn: Literal["on", "off"] = "on"
     recall: Literal["intent", "scene"] = "intent"
     memory: Path | None = None
-    metric: str = "tfidf"
+    metric: str = "slots"
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo", "mixed"] | None = None  # who drives recorded BVs; None = as the scenario says
@@ -114,8 +114,8 @@ class Settings(ModelSettings, BaseSettings):
     @classmethod
     def _is_a_metric(cls, given: str) -> str:
         kind, _, name = given.partition(":")
-        if given != "tfidf" and (kind not in ("endpoint", "local") or not name):
-            raise ValueError("use tfidf, endpoint:MODEL or local:DIR")
+        if given != "slots" and (kind not in ("endpoint", "local") or not name):
+            raise ValueError("use slots, endpoint:MODEL or local:DIR")
         return given
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from sumo_adv.errors import BankError, PlannerSyntaxError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, read_sources, verify_same
 from sumo_adv.memory.records import RELATIONS
-from sumo_adv.memory.similarity import TfIdf
+from sumo_adv.memory.similarity import TextAndSlots
 
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
@@ -51,7 +51,7 @@ def test_building_twice_gives_the_same_bank(tmp_path: Path) -> None:
         assert [record.description for record in a.intents()] == ["It brakes hard."]
         assert [planner.mode for planner in a.planners("Emergency Braking")] == ["late", "plain"]
         assert a.planners("Emergency Braking")[1] == BRAKE_PLANNER
-        assert a.epsilon() == (TfIdf.epsilon, TfIdf.calibrated_on)
+        assert a.epsilon() == (TextAndSlots.epsilon, TextAndSlots.calibrated_on)
     assert one.read_bytes() == two.read_bytes()
     assert verify_same(folder, one, parse) == []
     assert {file.name for file in tmp_path.iterdir()} == {"memory_bank", "one.sqlite", "two.sqlite"}

@@ -136,12 +136,15 @@ def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(prog
 def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> None:
     shutil.copy(SHIPPED, program.folder / "bank.sqlite")
     first = told(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--json"))
-    assert (first["stored"], first["known"], first["novel"]) == (False, 77, 30)
+    assert (first["stored"], first["sets"][0]["known"], first["sets"][0]["novel"]) == (False, 77, 30)
     with MemoryBank.open(program.folder / "bank.sqlite") as bank:
         assert bank.epsilon()[0] == first["before"]
         bank.retire("Straight Lane Shift")
     stored = told(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--store", "--json"))
-    assert (stored["known"], stored["novel"]) == (66, 41)  # 11 paraphrases of the retired one are novel now
+    assert (stored["sets"][0]["known"], stored["sets"][0]["novel"]) == (
+        66,
+        41,
+    )  # 11 paraphrases of the retired one are novel now
     with MemoryBank.open(program.folder / "bank.sqlite") as bank:
         assert bank.epsilon() == (stored["epsilon"], stored["calibrated_on"])
     assert stored["calibrated_on"].endswith("41 novel behaviours, a bank of 6 intents")

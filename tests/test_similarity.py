@@ -1,4 +1,4 @@
-"""Similarity of intents: stems, phrases, distances by hand, speed at 5,000 entries."""
+"""Similarity of texts and of intents: stems, phrases, distances by hand, speed at 5,000 entries."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from sumo_adv.memory.similarity import TfIdf, term_counts
+from sumo_adv.memory.similarity import TextAndSlots, TfIdf, term_counts
 from sumo_adv.memory.words import features, stem
 
 
@@ -59,12 +59,36 @@ def test_a_word_nobody_knows_makes_the_distance_larger() -> None:
     assert metric.distances("brakes xylophone", "")[0] > 0.05
 
 
+def test_a_contradiction_in_a_slot_makes_the_distance_larger() -> None:
+    metric = TextAndSlots()
+    metric.fit([("quartz", "")])
+    # idf(quartz) = ln(2/2) + 1 = 1, idf of an unknown word = ln 2 + 1 = 1.693147:
+    # cos = 1 / sqrt(1 + 1.693147^2) = 0.508542
+    assert metric.distances("quartz xylophone", "") == pytest.approx([1 - 0.508542], abs=1e-6)
+    assert metric.distances("quartz reversing", "") == pytest.approx([1 - 0.4 * 0.508542], abs=1e-6)
+    # two unknown words, two slots: cos = 1 / sqrt(1 + 2 * 1.693147^2) = 0.385372
+    assert metric.distances("quartz reversing roundabout", "") == pytest.approx([1 - 0.4**2 * 0.385372], abs=1e-6)
+
+
+def test_a_manoeuvre_must_be_mentioned_and_a_place_need_not_be() -> None:
+    plain, metric = TfIdf(), TextAndSlots()
+    entries = [("quartz reversing", ""), ("quartz roundabout", ""), ("quartz reversing or skidding", "")]
+    plain.fit(entries)
+    metric.fit(entries)
+    cosines = 1 - plain.distances("quartz", "")
+    assert metric.distances("quartz", "") == pytest.approx(1 - cosines * [0.4, 1.0, 0.4])
+    cosines = 1 - plain.distances("reversing", "")
+    assert metric.distances("reversing", "") == pytest.approx(1 - cosines * [1.0, 0.4, 1.0])  # one in common is enough
+    metric.fit([])
+    assert metric.distances("quartz", "").shape == (0,)
+
+
 def test_five_thousand_entries_are_searched_in_under_a_millisecond() -> None:
     rng = np.random.default_rng(0)
     vocabulary = [f"{a}{b}{c}" for a in "bdfgklm" for b in "aeiou" for c in ("rt", "nk", "st", "lm", "mp", "sk")]
     words = [*vocabulary, "brakes", "oncoming", "lane", "sudden", "front"]
     entries = [(" ".join(rng.choice(words, 3)), " ".join(rng.choice(words, 25))) for _ in range(5000)]
-    metric = TfIdf()
+    metric = TextAndSlots()
     metric.fit(entries)
     seconds = []
     for entry in entries[:50]:

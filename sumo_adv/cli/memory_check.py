@@ -14,7 +14,7 @@ from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_simila
 if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.calibrate import Paraphrase
+    from sumo_adv.memory.calibrate import Paraphrase, SetFigures
     from sumo_adv.memory.records import Source
     from sumo_adv.planners.sandbox import Sandbox
 
@@ -89,13 +89,13 @@ def _again(
 
 
 def calibrate(
-    file: Annotated[Path, typer.Argument(help="Paraphrases of known intents, and novel behaviours, in TOML.")],
+    files: Annotated[list[Path], typer.Argument(help="Paraphrases of known intents, and novel behaviours, in TOML.")],
     store: Annotated[bool, typer.Option("--store", help="Keep the epsilon in the bank.")] = False,
     metric: Metric = None,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
-    """How well the bank tells known from novel intents: epsilon from one half of the file, figures from the other.
+    """How well the bank tells known from novel intents: epsilon from one half of the files, figures from the others.
 
     Behaviours whose intent the bank lacks count as novel. The intervals are 95 % bootstrap.
     """
@@ -104,27 +104,39 @@ def calibrate(
 
     similarity = chosen_similarity(metric)
     with open_bank(memory, make=store, similarity=similarity) as bank:
-        tuning, reporting = (_as_known(bank, half) for half in read_paraphrases(file))
+        halves = [read_paraphrases(file) for file in files]
+        sets = [(_as_known(bank, tuning), _as_known(bank, reporting)) for tuning, reporting in halves]
         active = [record for record in bank.intents() if record.status == "active"]
-        calibration = measure(similarity, active, tuning, reporting)
-        known = sum(p.intent is not None for p in tuning)
+        calibration = measure(similarity, active, sets)
+        known = [p.intent is not None for tuning, _ in sets for p in tuning]
         on = (
-            f"{file.name}, tuning half: {known} paraphrases and {len(tuning) - known} novel behaviours,"
-            f" a bank of {len(active)} intents"
+            f"{' and '.join(file.name for file in files)}, tuning halves: {sum(known)} paraphrases and "
+            f"{len(known) - sum(known)} novel behaviours, a bank of {len(active)} intents"
         )
         before = _epsilon(bank)
         if store:
             bank.set_epsilon(calibration.epsilon, on)
-    figures = {"top-1": calibration.top1, "AUC": calibration.auc, "balanced accuracy": calibration.balanced_accuracy}
-    value = {**asdict(calibration), "calibrated_on": on, "before": before, "stored": store}
+    names = [file.name for file in files]
+    value = asdict(calibration) | {"calibrated_on": on, "before": before, "stored": store}
+    value["sets"] = [{"file": name} | figures for name, figures in zip(names, value["sets"], strict=True)]
     before_said = "there was none" if before is None else f"was {before:.3f}"
     answer(value, as_json, lambda: [
         f"Metric {calibration.metric}: epsilon {calibration.epsilon:.3f}, "
         f"{'stored' if store else 'not stored'} ({before_said})",
         f"Calibrated on {on}.",
-        f"On the other half ({calibration.known} known, {calibration.novel} novel):",
-        *(f"  {name:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for name, f in figures.items()),
+        *(line for name, figures in zip(names, calibration.sets, strict=True) for line in _lines(name, figures)),
     ])  # fmt: skip
+
+
+def _lines(name: str, figures: SetFigures) -> list[str]:
+    named = {
+        "top-1": figures.top1, "AUC": figures.auc, "known recognised": figures.recognised,
+        "novel refused": figures.refused, "balanced accuracy": figures.balanced_accuracy,
+    }  # fmt: skip
+    return [
+        f"On the other half of {name} ({figures.known} known, {figures.novel} novel):",
+        *(f"  {title:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for title, f in named.items()),
+    ]
 
 
 def _epsilon(bank: MemoryBank) -> float | None:
@@ -150,5 +162,5 @@ def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:
 
 COMMANDS = (
     ("verify", verify, "verify --label 'Aggressive Cut-in'"),
-    ("calibrate", calibrate, "calibrate tests/data/intents_paraphrases.toml --store"),
+    ("calibrate", calibrate, "calibrate tests/data/intents_independent.toml --store"),
 )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Bank = Annotated[Path | None, typer.Option("--memory", help="The bank (else the one in the user's data folder).")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Metric = Annotated[
-    str | None, typer.Option(help="tfidf, endpoint:MODEL (embeddings of a server) or local:DIR (default: tfidf).")
+    str | None, typer.Option(help="slots, endpoint:MODEL (embeddings of a server) or local:DIR (default: slots).")
 ]
 
 

@@ -32,7 +32,7 @@ from sumo_adv.memory.records import (
     Source,
     canonical,
 )
-from sumo_adv.memory.similarity import Similarity, TfIdf
+from sumo_adv.memory.similarity import Similarity, TextAndSlots
 from sumo_adv.memory.store import open_file, sentences
 
 NEAREST = 5  # labels in a retrieval
@@ -76,7 +76,7 @@ class MemoryBank:
         connection, writable = open_file(path, seed_from=seed_from, read_only=read_only, clock=clock)
         try:
             with sentences(path):
-                return cls(connection, path, writable, similarity or TfIdf(), clock)
+                return cls(connection, path, writable, similarity or TextAndSlots(), clock)
         except BaseException:
             connection.close()
             raise

@@ -22,7 +22,7 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.evidence_csv import read_evidence
 from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
 from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical
-from sumo_adv.memory.similarity import TfIdf
+from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.memory.store import connect, publish, sentences
 from sumo_adv.parsing import parse_toml
 
@@ -255,7 +255,9 @@ def _fill(fresh: Path, sources: list[Source], settings: Mapping[str, object], cl
 
 def epsilon_setting() -> tuple[str, dict[str, object]]:
     """Key and value of the setting that a built bank carries: the default metric's epsilon."""
-    return f"epsilon.{TfIdf.name}", {"epsilon": TfIdf.epsilon, "calibrated_on": TfIdf.calibrated_on}
+    return f"epsilon.{TextAndSlots.name}", {
+        "epsilon": TextAndSlots.epsilon, "calibrated_on": TextAndSlots.calibrated_on,
+    }  # fmt: skip
 
 
 def verify_same(folder: Path, bank_path: Path, parse: Parse) -> list[str]:

@@ -1,9 +1,10 @@
 """Epsilon for a metric: how well the bank tells known intents from novel ones, and where to draw the line.
 
-From a set of paraphrases of known intents and of novel behaviours: top-1 (the nearest label is the right one), the
-area under the ROC curve of known against novel by the distance to the nearest (Mann-Whitney, ties half), and the
-balanced accuracy of "known if distance <= epsilon", with 95 % bootstrap intervals.  Epsilon is chosen on the tuning
-half (even places of each list); figures are of the other half, which nothing was chosen on.
+From sets of paraphrases of known intents and of novel behaviours: top-1 (the nearest label is the right one), the area
+under the ROC curve of known against novel by the distance to the nearest (Mann-Whitney, ties half), and for "known if
+distance <= epsilon" the shares of known ones recognised and of novel ones refused, and their mean, the balanced
+accuracy; with 95 % bootstrap intervals.  Epsilon is chosen on the tuning halves of all sets (even places of each list);
+figures are of the other half of each set, which nothing was chosen on.
 """
 
 from __future__ import annotations
@@ -44,16 +45,25 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """What a metric can do on a set: ``epsilon`` from the tuning half, the figures from the reporting half."""
+class SetFigures:
+    """What a metric can do on the reporting half of a set. ``known`` and ``novel`` are counts."""
 
-    metric: str
-    epsilon: float
     known: int
     novel: int
     top1: Figure
     auc: Figure
+    recognised: Figure
+    refused: Figure
     balanced_accuracy: Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """``epsilon`` from the tuning halves of all sets, and the figures of each set, in the order given."""
+
+    metric: str
+    epsilon: float
+    sets: tuple[SetFigures, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,35 +135,49 @@ def auc(measured: Measured) -> float:
     return float(np.sum(above + 0.5 * ties) / (known.size * novel.size))
 
 
+def recognised(measured: Measured, epsilon: float) -> float:
+    """Share of the known ones within epsilon."""
+    return float(np.mean(measured.distance[measured.known] <= epsilon))
+
+
+def refused(measured: Measured, epsilon: float) -> float:
+    """Share of the novel ones beyond epsilon."""
+    return float(np.mean(measured.distance[~measured.known] > epsilon))
+
+
 def balanced_accuracy(measured: Measured, epsilon: float) -> float:
-    """Mean of the shares of known ones within and of novel ones beyond epsilon."""
-    within = measured.distance <= epsilon
-    return float((np.mean(within[measured.known]) + np.mean(~within[~measured.known])) / 2.0)
+    """Mean of ``recognised`` and ``refused``."""
+    return (recognised(measured, epsilon) + refused(measured, epsilon)) / 2.0
 
 
 def calibrate(
     similarity: Similarity,
     intents: Sequence[IntentRecord],
-    tuning: Sequence[Paraphrase],
-    reporting: Sequence[Paraphrase],
+    sets: Sequence[tuple[Sequence[Paraphrase], Sequence[Paraphrase]]],
     seed: int = 0,
 ) -> Calibration:
-    """Choose epsilon on ``tuning``, measure on ``reporting``. Raises BankError if a half lacks known or novel ones."""
-    if not intents or any({p.intent is None for p in half} != {True, False} for half in (tuning, reporting)):
-        raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its set.")
-    epsilon = best_epsilon(measure(similarity, intents, tuning))
-    measured = measure(similarity, intents, reporting)
+    """Choose epsilon on the tuning halves of (tuning, reporting) ``sets``, measure on each reporting half.
 
+    Raises BankError without intents or sets, and if a half lacks known or novel ones.
+    """
+    if not intents or not sets or any({p.intent is None for p in half} != {True, False} for s in sets for half in s):
+        raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its sets.")
+    epsilon = best_epsilon(measure(similarity, intents, [p for tuning, _ in sets for p in tuning]))
+    figures = tuple(_figures(measure(similarity, intents, reporting), epsilon, seed) for _, reporting in sets)
+    return Calibration(similarity.name, epsilon, figures)
+
+
+def _figures(measured: Measured, epsilon: float, seed: int) -> SetFigures:
     def figure(statistic: Callable[[Measured], float]) -> Figure:
         return Figure(statistic(measured), *_interval(measured, statistic, seed))
 
-    return Calibration(
-        metric=similarity.name,
-        epsilon=epsilon,
+    return SetFigures(
         known=int(measured.known.sum()),
         novel=int((~measured.known).sum()),
         top1=figure(top1),
         auc=figure(auc),
+        recognised=figure(lambda resampled: recognised(resampled, epsilon)),
+        refused=figure(lambda resampled: refused(resampled, epsilon)),
         balanced_accuracy=figure(lambda resampled: balanced_accuracy(resampled, epsilon)),
     )
 
