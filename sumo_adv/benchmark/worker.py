@@ -24,7 +24,7 @@ from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes, die_with_parent
-from sumo_adv.errors import BankError, SumoAdvError, UsageError
+from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import is_storage_error, json_text, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
@@ -217,5 +217,4 @@ def work(setup: Setup, job: Job) -> None:
 
 def _fault(error: Exception) -> str:
     """A sentence, and below it where it happened."""
-    what = " ".join(f"{type(error).__name__}: {error}".split())
-    return f"A fault of sumo_adv itself ({what}); please report it.\n{traceback.format_exc()}"
+    return f"{fault_sentence(error)}\n{traceback.format_exc()}"
