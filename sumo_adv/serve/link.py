@@ -19,6 +19,7 @@ ORDER = 2
 _LONGEST = 2**31 - 1
 _RETRY = 0.01  # s
 _TIME = make_message(make_command(0xAB, b"\x66" + bytes(4)))
+_STEP_LENGTH = make_message(make_command(0xAB, b"\x7b" + bytes(4)))
 _STEP = make_message(make_command(framing.SIMSTEP, bytes(8)))
 _INVALID = struct.pack("!d", -1073741824.0)
 
@@ -68,6 +69,7 @@ class Link:
         self._line = line
         self._idle = idle
         self.version = b""
+        self._step_length = 0.0
         self._send(make_message(make_command(framing.GETVERSION)))
         self._send(make_message(make_command(framing.SETORDER, struct.pack("!i", ORDER))))
 
@@ -102,6 +104,12 @@ class Link:
         """SUMO's time [s]; nan if it does not say."""
         answer = self.ask(_TIME)
         return float(struct.unpack("!d", answer[-8:])[0]) if framing.accepted(answer) else math.nan
+
+    def step_length(self) -> float:
+        """SUMO's step [s]."""
+        if not self._step_length:
+            self._step_length = float(struct.unpack("!d", self.ask(_STEP_LENGTH)[-8:])[0])
+        return self._step_length
 
     def await_turn(self, listen: Callable[[], Line | None], talk: Callable[[], None]) -> None:
         """Wait until SUMO has come to us, calling ``talk`` whenever the line that ``listen`` names can be received."""

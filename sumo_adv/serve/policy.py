@@ -168,6 +168,14 @@ class Policy:
             self._own[domain].discard(name)
 
 
+def removed(command: Command) -> tuple[str, bytes] | None:
+    """Domain and name of the object that a command removes, or None."""
+    domain = SETTERS.get(command.number)
+    if domain is None or not command.payload or command.payload[0] != _REMOVE:
+        return None
+    return domain, command.payload[5 : shapes.name_end(command.payload, 1)]
+
+
 def step_until(payload: bytes) -> float:
     """The time [s] to which a SIMSTEP asks to go, 0 for one step.
 
