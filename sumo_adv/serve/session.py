@@ -21,6 +21,7 @@ from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.gate_events import Stepper
 from sumo_adv.serve.options import OnLoss, Options
+from sumo_adv.serve.policy import OURS
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
@@ -95,7 +96,7 @@ class Session(Drive):
         self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
         self._sumo = SumoProcess(spec.arguments())
         try:
-            gate.attach(self._sumo, own={ego.id})
+            gate.attach(self._sumo, own={ego.id}, kept=() if ego.added else (ego.id,))
             super().__init__(spec, ExternalEgo(), spec.seed, Remote(_connect(self._sumo)))
         except BaseException:
             gate.detach()
@@ -199,7 +200,7 @@ class Session(Drive):
             "depart": repr(max(route.depart, self.now)), "departLane": str(route.lane),
             "departPos": str(route.position), "departSpeed": str(route.speed),
         }  # fmt: skip
-        name = f"{self._plan.id}.route.{self._departures}"
+        name = f"{OURS}{self._plan.id}.route.{self._departures}"
         self.simulation.add(self._plan.id, route.edges, kind, depart, route=name)
         self._departures, self._pending = self._departures + 1, True
 
