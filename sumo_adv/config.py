@@ -103,6 +103,7 @@ class Settings(ModelSettings, BaseSettings):
     delays: tuple[float, ...] = (0.0, 1.5, 3.0)
     shortlist: int = Field(5, ge=1, le=20)
     search: float = Field(120.0, gt=0)
+    cell_seconds: float = Field(900.0, gt=0)
     proposals: int = Field(80, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)

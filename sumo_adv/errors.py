@@ -15,6 +15,10 @@ SumoAdvError                 one sentence: what is wrong and what to do; exit st
 
 from __future__ import annotations
 
+import errno
+
+OUT_OF_MEMORY = "Memory ran out; end other programs, use fewer workers, or give a smaller input."
+
 
 class SumoAdvError(Exception):
     """Base class. ``str(error)`` is one sentence a user can act on."""
@@ -69,3 +73,20 @@ class BankError(SumoAdvError):
     """The memory bank cannot be opened, read or written."""
 
     exit_status = 2
+
+
+def ran_out_of_memory(error: BaseException | None) -> bool:
+    """Whether an error, or one that it came of, says that the machine has no more memory."""
+    while error is not None:
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def fault_sentence(error: BaseException) -> str:
+    """A sentence about an error that nobody raised on purpose, which is a fault of ours unless memory ran out."""
+    if ran_out_of_memory(error):
+        return OUT_OF_MEMORY
+    what = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"A fault of sumo_adv itself ({what}); please report it."

@@ -10,6 +10,7 @@ from functools import partial
 from multiprocessing.connection import Connection
 from typing import Any
 
+import numpy
 from sumo_samples import over_the_line
 
 from sumo_adv.errors import SimulationError, UsageError
@@ -54,6 +55,12 @@ class Errands:
 
     def bug(self) -> None:
         raise ZeroDivisionError("one by none")
+
+    def hoard(self) -> None:
+        numpy.empty(2**56)
+
+    def hoard_in_forks(self) -> list[Any]:
+        return list(in_forks([self.hoard]))
 
     def squares(self, numbers: list[int]) -> list[int]:
         return list(in_forks([partial(pow, n, 2) for n in numbers]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,9 @@ import pytest
 from sumo_adv.benchmark.bench import Bench, read_cells
 from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
 from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.waits import note_of, noted
 from sumo_adv.errors import UsageError
+from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.inputs import data_folder
 
 CALM = "It cannot be opened."
@@ -28,6 +31,13 @@ def load(path: Path, record: str | None) -> Any:
         os._exit(9)
     if path.stem == "hangs":
         time.sleep(600)
+    if path.stem == "asks":
+        ledger, note = (
+            Ledger(clock=lambda: 100.0 * time.monotonic()),
+            note_of(Path(tempfile.gettempdir()), job(path.parent, "asks", "raw"), "raw"),
+        )
+        with noted(ledger, note), ledger.waiting():
+            time.sleep(5)
     if path.stem == "slow":
         time.sleep(1)
     raise UsageError(CALM)
@@ -63,7 +73,7 @@ def job(folder: Path, name: str, *rows: str, place: int | None = None) -> Job:
     return Job(Case(name, folder / f"{name}.toml", None, "leader", "straight"), "idm", 0, rows, place=place)
 
 
-def bench(folder: Path, told: Told, deadline: float = 900.0) -> Bench:
+def bench(folder: Path, told: Told, deadline: float = 600.0) -> Bench:
     setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, nobody, outcome, keep, keep))
     return Bench(setup, 2, told, deadline)
 
@@ -92,8 +102,15 @@ def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: 
 
 def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
     bench(tmp_path, Told(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
-    assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s."}
+    assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s; raise cell_seconds."}
     assert read_cells(tmp_path)[0]["timing"]["total"] >= 1  # it is no cheap row
+
+
+def test_a_row_that_waits_for_a_model_is_not_stuck(tmp_path: Path) -> None:
+    """Five seconds of waiting do not count against a limit of four. Its clock runs faster, so that the time that a
+    process needs to start does not count either."""
+    bench(tmp_path, Told(), deadline=4.0).run([job(tmp_path, "asks", "raw")], [])
+    assert reasons(tmp_path) == {("asks", "raw"): CALM}
 
 
 def test_what_is_there_is_not_run_again_and_a_chain_goes_on_where_it_can(tmp_path: Path) -> None:

@@ -181,6 +181,28 @@ def test_rules_by_hand() -> None:
     assert not refused(policy, 0xC6, b"\x81" + other)
 
 
+def named(name: bytes) -> bytes:
+    return struct.pack("!i", len(name)) + name
+
+
+@pytest.mark.parametrize("name", [b"\xff\xfe", b"a\0b", b"two\nlines", b"sumo_adv.ego.route.0"])
+def test_nothing_is_added_under_a_name_that_is_no_text_or_ours(name: bytes) -> None:
+    """The server reads all names, and adds routes of its own."""
+    policy = Policy(Rules(), ["ego"], [])
+    edges = b"\x0e\0\0\0\1" + NAME
+    assert not refused(policy, 0xC6, b"\x80" + named(b"mine") + edges)
+    assert refused(policy, 0xC6, b"\x80" + named(name) + edges)
+    assert not refused(policy, 0xC5, b"\x88" + NAME + b"\x0c" + named(b"mine"))
+    assert refused(policy, 0xC5, b"\x88" + NAME + b"\x0c" + named(name))
+
+
+def test_an_ego_that_the_server_inserts_is_neither_added_nor_removed_by_its_client() -> None:
+    remove = b"\x81" + NAME + b"\x08\0"
+    assert not refused(Policy(Rules(), ["ego"], []), 0xC4, remove)
+    assert refused(Policy(Rules(), ["ego"], [], ["ego"]), 0xC4, remove)
+    assert not refused(Policy(Rules(), ["ego"], [], ["ego"]), 0xC4, b"\x40" + NAME + SPEED)
+
+
 def test_contexts_only_of_variables_that_the_objects_have() -> None:
     policy = Policy(Rules(), [], [])
     begin = bytes(16) + NAME

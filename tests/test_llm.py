@@ -180,6 +180,52 @@ def test_permanent_faults_are_not_retried(fault: Answer, says: str) -> None:
     assert ledger.as_dict()["calls"] == 1
 
 
+ESCAPED = "".join(f"\\u{ord(c):04x}" for c in KEY)  # as JSON may spell it
+SPELLINGS = {
+    "as it is": KEY, "its first character escaped": "\\u0073" + KEY[1:], "all of it escaped": ESCAPED,
+    "in capitals": ESCAPED.upper().replace("\\U", "\\u"), "escaped for JSON in JSON": ESCAPED.replace("\\", "\\\\"),
+    "as a planner would write it": "\\\\x73" + KEY[1:], "as in an address": "%73" + KEY[1:],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be", "utf-32"])
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_a_key_in_an_answer_is_blanked_however_it_is_spelt(spelling: str, coding: str) -> None:
+    """Also where its halves are parts that the client puts together."""
+    parts = [f'{{"text": "{text}"}}' for text in ("Key: sk-tests", "-0123456789.")]
+    said = (
+        f'{{"choices": [{{"message": {{"content": "{SPELLINGS[spelling]}", "reasoning": "{SPELLINGS[spelling]}"}}}}]}}'
+    )
+    halves = f'{{"choices": [{{"message": {{"content": [{", ".join(parts)}]}}}}]}}'
+    with ModelServer([Raw(200, said.encode(coding)), Raw(200, halves.encode(coding))]) as server:
+        reply, _, _ = answer(server)
+        assert (reply.text, reply.reasoning) == ("***", "***")
+        assert answer(server)[0].text == "Key: ***."
+
+
+@pytest.mark.parametrize("coding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_a_key_in_an_error_is_blanked_too(spelling: str, coding: str) -> None:
+    """At the place where a message cuts a long text, too: 200 characters."""
+    shown = "x" * 185 + SPELLINGS[spelling]
+    for body in (shown, f'{{"error": {{"message": "{shown}"}}}}', f'{{"error": {{"code": "{shown}"}}}}'):
+        message, *_ = failure([Raw(401, body.encode(coding))])
+        said = message.partition("status 401")[2]
+        assert KEY[:4] not in said and "73" not in said and "***" in said
+
+
+def test_a_key_in_a_header_is_blanked() -> None:
+    message, *_ = failure([Raw(200, b"", {"Content-Encoding": KEY})])
+    assert "Content-Encoding ***" in message
+
+
+def test_looking_for_the_key_takes_no_longer_than_reading() -> None:
+    """Two million backslashes, and as many beginnings of a key, within the time of a question."""
+    for text in ("\\" * 1_900_000, "sk-tests-" * 200_000, "s\x00" * 900_000):
+        message, *_ = failure([Raw(401, text.encode())], llm_question_seconds=30.0)
+        assert "does not accept the key" in message
+
+
 def test_a_missing_server_is_reported_at_once() -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

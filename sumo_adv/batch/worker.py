@@ -22,7 +22,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
-from sumo_adv.errors import BankError, SumoAdvError
+from sumo_adv.errors import BankError, SumoAdvError, fault_sentence
 from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
@@ -65,7 +65,7 @@ class Runner:
         except Exception as error:
             if is_storage_error(error):
                 raise
-            said = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
+            said = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
             return self._failure(job, said, traceback.format_exc())
 
     def _run(self, job: Job, *, last: bool) -> Done:

@@ -18,6 +18,7 @@ from typing import Protocol
 from sumo_adv.benchmark.banks import known_place
 from sumo_adv.benchmark.jobs import Job, Setup, cell_path
 from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.waits import note_of, waited
 from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import parse_json
@@ -54,9 +55,9 @@ class _Turn:
 
 
 class Bench:
-    """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck."""
+    """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck, its wait for a language model left out."""
 
-    def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float = 900.0) -> None:
+    def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float) -> None:
         self._setup, self._workers, self._watcher, self._deadline = setup, workers, watcher, deadline
         self._suspects: deque[tuple[Job, int | None]] = deque()  # one at a time, so that it is known who it was
         self._waiting: deque[Job] = deque()
@@ -105,7 +106,7 @@ class Bench:
                     future.result()
                     turn = running.pop(future)
                     self._done(turn.job, turn.chain)
-                self._watch(running)
+                self._watch(running, scratch)
         except BrokenProcessPool:
             self._broken(running)
         finally:
@@ -145,7 +146,7 @@ class Bench:
             self._chains[chain].popleft()
         self._watcher.finished(job)
 
-    def _watch(self, running: dict[Future[None], _Turn]) -> None:
+    def _watch(self, running: dict[Future[None], _Turn], scratch: Path) -> None:
         """End all processes where a row is stuck: which one has it is not known."""
         now = time.monotonic()
         for turn in running.values():
@@ -153,7 +154,9 @@ class Bench:
             left = 0 if missing is None else len(missing.rows)
             if left < turn.left:
                 turn.left, turn.since = left, now
-            turn.stuck = left > 0 and now - turn.since > self._deadline
+            if missing is not None and now - turn.since > self._deadline:
+                own = now - turn.since - waited(note_of(scratch, turn.job, missing.rows[0]))
+                turn.stuck = own > self._deadline
         if any(turn.stuck for turn in running.values()):
             _kill_all()
 
@@ -166,7 +169,11 @@ class Bench:
             rows = () if missing is None else missing.rows
             to_blame = bool(rows) and (turn.stuck or turn.suspect)
             if to_blame:
-                why = f"It was not done after {self._deadline:g} s." if turn.stuck else "Its process died, twice."
+                why = (
+                    f"It was not done after {self._deadline:g} s; raise cell_seconds."
+                    if turn.stuck
+                    else "Its process died, twice."
+                )
                 keep_cell(
                     self._setup.folder, failure(self._setup, turn.job, rows[0], why, time.monotonic() - turn.since)
                 )

@@ -54,6 +54,7 @@ class Means:
     parts: Parts
     versions: Mapping[str, str]
     keep_runs: bool = False
+    cell_seconds: float = 900.0
 
 
 def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cell]:
@@ -76,7 +77,7 @@ def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cel
         with held(means.folder / LOCK) as alone:
             if not alone:
                 raise UsageError(f"Another bench writes into {means.folder}; wait for it, or give another --out.")
-            Bench(setup, means.workers, watcher).run(free, chains)
+            Bench(setup, means.workers, watcher, means.cell_seconds).run(free, chains)
     return read_cells(means.folder)
 
 

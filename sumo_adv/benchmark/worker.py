@@ -19,12 +19,13 @@ from sumo_adv.benchmark.methods import RAW, method_of
 from sumo_adv.benchmark.motion import motion_of, unattacked
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.rows.registry import make_row
+from sumo_adv.benchmark.waits import note_of, noted
 from sumo_adv.config import Settings, forget_environment, load_settings, reachable
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes, die_with_parent
-from sumo_adv.errors import BankError, SumoAdvError, UsageError
+from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import is_storage_error, json_text, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
@@ -35,8 +36,8 @@ SCHEMA = 1
 class Bencher:
     """Holds what stays warm. ``began``: when the row that is under way did."""
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
+    def __init__(self, setup: Setup, scratch: Path) -> None:
+        self._setup, self.scratch = setup, scratch
         self._engine = WarmEngine()
         self._sandboxes = WarmSandboxes()
         self.began = time.perf_counter()
@@ -109,6 +110,7 @@ class Bencher:
         with (
             bank_of(method, job, self._setup, bank, scratch) as own,
             self._setup.parts.open_agents(settings, arena.sandbox, exchanges) as agents,
+            noted(agents.ledger, note_of(self.scratch, job, row)),
         ):
             return self._filled(job, row, arena.by_program(own, agents), arena, exchanges)
 
@@ -183,15 +185,14 @@ def _is_known(episode: Episode) -> bool | None:
 _bencher: list[Bencher] = []
 
 
-def begin(setup: Setup, scratch: Path | None = None) -> None:
+def begin(setup: Setup, scratch: Path) -> None:
     """Make this process ready for jobs: a group of its own, whose temporary files are in ``scratch``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the front's
     if hasattr(os, "setpgrp"):
         os.setpgrp()
     die_with_parent()
-    if scratch is not None:
-        tempfile.tempdir = str(scratch)
-    _bencher.append(Bencher(setup))
+    tempfile.tempdir = str(scratch)
+    _bencher.append(Bencher(setup, scratch))
 
 
 def work(setup: Setup, job: Job) -> None:
@@ -210,7 +211,7 @@ def work(setup: Setup, job: Job) -> None:
                 raise
             why = str(error) if isinstance(error, SumoAdvError) else _fault(error)
             broken = _bencher.pop()
-            _bencher.append(Bencher(setup))
+            _bencher.append(Bencher(setup, broken.scratch))
             broken.close()
             if left:
                 keep_cell(setup.folder, failure(setup, job, left.pop(0), why, time.perf_counter() - broken.began))
@@ -218,5 +219,4 @@ def work(setup: Setup, job: Job) -> None:
 
 def _fault(error: Exception) -> str:
     """A sentence, and below it where it happened."""
-    what = " ".join(f"{type(error).__name__}: {error}".split())
-    return f"A fault of sumo_adv itself ({what}); please report it.\n{traceback.format_exc()}"
+    return f"{fault_sentence(error)}\n{traceback.format_exc()}"

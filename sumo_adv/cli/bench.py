@@ -234,10 +234,12 @@ def _order(
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*suite)
     settings = {**_settings(setting or ()), "attempts": attempts, "until": until}
+    limit = load_settings(None, **settings).cell_seconds
+    settings.pop("cell_seconds", None)  # it may be another when a table goes on
     request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
     _check_models(request)
     folder = out or Path("runs") / f"bench-{loaded.name}"
-    return request, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs)
+    return request, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
 
 
 def _check_models(request: TableRequest) -> None:

@@ -19,7 +19,7 @@ from sumo_adv.episode.memory_access import learn, learn_driver
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
 from sumo_adv.episode.task import FoundEncounter, Task
-from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
+from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
@@ -47,11 +47,7 @@ def run_episode(
             raise
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
     except Exception as error:  # a fault of ours: earlier results are kept
-        what = f"{type(error).__name__}: {error}"
-        episode.ending, episode.reason = (
-            Ending.SIMULATION_FAILED,
-            f"A fault of sumo_adv itself ({what}); please report it.",
-        )
+        episode.ending, episode.reason = Ending.SIMULATION_FAILED, fault_sentence(error)
         episode.traceback = traceback.format_exc()
     episode.timing["total"] = time.perf_counter() - began
     return episode

@@ -132,7 +132,11 @@ class HttpModel:
                 if reply is not None:
                     if request.schema is not None:
                         self._modes = MODES[MODES.index(mode) :]
-                    return replace(reply, seconds=question.seconds(), retries=question.retries)
+                    blank = self._connection.blank
+                    return replace(
+                        reply, text=blank(reply.text), reasoning=blank(reply.reasoning), seconds=question.seconds(),
+                        retries=question.retries,
+                    )  # fmt: skip
         raise AssertionError("the last mode answers or raises")
 
 

@@ -59,6 +59,11 @@ class Ledger:
                 self._open -= 1
                 self.waited += 0.0 if self._open else self._clock() - self._since
 
+    def waited_so_far(self) -> float:
+        """``waited``, and the time of the questions that are open now [s]."""
+        with self._lock:
+            return self.waited + (self._clock() - self._since if self._open else 0.0)
+
     def admit(self, request: ChatRequest) -> None:
         """Count a call. Raises BudgetError if the call would exceed the budget; its tokens are estimated."""
         estimate = estimate_tokens(request.messages)

@@ -25,6 +25,7 @@ from sumo_adv import __version__
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm import wire
+from sumo_adv.llm.blanking import blanker, decoded
 from sumo_adv.llm.chat import run_in_thread
 
 MAX_ANSWER_BYTES = 2_000_000
@@ -57,9 +58,11 @@ class SystemClock:
 
 @dataclass(frozen=True, slots=True)
 class _Response:
+    """An answer without the key in its body."""
+
     status: int
     headers: Mapping[str, str]
-    body: bytes
+    body: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +96,7 @@ class ServerConnection:
         self._base_url = base_url
         self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
         self._key = key.get_secret_value() if key is not None else None
+        self.blank = blanker(self._key)  # apply it to every text of the server before it is cut, shown or kept
 
     def question(self, seconds_left: float | None) -> Question:
         """A new question. ``seconds_left``: the rest of the run's time for models [s], None for no limit."""
@@ -103,10 +107,7 @@ class ServerConnection:
 
         Raises TimeoutError, httpx.HTTPError, _TooLarge, _Compressed.
         """
-        answer = run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(path, body), seconds))).result()
-        if self._key is None:
-            return answer
-        return _Response(answer.status, answer.headers, answer.body.replace(self._key.encode(), b"***"))
+        return run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(path, body), seconds))).result()
 
     async def _exchange(self, path: str, body: bytes) -> _Response:
         headers = {
@@ -128,7 +129,11 @@ class ServerConnection:
                 size += len(part)
                 if size > MAX_ANSWER_BYTES:
                     raise _TooLarge
-            return _Response(response.status_code, dict(response.headers), b"".join(parts))
+            return _Response(response.status_code, dict(response.headers), self.blank(decoded(b"".join(parts))))
+
+    def quoted(self, text: str) -> str:
+        """A text of the server for a message, without the key."""
+        return wire.quoted(self.blank(text))
 
 
 class Question:
@@ -202,22 +207,24 @@ class Question:
             )
         except _Compressed as error:
             self._fail(
-                f"sent an answer with Content-Encoding {wire.quoted(str(error))}, which is refused; "
+                f"sent an answer with Content-Encoding {self._server.quoted(str(error))}, which is refused; "
                 "turn compression off there"
             )
         except httpx.ConnectError as error:
             if not self._server.has_answered:
-                self._fail(f"cannot be reached ({_reason(error)}); start it, or correct SUMO_ADV_LLM_BASE_URL")
-            return _Failure(f"cannot be reached any more ({_reason(error)})")
+                self._fail(f"cannot be reached ({self._reason(error)}); start it, or correct SUMO_ADV_LLM_BASE_URL")
+            return _Failure(f"cannot be reached any more ({self._reason(error)})")
         except httpx.TimeoutException:
             return _Failure("sent nothing within the connect or read timeout")
         except httpx.HTTPError as error:
-            return _Failure(f"broke the connection ({_reason(error)})")
+            return _Failure(f"broke the connection ({self._reason(error)})")
         except (httpx.InvalidURL, httpx.StreamError) as error:
-            self._fail(f"cannot be asked ({_reason(error)}); correct SUMO_ADV_LLM_BASE_URL")
+            self._fail(f"cannot be asked ({self._reason(error)}); correct SUMO_ADV_LLM_BASE_URL")
         self._server.has_answered = True
         if answer.status in RETRIED_STATUSES or answer.status >= 500:
-            return _Failure(f"answered with status {answer.status}{_server_text(answer)}", _retry_after(answer.headers))
+            return _Failure(
+                f"answered with status {answer.status}{self._server_text(answer)}", _retry_after(answer.headers)
+            )
         return answer
 
     def _wait(self, number: int, failure: _Failure) -> None:
@@ -245,7 +252,7 @@ class Question:
         }.get(answer.status, "rejected the question")
         if 300 <= answer.status < 400:
             reason = "redirects to another address; set SUMO_ADV_LLM_BASE_URL to that address"
-        self._fail(f"{reason} (status {answer.status}{_server_text(answer)})")
+        self._fail(f"{reason} (status {answer.status}{self._server_text(answer)})")
 
     def _fail_for_time(self) -> NoReturn:
         if self._limited_by_budget:
@@ -256,22 +263,20 @@ class Question:
             )  # fmt: skip
         self._fail(f"did not answer within {self._allowed:g} s; raise llm_question_seconds for a slow model")
 
+    def _reason(self, error: Exception) -> str:
+        return self._server.quoted(str(error)) or type(error).__name__
+
+    def _server_text(self, answer: _Response) -> str:
+        """The text that a server gives with its status, after a colon."""
+        try:
+            text = self._server.quoted(wire.error_text(wire.read_json(answer.body)))
+        except wire.InvalidAnswer:
+            text = self._server.quoted(answer.body[:1000])
+        return f": {text.rstrip('.')}" if text else ""
+
     def _fail(self, reason: str) -> NoReturn:
         message = f"The server {self._server.host} of model {self._server.model} {reason}"
         raise ModelError(message.rstrip(".") + ".", retries=self.retries, seconds=self.seconds())
-
-
-def _reason(error: Exception) -> str:
-    return wire.quoted(str(error)) or type(error).__name__
-
-
-def _server_text(answer: _Response) -> str:
-    """The text that a server gives with its status, after a colon."""
-    try:
-        text = wire.quoted(wire.error_text(wire.read_json(answer.body)))
-    except wire.InvalidAnswer:
-        text = wire.quoted(answer.body[:1000].decode("utf-8", "replace"))
-    return f": {text.rstrip('.')}" if text else ""
 
 
 def _retry_after(headers: Mapping[str, str]) -> float:

@@ -57,7 +57,7 @@ def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     return strict
 
 
-def read_json(raw: bytes) -> dict[str, Any]:
+def read_json(raw: str) -> dict[str, Any]:
     """The object in a server's body. Raises InvalidAnswer."""
     try:
         value = json.loads(raw)

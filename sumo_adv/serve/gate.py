@@ -14,9 +14,10 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.serve import link
 from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
-from sumo_adv.serve.link import Link, connect
+from sumo_adv.serve.link import Link
 from sumo_adv.serve.policy import Policy, Rules
 from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late
 from sumo_adv.serve.sumo_process import SumoProcess
@@ -160,21 +161,25 @@ class Gate:
             raise SimulationError("The gate is not attached to a simulation.")
         return self._turns
 
-    def attach(self, sumo: SumoProcess, own: Iterable[str] = (), hidden: Iterable[str] = ()) -> None:
+    def attach(
+        self, sumo: SumoProcess, own: Iterable[str] = (), hidden: Iterable[str] = (), kept: Iterable[str] = ()
+    ) -> None:
         """Become SUMO's second client. Do it before your own connection asks for its order.
 
-        ``own``: vehicles the client may set. ``hidden``: objects whose subscription results are the server's alone.
+        ``own``: vehicles the client may set; ``kept``: those of them that it neither adds nor removes. ``hidden``:
+        objects whose subscription results are the server's alone.
 
         Raises:
+            StrangerError: another program connected to SUMO first.
             SimulationError: SUMO does not listen, or another simulation is still attached.
         """
         if not self.wait_detached(PATIENCE):
             raise SimulationError("The gate is still attached to another simulation: detach it and end that SUMO.")
-        line = connect(sumo, PATIENCE)
+        line = Line(sumo.dial(PATIENCE), link.LONGEST)
+        policy = Policy(self._rules, own, tuple(hidden), tuple(kept))
         turns = Turns(
-            lambda idle: Link(line, idle), Policy(self._rules, own, tuple(hidden)), self._seat, self._deadline,
-            lambda: self._stopping, sumo.why_ended,
-        )  # fmt: skip
+            lambda idle: Link(line, idle), policy, self._seat, self._deadline, lambda: self._stopping, sumo.why_ended
+        )
         with self._changed:
             self._turns, self._running = turns, True
             self._changed.notify_all()

@@ -4,56 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import math
-import socket
 import struct
-import time
 from collections.abc import Callable
 
-from sumo_adv.errors import SimulationError, SumoAdvError
+from sumo_adv.errors import SumoAdvError
 from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message
 from sumo_adv.serve.policy import CONTEXTS
-from sumo_adv.serve.sumo_process import SumoProcess
 
 ORDER = 2
-_LONGEST = 2**31 - 1
-_RETRY = 0.01  # s
+LONGEST = 2**31 - 1  # bytes of an answer of SUMO
 _TIME = make_message(make_command(0xAB, b"\x66" + bytes(4)))
+_STEP_LENGTH = make_message(make_command(0xAB, b"\x7b" + bytes(4)))
 _STEP = make_message(make_command(framing.SIMSTEP, bytes(8)))
 _INVALID = struct.pack("!d", -1073741824.0)
-
-
-def connect(sumo: SumoProcess, timeout: float) -> Line:
-    """A connection to a SUMO that is about to listen.
-
-    Raises:
-        SimulationError: it ended, or does not listen in time.
-    """
-    until = time.monotonic() + timeout
-    while True:
-        try:
-            return Line(_dial(sumo.port, timeout), _LONGEST)
-        except OSError as error:
-            if not sumo.alive:
-                raise SimulationError(f"SUMO did not start ({sumo.why_ended() or 'it says nothing'}).") from error
-            if time.monotonic() > until:
-                raise SimulationError(f"SUMO did not listen within {timeout:g} s.") from error
-        time.sleep(_RETRY)
-
-
-def _dial(port: int, timeout: float) -> socket.socket:
-    """A connection to a port of ours that nobody may listen on yet: the kernel could connect such a one to itself."""
-    dialling = socket.socket()
-    try:
-        dialling.bind(("127.0.0.1", 0))
-        if dialling.getsockname()[1] == port:
-            raise ConnectionRefusedError
-        dialling.settimeout(timeout)
-        dialling.connect(("127.0.0.1", port))
-    except OSError:
-        dialling.close()
-        raise
-    return dialling
 
 
 class SumoGone(SumoAdvError):
@@ -68,6 +32,7 @@ class Link:
         self._line = line
         self._idle = idle
         self.version = b""
+        self._step_length = 0.0
         self._send(make_message(make_command(framing.GETVERSION)))
         self._send(make_message(make_command(framing.SETORDER, struct.pack("!i", ORDER))))
 
@@ -102,6 +67,12 @@ class Link:
         """SUMO's time [s]; nan if it does not say."""
         answer = self.ask(_TIME)
         return float(struct.unpack("!d", answer[-8:])[0]) if framing.accepted(answer) else math.nan
+
+    def step_length(self) -> float:
+        """SUMO's step [s]."""
+        if not self._step_length:
+            self._step_length = float(struct.unpack("!d", self.ask(_STEP_LENGTH)[-8:])[0])
+        return self._step_length
 
     def await_turn(self, listen: Callable[[], Line | None], talk: Callable[[], None]) -> None:
         """Wait until SUMO has come to us, calling ``talk`` whenever the line that ``listen`` names can be received."""

@@ -36,6 +36,10 @@ _CALIBRATOR = 0x07  # SUMO dies of a context around one
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
 _TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
 _HIDDEN = "This object is sumo_adv's own."
+_KEPT = "The ego departs and leaves by sumo_adv: its client neither adds nor removes it."
+_ODD_NAME = "An object that is added needs a name of printable characters in UTF-8."
+OURS = "sumo_adv."
+"""What the names of objects begin with that the server adds; a client can set none of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +62,13 @@ class Rules:
 class Policy:
     """The rules in one simulation: it remembers what the client added."""
 
-    def __init__(self, rules: Rules, own: Iterable[str], hidden: Collection[str]) -> None:
+    def __init__(self, rules: Rules, own: Iterable[str], hidden: Collection[str], kept: Collection[str] = ()) -> None:
+        """``own``, ``kept``: vehicles that the client may set, and those of them that it neither adds nor removes."""
         self._rules = rules
         self._own: dict[str, set[bytes]] = {domain: set() for domain in ADDED}
         self._own["vehicle"] |= {name.encode() for name in own}
         self.hidden = frozenset(name.encode() for name in hidden)
+        self._kept = frozenset(name.encode() for name in kept)
 
     @property
     def own(self) -> frozenset[str]:
@@ -119,13 +125,25 @@ class Policy:
             return _TOO_LONG
         if domain in NEVER:
             return f"Setting the {domain} is not for a client of sumo_adv."
-        if name in self.hidden:
+        if name in self.hidden or name.startswith(OURS.encode()):
             return _HIDDEN
+        if domain == "vehicle" and name in self._kept and variable in (_ADD, _ADD_FULL, _REMOVE):
+            return _KEPT
+        if variable in (_ADD, _ADD_FULL) and domain in ADDED and not _is_printable(name):
+            return _ODD_NAME
         if not (domain in self._rules.also or self._may(domain, variable, name)):
             return f"{domain} {_said(name)!r} is not the client's: it may set its own vehicle and what it added."
         if wanted is None or not shapes.fits(payload, end, wanted):
             return _misfit(number)
+        if variable == _COPY and domain == "vehicletype":
+            return self._copy(payload[end + 5 :])
         return None
+
+    def _copy(self, name: bytes) -> str | None:
+        """Why no type can be copied to this name."""
+        if name.startswith(OURS.encode()):
+            return _HIDDEN
+        return None if _is_printable(name) else _ODD_NAME
 
     def _may(self, domain: str, variable: int, name: bytes) -> bool:
         if domain not in ADDED:
@@ -168,6 +186,14 @@ class Policy:
             self._own[domain].discard(name)
 
 
+def removed(command: Command) -> tuple[str, bytes] | None:
+    """Domain and name of the object that a command removes, or None."""
+    domain = SETTERS.get(command.number)
+    if domain is None or not command.payload or command.payload[0] != _REMOVE:
+        return None
+    return domain, command.payload[5 : shapes.name_end(command.payload, 1)]
+
+
 def step_until(payload: bytes) -> float:
     """The time [s] to which a SIMSTEP asks to go, 0 for one step.
 
@@ -194,6 +220,13 @@ def _filter_fits(payload: bytes) -> bool:
 
 def _misfit(number: int) -> str:
     return f"What came with command 0x{number:02x} is not what SUMO 1.28 reads; it was not passed on."
+
+
+def _is_printable(name: bytes) -> bool:
+    try:
+        return name.decode().isprintable()
+    except UnicodeDecodeError:
+        return False
 
 
 def _said(name: bytes) -> str:

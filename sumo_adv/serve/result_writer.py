@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from sumo_adv.episode.episode import Episode
-from sumo_adv.errors import SumoAdvError
+from sumo_adv.errors import SumoAdvError, fault_sentence
 from sumo_adv.serve.events import Events
 
 WAITING = 2  # encounters that may wait to be written; then the simulation waits
@@ -51,9 +51,7 @@ class ResultWriter:
         except SumoAdvError as error:
             self.failure = error
         except Exception as error:  # a fault of ours: the run ends with a sentence
-            self.failure = SumoAdvError(
-                f"Encounter {number} could not be written ({type(error).__name__}: {error}); please report it."
-            )
+            self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
         else:
             self._report(result, number)
 

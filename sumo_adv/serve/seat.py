@@ -75,15 +75,16 @@ class Client:
 
 
 def errors(message: bytes, reason: str) -> bytes:
-    """The answer that refuses every command of a message, but for saying close.
+    """The answer that refuses every command of a message, but for saying close. The first says why.
 
     Raises:
         FramingError: it is no message.
     """
-    answers = []
+    answers: list[bytes] = []
     for number, _, _ in framing.split(message):
         refused = number != framing.CLOSE
-        answers.append(framing.make_status(number, framing.ERROR if refused else framing.OK, reason if refused else ""))
+        words = reason if refused and not answers else ""
+        answers.append(framing.make_status(number, framing.ERROR if refused else framing.OK, words))
     return framing.make_message(*answers)
 
 

@@ -18,7 +18,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.planned_encounter import PlannedEncounter, with_predictions
 from sumo_adv.episode.task import Prefix, Task
-from sumo_adv.errors import ModelError, SumoAdvError
+from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
 from sumo_adv.serve.events import Events
@@ -105,7 +105,7 @@ class Server:
             self.reason = str(error)
             return Ending.SIMULATION_FAILED
         except Exception as error:  # a fault of ours: what was found so far is kept, and the sentence names it
-            self.reason = f"A fault of sumo_adv itself ({type(error).__name__}: {error}); please report it."
+            self.reason = fault_sentence(error)
             return Ending.SIMULATION_FAILED
         finally:
             self._end_session(clean=False)
@@ -162,6 +162,11 @@ class Server:
         kind = self._parts.options.ego_type or task.ego_base_type or DEFAULT_TYPE
         if isinstance(task.ego, str):
             return EgoPlan(task.ego, kind, added=not self._in_demand(task, task.ego))
+        if self._in_demand(task, INSERTED_EGO):
+            raise UsageError(
+                f"The demand has a vehicle {INSERTED_EGO!r}, which is the name of the ego that serve inserts: give "
+                f"--ego-id {INSERTED_EGO} to have the client drive that vehicle, or another name to the vehicle."
+            )
         if isinstance(task.ego, EgoRoute):
             route = task.ego
             return EgoPlan(INSERTED_EGO, kind, lambda: route)

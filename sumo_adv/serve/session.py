@@ -11,26 +11,21 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
-from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.gate_events import Stepper
 from sumo_adv.serve.options import OnLoss, Options
-from sumo_adv.serve.sumo_process import SumoProcess
+from sumo_adv.serve.policy import OURS
+from sumo_adv.serve.sharing import shared_sumo
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot, pose_of
 
-if TYPE_CHECKING:
-    from traci.connection import Connection
-
 KEPT = 15.0  # s of states that are kept while nothing happens
-OUR_ORDER = 1
 STAND_IN_BRAKING = 4.5  # m/s2
 ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
 DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
@@ -93,10 +88,10 @@ class Session(Drive):
             SimulationError, UsageError: SUMO does not start, or is not installed.
         """
         self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
-        self._sumo = SumoProcess(spec.arguments())
+        kept = () if ego.added else (ego.id,)
+        self._sumo, connection = shared_sumo(spec.arguments(), gate, own=(ego.id,), kept=kept, events=events)
         try:
-            gate.attach(self._sumo, own={ego.id})
-            super().__init__(spec, ExternalEgo(), spec.seed, Remote(_connect(self._sumo)))
+            super().__init__(spec, ExternalEgo(), spec.seed, Remote(connection))
         except BaseException:
             gate.detach()
             self._sumo.close()
@@ -199,7 +194,7 @@ class Session(Drive):
             "depart": repr(max(route.depart, self.now)), "departLane": str(route.lane),
             "departPos": str(route.position), "departSpeed": str(route.speed),
         }  # fmt: skip
-        name = f"{self._plan.id}.route.{self._departures}"
+        name = f"{OURS}{self._plan.id}.route.{self._departures}"
         self.simulation.add(self._plan.id, route.edges, kind, depart, route=name)
         self._departures, self._pending = self._departures + 1, True
 
@@ -270,15 +265,3 @@ class Session(Drive):
         if len(self.recording.snapshots) >= 2 * kept:
             self.recording.forget(kept)
             self.simulation.fleet.forget({name for s in self.recording.snapshots for name in s.raw})
-
-
-def _connect(sumo: SumoProcess) -> Connection:
-    """Our own connection, the first in order."""
-    import traci
-
-    try:
-        connection = traci.connect(sumo.port, numRetries=0, host="127.0.0.1")
-        connection.setOrder(OUR_ORDER)
-    except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:
-        raise SimulationError(f"SUMO did not take our connection ({sumo.last_error or error}).") from error
-    return connection

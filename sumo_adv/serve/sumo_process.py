@@ -7,21 +7,24 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Sequence
+from pathlib import Path
 
 from sumo_adv.errors import SimulationError
+from sumo_adv.serve import leash
+from sumo_adv.serve.leash import CLIENTS
 from sumo_adv.simulation.programs import find_sumo
 
-CLIENTS = 2
 KEPT_LINES = 50  # of what SUMO said last
+_RETRY = 0.01  # s
 _REFUSALS = ("Answered with error to command", "Requested command not implemented")
-_LEASH = """\
-import ctypes, os, signal, sys
-ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)
-os.getppid() == int(sys.argv[1]) or os._exit(1)
-os.execv(sys.argv[2], sys.argv[2:])
-"""  # Linux kills SUMO with us: 1 is PR_SET_PDEATHSIG, it stays over exec
+_ESTABLISHED = "01"  # in /proc/net/tcp
+
+
+class StrangerError(SimulationError):
+    """A program that is none of ours connected to SUMO's port before we did."""
 
 
 def free_port() -> int:
@@ -33,30 +36,44 @@ def free_port() -> int:
 
 
 class SumoProcess:
-    """A running ``sumo`` that waits at ``port`` for its clients.
+    """A running ``sumo`` that waits for its clients.
 
     On Linux it is killed when the thread that made it ends, so make it in one that lasts; elsewhere it ends once
     its clients' connections break.
     """
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(self, arguments: Sequence[str], *, private: bool = False) -> None:
         """Start it. ``arguments``: SUMO's own, without port and number of clients.
+
+        ``private``: only ``dial`` connects to it. On Linux it then has a network of its own, if the system allows that;
+        else it listens at ``port`` on all interfaces, as SUMO does, until it has its clients.
 
         Raises:
             UsageError: the program is not installed.
             SimulationError: it cannot be started.
         """
         self.port = free_port()
+        self._dialled: list[int] = []  # ports that we connected from
+        self._made: list[socket.socket] = []
+        self._talk: socket.socket | None = None
         program = str(find_sumo())
         command = [program, *arguments, "--remote-port", str(self.port), "--num-clients", str(CLIENTS)]
+        theirs: socket.socket | None = None
         if sys.platform.startswith("linux"):
-            command = [sys.executable, "-I", "-S", "-c", _LEASH, str(os.getpid()), *command]
+            if private:
+                self._talk, theirs = socket.socketpair()
+            talk = -1 if theirs is None else theirs.fileno()
+            command = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(os.getpid()), str(talk), *command]
         try:
             self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-            )
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                pass_fds=() if theirs is None else (theirs.fileno(),),
+            )  # fmt: skip
         except OSError as error:
             raise SimulationError(f"The program {program} could not be started ({error.strerror}).") from error
+        finally:
+            if theirs is not None:
+                theirs.close()
         self._said: deque[str] = deque(maxlen=KEPT_LINES)
         self._ear = threading.Thread(target=self._listen, name="sumo-words", daemon=True)
         self._ear.start()
@@ -66,6 +83,64 @@ class SumoProcess:
         with self._process.stderr as words:
             for line in words:
                 self._said.append(line.decode(errors="replace").strip())
+
+    def dial(self, timeout: float) -> socket.socket:
+        """One of its ``CLIENTS`` connections, as soon as it listens.
+
+        Raises:
+            StrangerError: somebody else took one (noticed on Linux).
+            SimulationError: it ended, or does not listen within ``timeout`` seconds.
+        """
+        until = time.monotonic() + timeout
+        while True:
+            connection = self._handed_over() if self._talk is not None else self._connected(timeout)
+            if connection is not None:
+                return connection
+            if not self.alive:
+                raise SimulationError(f"SUMO did not start ({self.why_ended() or 'it says nothing'}).")
+            if time.monotonic() > until:
+                raise SimulationError(f"SUMO did not listen within {timeout:g} s.")
+            time.sleep(_RETRY)
+
+    @property
+    def is_private(self) -> bool:
+        """Whether it turned out, after a ``dial``, that nobody else can connect."""
+        return self._talk is not None
+
+    def _handed_over(self) -> socket.socket | None:
+        """A connection that was made in SUMO's own network; None if there is none yet, or no such network."""
+        assert self._talk is not None
+        if not self._made:
+            self._talk.settimeout(_RETRY)
+            try:
+                said, files, _, _ = socket.recv_fds(self._talk, len(leash.PRIVATE), CLIENTS)
+            except TimeoutError:
+                return None
+            self._made = [socket.socket(fileno=file) for file in files]
+            if said == leash.OPEN:
+                self._talk.close()
+                self._talk = None
+        return self._made.pop(0) if self._made else None
+
+    def _connected(self, timeout: float) -> socket.socket | None:
+        """A connection to our port; None if nobody listens there yet: the kernel could connect such a one to itself."""
+        dialling = socket.socket()
+        try:
+            dialling.bind(("127.0.0.1", 0))
+            if dialling.getsockname()[1] == self.port:
+                raise ConnectionRefusedError
+            dialling.settimeout(timeout)
+            dialling.connect(("127.0.0.1", self.port))
+        except OSError:
+            dialling.close()
+        else:
+            dialling.settimeout(None)
+            self._dialled.append(dialling.getsockname()[1])
+        is_open = dialling.fileno() >= 0
+        if (len(self._dialled) == CLIENTS or not is_open) and strangers(self.port, self._dialled):
+            dialling.close()
+            raise StrangerError("Another program connected to SUMO's port before sumo_adv did.")
+        return dialling if is_open else None
 
     @property
     def pid(self) -> int:
@@ -99,6 +174,9 @@ class SumoProcess:
 
     def close(self, timeout: float = 0.0) -> None:
         """Give it ``timeout`` seconds to end by itself, then kill it."""
+        for ours in (self._talk, *self._made):
+            if ours is not None:
+                ours.close()
         if not self.wait(timeout):
             self._process.kill()
             self._process.wait()
@@ -109,3 +187,20 @@ class SumoProcess:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def strangers(port: int, ours: Sequence[int]) -> bool:
+    """Whether somebody has a connection to a local port from another one than ``ours``; False where it cannot be seen.
+
+    Source: proc(5), ``/proc/net/tcp``: local and remote address and state stand in columns 2 to 4.
+    """
+    for table in ("tcp", "tcp6"):
+        try:
+            rows = Path(f"/proc/net/{table}").read_text().splitlines()[1:]
+        except OSError:
+            continue
+        for _, local, remote, state, *_ in map(str.split, rows):
+            at, source = (int(address.rpartition(":")[2], 16) for address in (local, remote))
+            if at == port and state == _ESTABLISHED and source not in ours:
+                return True
+    return False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import time
 from collections.abc import Callable
@@ -10,19 +11,12 @@ from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
-from sumo_adv.serve.policy import (
-    CONTEXTS,
-    GETTER_TO_SUBSCRIPTION,
-    LONGEST_STEP,
-    SETTERS,
-    SUBSCRIPTIONS,
-    Policy,
-    step_until,
-)
+from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
 from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
-from sumo_adv.serve.shapes import Misfit, subscribed
+from sumo_adv.serve.shapes import Misfit
+from sumo_adv.serve.subscriptions import Subscriptions
 
-LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
+MOST_UNHEARD = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
 _WITHOUT_SUMO = {framing.GETVERSION, framing.SETORDER, framing.CLOSE}
 _RESTARTED = "The simulation was restarted: ask again."
@@ -47,10 +41,11 @@ class Turns:
         self._seat, self._deadline, self._stopping, self._why_ended = seat, deadline, stopping, why_ended
         self._parting = self._keep = False
         self._served: Client | None = None
-        self._subscribed: dict[bytes, Command] = {}
         self._our_turn = False
+        self._unheard = 0  # answers in a row that did not need SUMO
         self._turn_began = 0.0  # s, monotonic
         self._link = connect(self._while_sumo_works)
+        self._subscriptions = Subscriptions(self._link)
 
     def part(self, keep: bool) -> None:
         """Say close to SUMO at the end of what is being asked; ``keep``: the client stays for the next simulation."""
@@ -79,7 +74,7 @@ class Turns:
         """One message of the client, or a step in its stead."""
         client = self._seat.client
         if client is not self._served:
-            self._forget()
+            self._subscriptions.end()
             self._served, self._turn_began = client, time.monotonic()
         if client is None:
             self._stand_in()
@@ -88,8 +83,14 @@ class Turns:
 
     def _converse(self, client: Client) -> None:
         """One message of the client and its answer."""
-        commands = framing.split(self._listen(client))
-        client.send(self._answer_all(client, commands), self._deadline)
+        message = self._listen(client)
+        commands = framing.split(message)
+        try:
+            answer = self._answer_all(client, commands)
+        except Late:
+            client.line.unread(message)
+            raise
+        client.send(answer, self._time_left())
         if commands[-1].number == framing.CLOSE:
             self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} said close.")
 
@@ -174,13 +175,22 @@ class Turns:
             raise Late
 
     def _is_late(self) -> bool:
-        return self._our_turn and time.monotonic() - self._turn_began > self._deadline
+        return self._our_turn and self._time_left() <= 0.0
+
+    def _time_left(self) -> float:
+        """What is left of the client's turn [s]; all of it before the turn begins."""
+        return self._deadline - (time.monotonic() - self._turn_began if self._our_turn else 0.0)
 
     def _answer_all(self, client: Client, commands: list[Command]) -> bytes:
         answers: list[bytes] = []
         try:
             for command in commands:
+                if self._parting and answers:
+                    answers.append(_stand_in_answer(command))
+                    continue
                 answers.append(self._answer(client, command))
+                if self._is_late():
+                    raise Late
         except SumoGone:
             if self._parting and self._keep:
                 answers += [_stand_in_answer(command) for command in commands[len(answers) :]]
@@ -190,6 +200,7 @@ class Turns:
 
     def _answer(self, client: Client, command: Command) -> bytes:
         number = command.number
+        self._count()
         if number == framing.SIMSTEP:
             return self._step(client, command)
         if number == framing.GETVERSION:
@@ -199,29 +210,26 @@ class Turns:
         reason = self.policy.refusal(command)
         if reason is not None:
             return self._refuse(client, command, reason)
-        if number in SUBSCRIPTIONS and (reason := self._deadly(command)):
+        if number in SUBSCRIPTIONS and (reason := self._subscriptions.deadly(command)):
             return make_message(make_status(number, framing.ERROR, reason))
+        if gone := removed(command):
+            self._subscriptions.end_of(*gone)
         answer = self._link.ask(make_message(command.raw))
         self._begin_turn()
         if framing.accepted(answer):
             if number in SETTERS:
                 self.policy.took(command)
             elif number in SUBSCRIPTIONS or number in CONTEXTS:
-                self._note_subscription(command)
+                self._subscriptions.note(command)
         return answer
 
-    def _deadly(self, command: Command) -> str:
-        """What SUMO would complain of, if it would be too long for it: it puts a sentence a variable into one error."""
-        end = 20 + int.from_bytes(command.payload[16:20], "big")
-        getter = command.number - GETTER_TO_SUBSCRIPTION
-        wanted = subscribed(command.payload, end, getter)
-        if len(wanted) < 2:
-            return ""
-        name = command.payload[16:end]
-        questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in wanted)
-        said = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
-        whole = f"Could not add subscription. {' '.join(said).strip()}"
-        return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
+    def _count(self) -> None:
+        """A client that only asks what needs no SUMO, or is refused, would never use up its time: after some questions
+        it waits for its turn, and its clock runs."""
+        self._unheard = 0 if self._our_turn else self._unheard + 1
+        if self._unheard > MOST_UNHEARD:
+            self._link.now()
+            self._begin_turn()
 
     def _refuse(self, client: Client, command: Command, reason: str) -> bytes:
         key = (command.number, command.payload[:64])
@@ -238,35 +246,38 @@ class Turns:
             until = step_until(command.payload)
         except Misfit:
             return self._refuse(client, command, "A step needs a time in seconds.")
-        raw, stays = command.raw, False
+        count = 1
         if until:
             now = self._link.now()
+            self._begin_turn()
             if until > now + LONGEST_STEP:
                 return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
-            if stays := until <= now:
-                raw = make_command(framing.SIMSTEP, struct.pack("!d", now))
-        if not stays:
+            if until <= now:
+                return self._shown(self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", now)))))
+            count = max(1, math.ceil((until - now) / self._link.step_length() - 1e-6))
+        return self._shown(self._steps(client, count))
+
+    def _steps(self, client: Client, count: int) -> bytes:
+        """Step one at a time, and only while the client is there: one that asked for an hour and went drives no longer.
+
+        Raises:
+            Gone: it is not there any longer.
+        """
+        answer = _EMPTY_STEP
+        for k in range(count):
+            if k and self._interrupted():
+                break
+            if client.line.cut:
+                raise Gone("it closed the connection")
             self.stepped_by = Stepper.CLIENT
-        answer = self._link.ask(make_message(raw))
-        if not stays:
+            answer = self._link.step()
             self.client_steps += 1
             self._our_turn = False
+        return answer
+
+    def _shown(self, answer: bytes) -> bytes:
+        """The answer to a step as the client may see it."""
         return framing.without(answer, self.policy.hidden) if self.policy.hidden else answer
-
-    def _note_subscription(self, command: Command) -> None:
-        end = 20 + int.from_bytes(command.payload[16:20], "big")
-        domain = command.payload[end : end + 1] if command.number in CONTEXTS else b""
-        key = bytes((command.number,)) + domain + command.payload[20:end]
-        if command.payload[end + (9 if domain else 0)]:
-            self._subscribed[key] = command
-        else:
-            self._subscribed.pop(key, None)
-
-    def _forget(self) -> None:
-        """End the subscriptions of the client that was served last."""
-        for command in list(self._subscribed.values()):
-            self._link.unsubscribe(command)
-        self._subscribed.clear()
 
     def _while_sumo_works(self) -> None:
         """Look after the client while SUMO takes its time."""

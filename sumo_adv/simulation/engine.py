@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.errors import SimulationError, SumoAdvError
+from sumo_adv.errors import OUT_OF_MEMORY, SimulationError, SumoAdvError, ran_out_of_memory
 
 SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -121,11 +121,16 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -
         except SumoAdvError as error:
             reply = ("error", _with_words(error, log, said))
         except Exception as error:
-            reply = ("error", SimulationError(f"The simulation failed ({type(error).__name__}: {error})."))
+            reply = ("error", _failed("The simulation", error))
             import traceback
 
             traceback.print_exc()
         control.send(reply)
+
+
+def _failed(what: str, error: BaseException) -> SimulationError:
+    sentence = f"{what} failed ({type(error).__name__}: {error})."
+    return SimulationError(OUT_OF_MEMORY if ran_out_of_memory(error) else sentence)
 
 
 def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
@@ -207,7 +212,7 @@ def _child(work: Callable[[], Any], outlet: int) -> None:
         except SumoAdvError as error:
             data = pickle.dumps(("error", error))
         except BaseException as error:
-            data = pickle.dumps(("error", SimulationError(f"An attempt failed ({type(error).__name__}: {error}).")))
+            data = pickle.dumps(("error", _failed("An attempt", error)))
         with os.fdopen(outlet, "wb") as pipe:
             pipe.write(data)
     finally:

@@ -1,0 +1,85 @@
+"""Becomes ``sumo``, killed with the process that started it, and where possible in a network of its own (Linux).
+
+Run as a script, by path and with nothing but the standard library: ``leash.py PARENT TALK COMMAND ..``.  PARENT is the
+process id of who started it, TALK a Unix socket, or -1 for a ``sumo`` that others connect to by its port.  SUMO listens
+on all interfaces until its clients are there; in a network namespace of its own that is a loopback nobody else has.
+Through TALK go the connections to it that were made in there, or the word OPEN where the system allows no namespace.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import select
+import signal
+import socket
+import struct
+import sys
+import time
+
+OPEN, PRIVATE = b"open", b"private"
+CLIENTS = 2
+_NEW_USER, _NEW_NETWORK = 0x10000000, 0x40000000  # CLONE_NEWUSER, CLONE_NEWNET
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG; stays over exec, and ends with a change of credentials
+_SET_FLAGS, _UP = 0x8914, 0x41  # SIOCSIFFLAGS; IFF_UP and IFF_RUNNING
+_RETRY = 0.005  # s
+
+
+def have_own_network() -> bool:
+    """Whether this process now has a network namespace of its own, with a loopback that works."""
+    libc = ctypes.CDLL(None)
+    if libc.unshare(_NEW_NETWORK) != 0 and libc.unshare(_NEW_USER | _NEW_NETWORK) != 0:
+        return False
+    try:
+        with socket.socket() as any_socket:
+            fcntl.ioctl(any_socket, _SET_FLAGS, struct.pack("16sh14x", b"lo", _UP))
+    except OSError:
+        return False
+    return True
+
+
+def send_connections(talk: socket.socket, port: int) -> None:
+    """Connect to the port as soon as somebody listens, and send the connections, unless the other end goes first."""
+    made: list[socket.socket] = []
+    while len(made) < CLIENTS:
+        one = socket.socket()
+        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        try:
+            one.bind(("127.0.0.1", 0))
+            if one.getsockname()[1] == port:  # the kernel could connect such a one to itself
+                raise ConnectionRefusedError
+            one.connect(("127.0.0.1", port))
+        except OSError:
+            one.close()
+            if select.select([talk], [], [], _RETRY)[0]:
+                return
+            time.sleep(_RETRY)
+        else:
+            made.append(one)
+    socket.send_fds(talk, [PRIVATE], [one.fileno() for one in made])
+
+
+def main(parent: int, talk_fd: int, command: list[str]) -> None:
+    """Never returns."""
+    private = talk_fd >= 0 and have_own_network()
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+    if talk_fd >= 0:
+        talk = socket.socket(fileno=talk_fd)
+        if not private:
+            talk.sendall(OPEN)
+        elif os.fork() == 0:
+            if os.fork() == 0:  # a grandchild, which is not SUMO's to wait for
+                os.closerange(0, 3)
+                send_connections(talk, int(command[command.index("--remote-port") + 1]))
+            os._exit(0)
+        else:
+            os.wait()
+        talk.close()
+    os.execv(command[0], command)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3:])
