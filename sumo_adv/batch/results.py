@@ -30,7 +30,7 @@ verdict version 2. ``road`` and ``ego_speed`` are those of the encounter."""
 WHOLES = ("seed", "attempts")
 NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed")
 TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike")
-"""The columns that are no text."""
+"""Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
@@ -64,12 +64,6 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
         "kind": None if best is None else outcome["attempts"][best].get("kind"),
         "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
     }  # fmt: skip
-
-
-NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v")
-WHOLES = ("seed", "attempts")
-TRUTHS = ("collided", "valid", "critical", "strict", "ego_stationary", "humanlike")
-"""Columns that hold numbers, whole numbers, yes or no; the others hold text. Any may be empty."""
 
 
 def checked_row(row: Any) -> Row:
