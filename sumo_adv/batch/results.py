@@ -67,9 +67,10 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked_row(row: Any) -> Row:
-    """A row that was read from a file. Raises ValueError, KeyError or TypeError for what is none."""
+    """A row that was read from a file; one of an earlier version lacks some columns. Raises ValueError, KeyError or
+    TypeError for what is none."""
     for name in COLUMNS:
-        value = row[name]
+        value = dict(row).get(name)
         kind = float if name in NUMBERS else int if name in WHOLES else bool if name in TRUTHS else str
         ok = isinstance(value, int | float) if kind is float else isinstance(value, kind)
         if value is not None and (not ok or (isinstance(value, bool) and kind is not bool)):
