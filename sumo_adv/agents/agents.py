@@ -29,7 +29,7 @@ from sumo_adv.llm.chat import ChatModel
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
-from sumo_adv.search.composed_intents import NAME
+from sumo_adv.search.composed_intents import COMPOSED, NAME
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.situation import Situation
 
@@ -138,16 +138,18 @@ class Agents:
 
         return self._played("analyzer", by_model, lambda: ask(ExpertAnalyzer(search)))
 
-    def confirm(self, intent: Intent, nearest: Sequence[LibraryEntry]) -> str | None:
-        """The label among ``nearest`` that means the same behaviour as a new intent of a model, None for a novel one.
+    def confirm(
+        self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
+    ) -> Intent | None:
+        """A model's new intent by the label among ``nearest`` that means the same behaviour, None for a novel one.
 
         Without questions left the intent is as novel as its analyzer said. Raises ModelError.
         """
 
-        def by_model() -> str | None:
+        def by_model() -> Intent | None:
             analyzer = ModelAnalyzer(self._metered("analyzer"), self.prompts, self._limits)
-            same = analyzer.confirm(intent.label, intent.description, nearest)
-            self.bought.append(Bought("analyzer", f"'{intent.label}' is {'novel' if same is None else same}"))
+            same = analyzer.confirm(intent, nearest, situations)
+            self.bought.append(Bought("analyzer", f"'{intent.label}' is {'novel' if same is None else same.label}"))
             return same
 
         return self._played("analyzer", by_model, lambda: None) if self.may_ask else None
@@ -155,8 +157,10 @@ class Agents:
     def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
         """Planners for an intent that the bank lacks, none without questions left. ``examples``: nearest first.
 
-        Raises ModelError.
+        Those of an intent that the expert composed beside a model's are the expert's. Raises ModelError.
         """
+        if self.by_model("analyzer") and intent.label in COMPOSED:
+            return ExpertGenerator().generate(intent, situation, examples)
         if self.by_model("generator") and not self.may_ask:
             return ()
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from pydantic import BaseModel, Field
@@ -56,6 +56,7 @@ class Same(BaseModel):
     """A model's answer on whether a behaviour is known."""
 
     same_as: str | None
+    ways: list[HowTo] = Field(default_factory=list, max_length=MOST_WAYS)
     reason: str = Field(default="", max_length=2000)
 
 
@@ -138,23 +139,36 @@ class ModelAnalyzer:
         ranked, self.distribution = _ranking(answers, aliases)
         return [_intent(choice, aliases, entries, situations) for choice in ranked]
 
-    def confirm(self, label: str, description: str, nearest: Sequence[LibraryEntry]) -> str | None:
-        """The label among ``nearest`` that means the same behaviour, None for a novel one. Raises ModelError."""
+    def confirm(
+        self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
+    ) -> Intent | None:
+        """The intent by the label among ``nearest`` that means the same behaviour, with the ways to carry it out; None
+        for a novel one. Raises ModelError."""
+        situation = situations[min(situations)]
+        aliases = Aliases.of(situation)
         listed = "\n".join(
             line for e in nearest for line in (f"- {sanitize(e.label)}: {sanitize(e.description)}", *modes_words(e))
         )
         prompt = self._prompts.render(
-            "confirm", label=sanitize(label), description=sanitize(description), nearest=listed
-        )
-        labels = {sanitize(e.label): e.label for e in nearest}
+            "confirm", label=sanitize(intent.label), description=sanitize(intent.description), nearest=listed,
+            scene=relative_words(situation, aliases, {}), bv=aliases.by_id[intent.bv], starts=starts_words(situations),
+        )  # fmt: skip
+        entries = {sanitize(e.label): e for e in nearest}
 
         def check(answer: Same) -> str | None:
-            if answer.same_as is None or answer.same_as in labels:
+            if answer.same_as is None:
                 return None
-            return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {', '.join(labels)}, or null."
+            entry = entries.get(answer.same_as)
+            if entry is None:
+                known = ", ".join(entries)
+                return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {known}, or null."
+            return next((f for how in answer.ways if (f := way_fault(how, entry)) is not None), None)
 
         answer = ask(self._metered, "analyzer", prompt.system, prompt.user, Same, check=check)
-        return None if answer.same_as is None else labels[answer.same_as]
+        if answer.same_as is None:
+            return None
+        entry, ways = entries[answer.same_as], tuple(way_of(how, situations, intent.bv) for how in answer.ways)
+        return replace(intent, label=entry.label, description=entry.description, source="memory", ways=ways)
 
     def _fault(
         self, answer: Analysis, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]

@@ -87,8 +87,9 @@ def _remembered(
 
 
 def retrieve(
-    episode: Episode, agents: Agents, situation: Situation, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> list[LibraryEntry]:
+    episode: Episode, agents: Agents, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
+    bank: MemoryBank,
+) -> list[LibraryEntry]:  # fmt: skip
     """The library with entries for the episode's intents.
 
     An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Where nobody
@@ -99,6 +100,7 @@ def retrieve(
         ModelError: a model plays the analyzer or the generator and failed.
     """
     entries, by_label = list(library), {e.label: e for e in library}
+    situation = situations[min(situations)]
     for intent in tuple(episode.intents):
         if intent.label in by_label:
             continue
@@ -106,14 +108,19 @@ def retrieve(
         retrieved = bank.retrieve(intent.label, intent.description)
         episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
         near = [by_label[label] for label, _ in retrieved.nearest if label in by_label]
-        judged = agents.by_model("analyzer")
-        hit = agents.confirm(intent, near[:CONFIRMED]) if judged and near else retrieved.hit
+        if agents.by_model("analyzer") and not applies_of(intent.label) and near:
+            same = agents.confirm(intent, near[:CONFIRMED], situations)
+        else:
+            same = None if retrieved.hit is None else replace(intent, label=retrieved.hit)
         words = situation.targets[intent.bv].applies()
-        if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
-            entry = replace(by_label[hit], applies=tuple(dict.fromkeys((*by_label[hit].applies, *words))))
-            entries = [entry if e.label == hit else e for e in entries]
-            by_label[hit] = entry
-            episode.intents = [replace(i, label=hit) if i.label == intent.label else i for i in episode.intents]
+        if same is not None:  # a near intent's planners are used, also from where this vehicle stands
+            hit = by_label[same.label]
+            entry = replace(hit, applies=tuple(dict.fromkeys((*hit.applies, *words))))
+            entries = [entry if e.label == hit.label else e for e in entries]
+            by_label[hit.label] = entry
+            episode.intents = [
+                replace(i, label=hit.label, ways=same.ways) if i.label == intent.label else i for i in episode.intents
+            ]
             continue
         planners = agents.generate(intent, situation, near or library)
         if planners:

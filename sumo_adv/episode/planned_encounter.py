@@ -107,10 +107,11 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
             planned.search, situations, library, allowed=episode.source.intents,
             remembered=remembered(bank, library, planned.scene),
         )  # fmt: skip
-        if not episode.intents and episode.settings.tuner == "builtin":
-            episode.intents = planned.search.ranking(library)
-            episode.notes.append("The analyzer saw nothing dangerous, so the search's own ranking was taken.")
-        entries = retrieve(episode, agents, planned.found.first, library, bank)
+        if agents.by_model("analyzer") and episode.settings.tuner == "builtin":
+            chosen = {(i.bv, i.label) for i in episode.intents}
+            others = planned.search.ranking(library)
+            episode.intents = [*episode.intents, *(i for i in others if (i.bv, i.label) not in chosen)]
+        entries = retrieve(episode, agents, situations, library, bank)
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
     labels = {i.label for i in episode.intents}

@@ -45,7 +45,7 @@ class PriceSettings:
     at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
-    rank: float = 0.1  # for each place in a model's ranking
+    rank: float = 0.03  # for each place in a model's ranking
 
 
 @dataclass(frozen=True, slots=True)
