@@ -147,7 +147,7 @@ def test_the_modifier_is_asked_no_more_where_it_brings_nothing(
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
     run = play(replace(NOVEL, questions=[]), BLIND_SIDE, "--tuner", "off")
     outcome = run.outcome
-    assert [agent_of(a) for a in run.questions] == ["analyzer", "generator", "modifier"]
+    assert [agent_of(a) for a in run.questions] == ["analyzer", "confirm", "generator", "modifier"]
     assert (outcome["ending"], outcome["intent"]["source"]) == ("critical", "generated")
     assert [a["critical"] for a in outcome["attempts"]] == [False, True]
     assert outcome["learnt"] is True

@@ -63,9 +63,9 @@ def prompts() -> Prompts:
 
 def test_a_variable_that_is_missing_or_unknown_is_an_error(prompts: Prompts) -> None:
     with pytest.raises(KeyError, match="lacks a value for description"):
-        prompts.render("confirm", label="A", nearest="B")
+        prompts.render("confirm", label="A", nearest="B", scene="D", bv="BV1", starts="0")
     with pytest.raises(KeyError, match="no variable other"):
-        prompts.render("confirm", label="A", nearest="B", description="C", other="D")
+        prompts.render("confirm", label="A", nearest="B", description="C", scene="D", bv="BV1", starts="0", other="D")
 
 
 def test_every_prompt_has_a_version_and_a_hash(prompts: Prompts) -> None:

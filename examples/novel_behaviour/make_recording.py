@@ -40,6 +40,7 @@ ANALYSIS = {
         },
     ],
 }  # fmt: skip
+SAME = {"same_as": None, "reason": "None of the known ones merges from the inner lane of a dual turn at speed."}
 DIAGNOSIS = "It stayed beside the ego: a lead of 7 m is never reached before the bend. Merge into its side instead."
 
 
@@ -54,7 +55,7 @@ class Author:
     def complete(self, request: ChatRequest) -> ChatReply:
         """The next answer of that kind."""
         if request.agent == "analyzer":
-            return _said(ANALYSIS)
+            return _said(ANALYSIS if request.schema_name == "Analysis" else SAME)
         second = request.agent == "modifier"
         answer = {"source": self._planners[second]}
         return _said(answer | ({"diagnosis": DIAGNOSIS} if second else {"mode": "swing"}))
