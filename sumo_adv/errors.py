@@ -15,6 +15,9 @@ SumoAdvError                 one sentence: what is wrong and what to do; exit st
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 class SumoAdvError(Exception):
     """Base class. ``str(error)`` is one sentence a user can act on."""
@@ -69,3 +72,10 @@ class BankError(SumoAdvError):
     """The memory bank cannot be opened, read or written."""
 
     exit_status = 2
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; the nearest is 'attempts'`` for the known name that is most like ``name``; empty if none is like it."""
+    by_lower = {each.lower(): each for each in known}
+    found = get_close_matches(name.lower(), by_lower, n=1)
+    return f"; the nearest is '{by_lower[found[0]]}'" if found else ""

@@ -25,7 +25,8 @@ RAW, TRANSFORMER = "raw", "transformer"
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
 OWN = ("expert", "llm-a", "llm-f")
 GIVEN_ELSEWHERE = (
-    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "limits", "duration",
+    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "critical_ttc",
+    "min_delta_v", "limits", "duration",
     "step_length", "density", "background", "begin", "end", "search", "history", "shortlist", "adversary",
 )  # fmt: skip
 """Settings that no row changes: who is attacked, where, with what budget, and how it is judged."""

@@ -41,6 +41,10 @@ class Episode:
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """The attempts are judged by the goal of the settings."""
+        self.refinement.goal = self.settings.goal
+
     def of_attempt(self, index: int) -> Episode:
         """The same episode, in which another attempt counts."""
         episode = replace(self, refinement=replace(self.refinement, chosen=index), timing=dict(self.timing))

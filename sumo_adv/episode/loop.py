@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, succeeded
+from sumo_adv.episode.assessment import NOTHING
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn, learn_driver
@@ -131,7 +131,7 @@ def replay_episode(
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
     settle_best(episode.refinement, runner)
-    ok = succeeded(episode.refinement.attempts[0].verdict, settings.until)
+    ok = settings.goal.met(episode.refinement.attempts[0].verdict)
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
     return episode
 

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal
-from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank, succeeded
+from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.goal import Goal
 from sumo_adv.search.fixed_order import FixedOrder, as_written
 from sumo_adv.search.protocols import Optimizer
 from sumo_adv.search.search import AttackSearch
@@ -27,10 +28,11 @@ AT_ONCE = 2  # attempts that run side by side after the first; also where they c
 class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
-    successes: indices of the attempts that reached the level, one of each kind. chosen: the attempt that counts, if it
-    is not the best.
+    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen: the
+    attempt that counts, if it is not the best.
     """
 
+    goal: Goal = field(default_factory=Goal)
     attempts: list[Attempt] = field(default_factory=list)
     results: list[AttemptResult] = field(default_factory=list)
     ending: Ending = Ending.ATTEMPTS_EXHAUSTED
@@ -45,7 +47,8 @@ class Refinement:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
-        return min(range(len(self.attempts)), key=lambda k: (*rank(self.attempts[k].verdict), k))
+        verdicts = [a.verdict for a in self.attempts]
+        return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:
@@ -123,11 +126,11 @@ class Refiner:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, self._settings.until)
+            attempt = checked(attempt, result, self._runner, found.goal)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell(attempt)
-            if succeeded(attempt.verdict, self._settings.until) and self._keep(attempt, found, began):
+            if found.goal.met(attempt.verdict) and self._keep(attempt, found, began):
                 return True
         return False
 

@@ -79,4 +79,4 @@ class EncounterMonitor:
         return "" if now.get(bv) == relation else f"{bv} is no longer {relation} but {now.get(bv, 'out of reach')}"
 
     def _fresh(self) -> EncounterDetector:
-        return EncounterDetector(self._road, self._settings.shortlist, self._only)
+        return EncounterDetector(self._road, self._settings.shortlist, self._only, self._settings.kind)
