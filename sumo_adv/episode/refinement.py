@@ -28,8 +28,8 @@ AT_ONCE = 2  # attempts that run side by side after the first; also where they c
 class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
-    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen: the
-    attempt that counts, if it is not the best.
+    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
+    the attempt that counts, if it is not the best.
     """
 
     goal: Goal = field(default_factory=Goal)
