@@ -38,9 +38,17 @@ class Goal:
         least = Level.COLLISION if self.min_delta_v > 0 else Level.NONE
         return self.reached(verdict) >= max(self.level, least)
 
-    def __str__(self) -> str:
-        """The goal in words."""
+    @property
+    def hard(self) -> str:
+        """What is wanted of the delta-v, in words; empty if nothing is."""
+        return f" with a delta-v of {self.min_delta_v:g} m/s or more" if self.min_delta_v > 0 else ""
+
+    def attack(self, level: Level) -> str:
+        """An attack that meets the goal, in words; ``level``: the one that is named."""
         if self.ttc is not None:
             return f"near miss with a min TTC of {self.ttc[0]:g} to {self.ttc[1]:g} s"
-        severity = f" with a delta-v of {self.min_delta_v:g} m/s or more" if self.min_delta_v > 0 else ""
-        return f"{self.level}{severity}"
+        return f"{level} attack{self.hard}"
+
+    def __str__(self) -> str:
+        """The goal in words."""
+        return self.attack(self.level) if self.ttc is not None else f"{self.level}{self.hard}"

@@ -147,7 +147,7 @@ def test_evidence_counts_what_can_be_avoided() -> None:
         proposal(2.1, hit=False, min_ttc=2.0, gap=3.0),
     ]
     words = evidence_words(pool, aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"})
-    assert "BV1, Straight Lane Shift: 75% of 4 candidates collide; 2 of these 3 could be avoided" in words
+    assert "BV1, Straight Lane Shift: 3 of 4 candidates collide; 2 of these 3 could be avoided" in words
     assert "1 by a careful driver who only brakes; median warning 1.0 s." in words
     assert "'side' Drifts over." in words and "2 times tried" in words
     nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], aliases, [SHIFT], {})

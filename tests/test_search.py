@@ -289,7 +289,7 @@ def test_the_most_dangerous_intent_is_the_one_by_which_most_ways_collide_and_the
     some.pool = [replace(proposal(planners[name]), score=s) for name, many in scores.items() for s in many]
     library = [LibraryEntry(name, "", ("neighbour",), (planner,)) for name, planner in planners.items()]
     assert [i.label for i in some.ranking(library)] == ["Push", "Shift", "Cut"]
-    assert some.ranking(library)[2].reason.startswith("predicted: 25% of 4 candidates collide, 1 of them avoidably")
+    assert some.ranking(library)[2].reason.startswith("predicted: 1 of 4 candidates collide, 1 of them avoidably")
 
 
 # ---- planners for new intents

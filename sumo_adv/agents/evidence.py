@@ -56,7 +56,7 @@ def _prediction(alias: str, label: str, members: Sequence[Proposal]) -> str:
     manoeuvre = sum(prediction.manoeuvre or prediction.careful for prediction in hits)
     warning = sorted(prediction.warning for prediction in hits)[len(hits) // 2]
     return (
-        f"- {alias}, {sanitize(label)}: {len(hits) / len(members):.0%} of {len(members)} candidates collide;"
+        f"- {alias}, {sanitize(label)}: {len(hits)} of {len(members)} candidates collide;"
         f" {manoeuvre} of these {len(hits)} could be avoided by braking or steering, {careful} by a careful driver"
         f" who only brakes; median warning {warning:.1f} s."
     )

@@ -18,7 +18,7 @@ class Reporter(Protocol):
     """Told what happens."""
 
     def tell(self, what: str, value: Any) -> None:
-        """``encounter``, ``intents`` or ``attempt``."""
+        """``encounter``, ``intents``, ``why_first`` or ``attempt``."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -79,6 +79,8 @@ def line(what: str, value: Any) -> str:
     if what == "intents":
         top = value[0]
         return f"Most dangerous: {top.bv} — {top.label} (risk {top.risk}; {top.reason})"
+    if what == "why_first":
+        return f"  {value}"
     return _attempt(value) if what == "attempt" else ""
 
 

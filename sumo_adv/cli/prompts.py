@@ -81,7 +81,7 @@ def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine:
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
     runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
-    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda _: None).run([intent], found)
+    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run([intent], found)
     if not found.attempts:
         return [generator]
     planner = found.attempts[0].proposal.planner

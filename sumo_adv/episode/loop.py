@@ -98,7 +98,7 @@ def pursue(
 ) -> None:  # fmt: skip
     """Run attempts until one succeeds or the budget is used up, and learn from them."""
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, lambda a: tell("attempt", a))
+    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell)
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
@@ -29,7 +30,8 @@ class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best.
+    the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
+    ranked first, empty if it does.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -41,6 +43,7 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
+    why_first: str = ""
 
     @property
     def best(self) -> int | None:
@@ -71,10 +74,11 @@ class Refiner:
         agents: Agents,
         library: Sequence[LibraryEntry],
         settings: Settings,
-        tell: Callable[[Attempt], None],
+        tell: Callable[[str, Any], None],
     ) -> None:
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
+        self._intents: Sequence[Intent] = ()
         self._versions: dict[str, int] = {}  # planner hash -> number of modifications that led to it
         self._asked: set[str] = set()  # hashes of planners that the modifier was asked to change
         self._planners: dict[str, Planner] = {}
@@ -83,12 +87,14 @@ class Refiner:
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
-        optimizer = self._optimizer(intents)
+        optimizer, self._intents = self._optimizer(intents), intents
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(optimizer, found)
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
                 break
+            if not found.attempts:
+                self._explain(plans[0], found)
             if self._try(plans, found, began):
                 break
             self._observe(optimizer, found, len(plans))
@@ -96,6 +102,12 @@ class Refiner:
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
         found.seconds = time.perf_counter() - began
+
+    def _explain(self, first: Proposal, found: Refinement) -> None:
+        """Say why the first attempt does not try the intent that is ranked first, if it does not."""
+        found.why_first = self._search.why_first(first, self._intents)
+        if found.why_first:
+            self._tell("why_first", found.why_first)
 
     def _optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
         """The search, or with ``tuner = off`` a fixed order. A model's ranking counts, and its first intents are tried
@@ -129,7 +141,7 @@ class Refiner:
             attempt = checked(attempt, result, self._runner, found.goal)
             found.attempts.append(attempt)
             found.results.append(result)
-            self._tell(attempt)
+            self._tell("attempt", attempt)
             if found.goal.met(attempt.verdict) and self._keep(attempt, found, began):
                 return True
         return False

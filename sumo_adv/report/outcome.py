@@ -62,6 +62,7 @@ def outcome(
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
+        "goal": str(settings.goal), "why_first": episode.refinement.why_first or None,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),

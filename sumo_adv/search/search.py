@@ -21,6 +21,7 @@ from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Plan
 from sumo_adv.goal import Goal
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
+from sumo_adv.search.first_attempt import why_first
 from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.ranking import ranked_intents
@@ -104,7 +105,7 @@ class AttackSearch:
         that reach the ego and before those that do not; nothing is predicted of them yet.
         """
         descriptions = {e.label: e.description for e in library}
-        reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings)
+        reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings, self._goal)
         good = sum(p.nominal_score < self._settings.avoidable for p in drawn(self.pool))
         new = [] if good >= self._settings.few else compose(self._situations, library)
         new = [intent for intent in new if self._selection.allows(intent.label)]
@@ -118,6 +119,10 @@ class AttackSearch:
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
         return p.score + late + weights.harsh * seen.braking
+
+    def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
+        """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
+        return why_first(first, intents[0], self.pool, self._price_now, self._goal, self._settings.price)
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -171,20 +176,12 @@ class AttackSearch:
     @property
     def result(self) -> str:
         """What the search came to, in a sentence."""
-        count = len(drawn(self.pool)) + len(self._tried)
+        count, wish = len(drawn(self.pool)) + len(self._tried), self._goal.attack(self._level)
         if self._kinds:
             kinds = "one kind" if len(self._kinds) == 1 else f"{len(self._kinds)} kinds"
-            return f"Attacks of {kinds} succeeded; {count} candidates promise no {self._wish} of another kind."
+            return f"Attacks of {kinds} succeeded; {count} candidates promise no {wish} of another kind."
         best = "" if self._goal.ttc is not None else f"; the best level is {self._best}"
-        return f"No {self._wish} found in {count} candidates{best}."
-
-    @property
-    def _wish(self) -> str:
-        """What is looked for, in words."""
-        if self._goal.ttc is not None:
-            return str(self._goal)
-        hard = f" with a delta-v of {self._goal.min_delta_v:g} m/s or more" if self._goal.min_delta_v > 0 else ""
-        return f"{self._level} attack{hard}"
+        return f"No {wish} found in {count} candidates{best}."
 
     def exhausted(self) -> list[str]:
         """Hashes of planners without attempts left; of versions with one share, the most tried one."""
