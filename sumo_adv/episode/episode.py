@@ -37,6 +37,7 @@ class Episode:
     agents: Agents | None = None  # None in a replay
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
+    bank_change: str = ""  # what the bank has learnt that changes the next run, in a sentence
     traceback: str = ""  # of a fault in sumo_adv
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)

@@ -14,6 +14,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import NOTHING
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
+from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn, learn_driver
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
@@ -111,8 +112,10 @@ def pursue(
         timing["prediction"] = timing.get("prediction", 0.0) + planned.predictor.seconds
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
+    before = BankView.of(episode, bank, planned)
     learn(episode, bank, entries)
     learn_driver(episode, bank, planned.predictor.driver_weights)
+    episode.bank_change = before.difference(BankView.of(episode, bank, planned))
 
 
 def replay_episode(

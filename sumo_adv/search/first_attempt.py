@@ -32,13 +32,14 @@ def why_first(
         return f"{said}: it succeeded in a similar scene."
     if best is None or best.prediction is None or best.prediction.failure or first.prediction is None:
         return f"{said}: nothing could be predicted of {top.label}."
-    return f"{said}: {_better(first, best, first.prediction, best.prediction, top.label, goal, weights)}."
+    other = top.label if top.label != first.label else f"that by {top.bv}"
+    return f"{said}: {_better(first, best, first.prediction, best.prediction, other, goal, weights)}."
 
 
 def _better(
     first: Proposal, best: Proposal, seen: Prediction, other: Prediction, label: str, goal: Goal, weights: PriceSettings
 ) -> str:
-    """What the first candidate is predicted to do better than the best one of the intent ``label``."""
+    """What the first candidate is predicted to do better than the best one of the other intent, called ``label``."""
     if goal.ttc is not None:
         return f"its predicted min TTC is {_ttc(seen)}, that of {label} {_ttc(other)}"
     if goal.min_delta_v > 0 and other.delta_v < goal.min_delta_v <= seen.delta_v:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from sumo_adv.benchmark.methods import method_of
 from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.tables.cells import RAW, Key, counted, first_valid, is_raw, key, names, parts
 from sumo_adv.benchmark.tables.columns import BY_PART, COLUMNS, RATE, Column
@@ -85,7 +86,7 @@ def make_table(
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
+    notes = (*_growing(asked), *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
@@ -112,6 +113,16 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
             f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} chosen in hindsight, which flatters it."
         )
     return best_cells, notes
+
+
+def _growing(rows: Sequence[str]) -> list[str]:
+    """A sentence for each row whose bank changes as the table goes on."""
+    return [
+        f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
+        "learn=off it stays as it is."
+        for row in rows
+        if (method := method_of(row)) is not None and method.learns
+    ]
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
