@@ -15,7 +15,7 @@ from sumo_adv.search.settings import PriceSettings, SearchSettings
 
 PLANNER = Planner("Shift", "side", "", (), "seed")
 TOP = Intent("v1", "Shift", "", "high", 0.0)
-SERIOUS = Prediction(hit=True, level=Level.SERIOUS, delta_v=5.0, time=4.0)
+SERIOUS = Prediction(hit=True, min_ttc=0.0, level=Level.SERIOUS, delta_v=5.0, time=4.0)
 
 
 def candidate(bv: str, label: str, score: float, made: Prediction, nominal: float | None = None) -> Proposal:

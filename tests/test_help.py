@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from cli_samples import ROOT, Program
@@ -56,3 +58,18 @@ def test_the_shipped_scenarios_are_listed(program: Program) -> None:
     assert all(s["description"] and s["road"] in found["networks"] and s["intents"] for s in found["scenarios"])
     text = program("scenarios").out
     assert all(name in text for name in names)
+
+
+VAGUE = re.compile(r"\b(so many|nobody|somebody|everybody|whoever|mend|came of|came off|to be had)\b", re.IGNORECASE)
+
+
+def helps(command: Any, name: str = "sumo-adv") -> Iterator[tuple[str, str]]:
+    """Every text of the help of a command and those below it."""
+    yield name, str(command.help)
+    yield from ((f"{name} {p.opts[0]}", str(getattr(p, "help", ""))) for p in command.params)
+    for below, each in getattr(command, "commands", {}).items():
+        yield from helps(each, f"{name} {below}")
+
+
+def test_the_help_says_quantities_and_names_things() -> None:
+    assert {name: text for name, text in helps(get_command(app)) if VAGUE.search(text)} == {}

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from cli_samples import ROOT, Program, Runs
+from cli_samples import ROOT, Program
 
 from sumo_adv.app import batch_parts
 from sumo_adv.batch.plan import make_plan
@@ -52,9 +52,7 @@ def test_the_shipped_scenarios_are_found_from_every_folder(program: Program) -> 
 
 def test_a_pattern_of_shipped_scenarios_and_an_own_folder_of_that_name(tmp_path: Path) -> None:
     plan = make_plan({"inputs": ["scenarios/motorway_*.toml"]}, tmp_path, "The plan", batch_parts())
-    assert [job.input.source for job in plan.jobs] == [
-        Path("scenarios/motorway_cut_in_left.toml"), Path("scenarios/motorway_cut_in_right.toml")
-    ]  # fmt: skip
+    assert [job.input.name for job in plan.jobs] == ["motorway_cut_in_left", "motorway_cut_in_right"]
     (tmp_path / "scenarios").mkdir()
     with pytest.raises(UsageError, match="holds no scenario"):
         make_plan({"inputs": ["scenarios"]}, tmp_path, "The plan", batch_parts())
@@ -119,7 +117,10 @@ def test_what_the_next_run_would_see_is_told_apart() -> None:
     )
 
 
-def test_a_run_says_what_it_has_learnt_of_an_unknown_driver(runs: Runs) -> None:
+def test_a_run_says_what_it_has_learnt_of_an_unknown_driver(program: Program) -> None:
     """The search knows the rules of idm; of a class of the user's it learns how it drives."""
-    assert runs["first"].outcome["bank_change"] is None
-    assert "how this ego drives" in runs["calm"].outcome["bank_change"]
+    options = ("--ego", "ego_samples:CalmEgo", "--attempts", "1", "--out", "out")
+    done = program("run", "leader_two_lanes", *options)
+    assert done.status == 0, done.err
+    assert "The memory bank has learnt how this ego drives: " in done.out
+    assert program("run", "leader_two_lanes", *options[2:], "--force").outcome["bank_change"] is None

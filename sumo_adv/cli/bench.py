@@ -114,7 +114,7 @@ def analyzer(
     ] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
-    """Who names the most dangerous intent: against the oracle, chance, the best constant answer and the ceiling."""
+    """Which analyzer names the most dangerous intent: against oracle, chance, the best constant answer, the ceiling."""
     from sumo_adv.benchmark.methods import REFERENCE
     from sumo_adv.benchmark.tables.analysis import analyze
     from sumo_adv.benchmark.tables.analysis_files import labels_hash, write_analysis
