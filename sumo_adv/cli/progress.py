@@ -59,8 +59,7 @@ class Live(Silent):
         text = line(what, value)
         if text:
             self._console.print(text, markup=False)
-        following = {"encounter": "Predicting ...", "intents": "Attacking ...", "attempt": "Attacking ..."}
-        self._display.update(following.get(what, ""))
+        self._display.update("Predicting ..." if what == "encounter" else "Attacking ...")
 
 
 def make_reporter(*, quiet: bool) -> Reporter:
