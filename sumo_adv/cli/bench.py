@@ -299,6 +299,7 @@ def _write(
     words: Mapping[str, str] | None = None, as_json: bool,
 ) -> None:  # fmt: skip
     """The table's files; its main columns on stdout."""
+    from sumo_adv.benchmark.methods import growing_banks
     from sumo_adv.benchmark.tables.compute import LATER, make_table
     from sumo_adv.benchmark.tables.plots import draw_all
     from sumo_adv.benchmark.tables.screen import table_text
@@ -308,7 +309,7 @@ def _write(
     made = make_table(
         cells, title=f"{chosen.name}, {len(chosen.cases)} encounters", cases=chosen.cases, egos=request.egos,
         rows=request.rows, reference=reference, words=words or {},
-        later=LATER if words is None else {},
+        later=LATER if words is None else {}, notes=growing_banks(request.rows),
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(request, means), name)
     files += draw_all(cells, means.folder / "figures", request.rows)

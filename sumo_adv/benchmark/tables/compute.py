@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sumo_adv.benchmark.methods import method_of
 from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.tables.cells import RAW, Key, counted, first_valid, is_raw, key, names, parts
 from sumo_adv.benchmark.tables.columns import BY_PART, COLUMNS, RATE, Column
@@ -66,11 +65,13 @@ def make_table(
     columns: Sequence[Column] = COLUMNS,
     later: Mapping[str, str] = LATER,
     words: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
 ) -> Table:
     """The table of cells of any egos, rows and seeds.
 
     ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
-    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks).
+    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks); ``notes``:
+    said before those on the cells.
     """
     asked = tuple(rows or names(cells, "row"))
     cells = [cell for cell in cells if cell["row"] in asked]
@@ -86,7 +87,7 @@ def make_table(
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_growing(asked), *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
+    notes = (*notes, *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
@@ -113,16 +114,6 @@ def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:
             f"{BEST_FIXED} against {ego} is {best}, the best of {len(rows)} chosen in hindsight, which flatters it."
         )
     return best_cells, notes
-
-
-def _growing(rows: Sequence[str]) -> list[str]:
-    """A sentence for each row whose bank changes as the table goes on."""
-    return [
-        f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
-        "learn=off it stays as it is."
-        for row in rows
-        if (method := method_of(row)) is not None and method.learns
-    ]
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
