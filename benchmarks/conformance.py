@@ -109,7 +109,7 @@ def drive(slots: Sequence[Connection], kind: str, driver: str, seed: int, number
     """One encounter in SUMO, in a process that holds no simulation; None if it failed."""
     what, draw = KINDS[kind], np.random.default_rng([seed, *kind.encode()])
     settings = load_settings(
-        None, ego=driver, seed=seed, duration=SECONDS, delays=(0.0, PROFILE), ttc=0.01, fork=False
+        None, ego=driver, seed=seed, duration=SECONDS, delays=(0.0, PROFILE), critical_ttc=0.01, fork=False
     )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as name:
         worker = Worker(slots)

@@ -139,8 +139,9 @@ def run(
     defined in a script or a notebook. An object is copied: what it remembers stays in the engine's process. A run with
     a class or an object given so cannot be replayed from its folder.
     settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,
-    ``attempts``, ``seed``, ``llm``, ``memory`` ... None is not given.
-    tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
+    ``attempts``, ``intents``, ``exclude``, ``kind``, ``ttc`` (LOW, HIGH), ``min_delta_v``, ``seed`` ... None is not
+    given.
+    tell: called with what happens (``encounter``, ``intents``, ``why_first``, ``attempt``) and its value.
     The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
 
     Raises:

@@ -11,7 +11,7 @@ import atexit
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +96,23 @@ def open_for_run(settings: Settings) -> MemoryBank:
         bank.close()
         raise
     return bank
+
+
+def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
+    """Check that the intents which settings name are known to the bank, before any episode runs.
+
+    variants: settings as data. A bank that does not exist will be made from the shipped one.
+    Raises UsageError with the known intents.
+    """
+    from sumo_adv.config import load_settings
+    from sumo_adv.episode.memory_access import selected
+    from sumo_adv.memory.bank import MemoryBank
+
+    named = [v for v in variants if v.get("intents") or v.get("exclude")]
+    if named:
+        with MemoryBank.open(bank if bank.exists() else shipped_bank(), read_only=True) as opened:
+            for variant in named:
+                selected(load_settings(None, intents=variant["intents"], exclude=variant["exclude"]), opened)
 
 
 def make_similarity(settings: Settings) -> Similarity:

@@ -5,15 +5,23 @@ from __future__ import annotations
 import os
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+from pydantic_core import ErrorDetails
+from pydantic_settings import (
+    BaseSettings,
+    NoDecode,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    TomlConfigSettingsSource,
+)
 
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Level, Limits
-from sumo_adv.errors import UsageError
+from sumo_adv.datatypes import Level, Limits, Relation
+from sumo_adv.errors import UsageError, nearest
+from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
 
 PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
@@ -21,6 +29,7 @@ KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the 
 SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
 
 BUILTIN = "builtin"
+LONGEST_TTC = 20.0  # s
 
 
 class Until(StrEnum):
@@ -72,7 +81,12 @@ class Settings(ModelSettings, BaseSettings):
     until: Until = Until.TTC
     attempts: int = Field(25, ge=1, le=10_000)
     diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
-    ttc: float = Field(1.0, gt=0, le=20)
+    ttc: tuple[float, float] | None = None  # a near miss is wanted: the band in which its min TTC lies
+    critical_ttc: float = Field(1.0, gt=0, le=LONGEST_TTC)
+    min_delta_v: float = Field(0.0, ge=0, le=60)  # m/s
+    intents: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may be tried; empty: all
+    exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
+    kind: Annotated[tuple[Relation, ...], NoDecode] = ()  # relations that the adversary may have; empty: all
     tuner: Literal["builtin", "off"] = "builtin"
     llm: str | None = None  # who plays analyzer, generator and modifier, but for those named below
     analyzer: str | None = None
@@ -111,6 +125,19 @@ class Settings(ModelSettings, BaseSettings):
     questions_familiar: int = Field(3, ge=1)  # where the analysis has no new intent
     limits: LimitSettings = Field(default_factory=LimitSettings)
 
+    @field_validator("intents", "exclude", "kind", mode="before")
+    @classmethod
+    def _listed(cls, given: Any) -> Any:
+        """A text with commas is a list."""
+        return tuple(w.strip() for w in given.split(",") if w.strip()) if isinstance(given, str) else given
+
+    @field_validator("ttc", mode="before")
+    @classmethod
+    def _is_a_band(cls, given: Any) -> Any:
+        if isinstance(given, int | float):
+            raise ValueError("it takes a band, LOW and HIGH; the min TTC that is critical is the setting critical_ttc")
+        return given
+
     @field_validator("metric")
     @classmethod
     def _is_a_metric(cls, given: str) -> str:
@@ -128,6 +155,29 @@ class Settings(ModelSettings, BaseSettings):
         if not self.delays or min(self.delays) < 0:
             raise ValueError("delays needs one time or more, none of them negative")
         return self
+
+    @model_validator(mode="after")
+    def _has_one_goal(self) -> Settings:
+        """A near miss has no collision, so nothing can be wanted of one."""
+        if self.ttc is None:
+            return self
+        if not 0 <= self.ttc[0] < self.ttc[1] <= LONGEST_TTC:
+            raise ValueError(f"ttc is a band: LOW is 0 s or more, HIGH is larger and at most {LONGEST_TTC:g} s")
+        if self.until.level > Level.CRITICAL:
+            raise ValueError(f"ttc wants a near miss and until = {self.until} a collision; give one of the two")
+        if self.min_delta_v > 0:
+            raise ValueError("ttc wants a near miss and min_delta_v a collision; give one of the two")
+        return self
+
+    @property
+    def goal(self) -> Goal:
+        """What an attempt must come to."""
+        return Goal(self.until.level, self.min_delta_v, self.ttc)
+
+    @property
+    def harmless_ttc(self) -> float:
+        """The min TTC [s] that a run without an attack must exceed: else the attack would show nothing."""
+        return max(self.critical_ttc, self.ttc[1] if self.ttc is not None else 0.0)
 
     @classmethod
     def settings_customise_sources(
@@ -186,17 +236,26 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     try:
         return Settings(**{k: v for k, v in given.items() if v is not None})
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(p) for p in first["loc"])
-        if not name:
-            raise UsageError(
-                f"The settings do not fit together: {first['msg'].removeprefix('Value error, ')}."
-            ) from error
-        given_as = "" if name in SECRET else f" {first.get('input')!r}"
-        message = first["msg"].removeprefix("Value error, ")
-        raise UsageError(f"Setting '{name}' cannot be{given_as or ' used'}: {message}.") from error
+        raise UsageError(_sentence(error.errors()[0])) from error
     except ValueError as error:
         raise UsageError(f"The settings could not be read ({error}).") from error
     finally:
         if file:
             _chosen_file.pop()
+
+
+def _sentence(detail: ErrorDetails) -> str:
+    """What is wrong with the settings, in a sentence that names the setting, or the one most like an unknown one."""
+    names = [part for part in detail["loc"] if isinstance(part, str)]
+    message, name = detail["msg"].removeprefix("Value error, "), ".".join(names)
+    if not name:
+        return f"The settings do not fit together: {message}."
+    if detail["type"] == "extra_forbidden":
+        model = LimitSettings if names[0] == "limits" and len(names) > 1 else Settings
+        return f"There is no setting '{name}'{nearest(names[-1], model.model_fields)}."
+    if detail["type"] == "enum" and names[0] == "kind":
+        known = ", ".join(Relation)
+        like = nearest(str(detail["input"]), Relation)
+        return f"There is no kind '{detail['input']}'{like}; known kinds are {known}."
+    given = "used" if name in SECRET else repr(detail.get("input"))
+    return f"Setting '{name}' cannot be {given}: {message}."

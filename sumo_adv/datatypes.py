@@ -58,6 +58,17 @@ class Place:
     vehicles_near: int
 
 
+class Relation(StrEnum):
+    """How a background vehicle stands to the ego when an encounter begins."""
+
+    LEADER = "leader"  # ahead of the ego in its lane
+    FOLLOWER = "follower"  # behind it in its lane
+    NEIGHBOUR = "neighbour"  # in a lane beside, the same way
+    ONCOMING = "oncoming"  # beyond the centre line
+    CROSSING = "crossing"  # on a path that crosses the ego's
+    MERGING = "merging"  # on a path that joins the ego's
+
+
 class Ending(StrEnum):
     """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
 

@@ -16,6 +16,8 @@ SumoAdvError                 one sentence: what is wrong and what to do; exit st
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 OUT_OF_MEMORY = "Memory ran out; end other programs, use fewer workers, or give a smaller input."
 
@@ -90,3 +92,10 @@ def fault_sentence(error: BaseException) -> str:
         return OUT_OF_MEMORY
     what = " ".join(f"{type(error).__name__}: {error}".split())
     return f"A fault of sumo_adv itself ({what}); please report it."
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """``; the nearest is 'attempts'`` for the known name that is most like ``name``; empty if none is like it."""
+    by_lower = {each.lower(): each for each in known}
+    found = get_close_matches(name.lower(), by_lower, n=1)
+    return f"; the nearest is '{by_lower[found[0]]}'" if found else ""

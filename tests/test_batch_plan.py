@@ -123,9 +123,10 @@ def test_plans_and_scenarios_are_told_apart(tmp_path: Path) -> None:
 
 def test_a_broken_input_is_an_episode_that_cannot_be_run(tmp_path: Path) -> None:
     (tmp_path / "bad.tfrecord").write_bytes(b"\x05" * 40)
-    jobs = plan_of(tmp_path, inputs=["gone.net.xml", "motorway", "bad.tfrecord"], seeds=2).jobs
+    (tmp_path / "cut.net.xml").write_text("<net>")
+    jobs = plan_of(tmp_path, inputs=["cut.net.xml", "motorway", "bad.tfrecord"], seeds=2).jobs
     assert [bool(j.input.error) for j in jobs] == [True, True, False, False, True, True]
-    assert "no file gone.net.xml" in jobs[0].input.error and "bad.tfrecord" in jobs[4].input.error
+    assert "cut.net.xml is not valid XML" in jobs[0].input.error and "bad.tfrecord" in jobs[4].input.error
     assert len({j.id for j in jobs}) == 6
 
 
@@ -134,8 +135,8 @@ def test_waymo_records_are_inputs_by_their_ids(tmp_path: Path) -> None:
     file = womd_samples.write(tmp_path / "two.tfrecord", womd_samples.straight("one"), womd_samples.straight("two"))
     assert [(j.input.name, j.input.record) for j in plan_of(inputs=[str(file)]).jobs] == [("one",) * 2, ("two",) * 2]
     assert [j.input.name for j in plan_of(inputs=[str(file)], records=[1]).jobs] == ["two"]
-    chosen = plan_of(inputs=[str(file)], records=["one", "three"]).jobs
-    assert [bool(j.input.error) for j in chosen] == [False, True]
+    with pytest.raises(UsageError, match="No record 'three' that can be read"):
+        plan_of(inputs=[str(file)], records=["one", "three"])
 
 
 def test_a_record_is_found_past_one_that_cannot_be_read(tmp_path: Path) -> None:
@@ -171,6 +172,7 @@ def test_two_plans_differ_in_words(tmp_path: Path) -> None:
 
 
 def test_an_input_that_was_mended_is_no_other_plan(tmp_path: Path) -> None:
+    (tmp_path / "late.net.xml").write_text("<net>")
     before = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()
     shutil.copy(ROOT / "networks" / "two_way.net.xml", tmp_path / "late.net.xml")
     after = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()

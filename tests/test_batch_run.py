@@ -159,12 +159,13 @@ EGOS = ("ego_samples:CalmEgo", "batch_samples:CrashingEgo", "batch_samples:OnceC
 
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
-    """A network that is not there, a corrupt record, a driver that crashes, one that does so only once and one that is
+    """A corrupt network, a corrupt record, a driver that crashes, one that does so only once and one that is
     not there, beside a good one."""
     program = Program(tmp_path_factory.mktemp("broken"), caches)
     (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)
+    (program.folder / "cut.net.xml").write_text("<net>")
     options = ("--egos", ",".join(EGOS), *QUICK, "--workers", "2", "--out", "out")
-    return program, program("batch", INPUTS[0], "gone.net.xml", "bad.tfrecord", *options)
+    return program, program("batch", INPUTS[0], "cut.net.xml", "bad.tfrecord", *options)
 
 
 def test_broken_members_fail_by_name_and_the_rest_completes(broken: tuple[Program, Done]) -> None:
@@ -178,12 +179,12 @@ def test_broken_members_fail_by_name_and_the_rest_completes(broken: tuple[Progra
     assert calm["failure"] == once["failure"] == "" and calm["ending"] in ("critical", "attempts_exhausted")
     assert "driver crashed in a forked attempt (SIGSEGV)" in crashing["failure"]  # in the fork that runs on unattacked
     assert "NoEgo" in none["failure"]
-    assert all("gone.net.xml" in r["failure"] for r in rows[4:8])
+    assert all("cut.net.xml" in r["failure"] for r in rows[4:8])
     assert all("bad.tfrecord" in r["failure"] for r in rows[8:])
     for row in failed:
         assert (done.folder / row["traceback"]).read_text(encoding="utf-8").strip()
     assert "Segmentation fault" in (done.folder / crashing["traceback"]).read_text(encoding="utf-8")
-    clean(program, "bad.tfrecord", CRASHED.name)
+    clean(program, "bad.tfrecord", "cut.net.xml", CRASHED.name)
 
 
 def test_what_crashes_once_is_tried_again_and_is_as_if_it_had_not(broken: tuple[Program, Done]) -> None:

@@ -24,7 +24,7 @@ MOTORWAY, TEE, OPEN = (
 )
 SMALL = (
     "bench", "table", "--suite", MOTORWAY, "--suite", TEE, "--ego", "idm", "--attempts", "3", "--set", "proposals=30",
-    "--workers", "2",
+    "--workers", "2", "--row", "raw", "--row", "llm-f", "--row", "expert", "--row", "random",
 )  # fmt: skip
 ROWS = ("raw", "expert", "llm-f", "random")
 
@@ -58,7 +58,12 @@ def test_a_table_is_made_of_cells_and_says_what_it_means(whole: tuple[Program, D
     assert expert["recall"] == "hit" and len(expert["motion"]["adversary"]["speed"]) > 10
     # two encounters, neither of which a bank of following and braking can do anything about
     assert cell(out, "t_junction_left_from_stem", "llm-f")["ending"] == "no_encounter"
-    assert "| `llm-f` | 2 | 0.00 (0.00–0.66) |" in done.out  # Wilson's interval of 0 of 2
+    assert "llm-f   2  .00 [.00,.66]" in done.out  # Wilson's interval of 0 of 2
+    assert (
+        max(map(len, done.out.splitlines())) <= 100 and f"All columns, groups and differences: {out.name}" in done.out
+    )
+    assert "| `llm-f` | 2 | 0.00 (0.00–0.66) |" in (out / "table.md").read_text(encoding="utf-8")
+    assert "The bank of the row expert grows from encounter to encounter" in " ".join(done.out.split())
 
 
 def test_attacks_on_examples_are_drawn_and_others_are_not(whole: tuple[Program, Done]) -> None:
@@ -177,7 +182,7 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
     )  # fmt: skip
     assert done.status == 0
     assert "sumo-adv: 2 of 4 cells failed, for instance broken (expert): " in done.err and "500 s" in done.err
-    assert "| `random` | 2 |" in done.out and "| `expert` | 2 |" in done.out  # it stays in the denominator
+    assert "random  2" in done.out and "expert  2" in done.out  # it stays in the denominator
     assert cell(program.folder / "out", "motorway_cut_in_left", "expert")["attempts"]  # a row that learns goes on
 
 

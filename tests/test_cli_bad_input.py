@@ -110,7 +110,7 @@ def test_what_cannot_be_run_is_refused(program: Program, make: Callable[[Path], 
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--attempts", "0"), "attempts"), (("--ttc", "-1"), "ttc"), (("--seed", "-1"), "seed"),
+        (("--attempts", "0"), "attempts"), (("--ttc", "-1", "1"), "ttc"), (("--seed", "-1"), "seed"),
         (("--tuner", "best"), "tuner"), (("--ego", "nobody"), "nobody"), (("--end", "inf"), "end"),
         (("--ego", "no_such_module:Ego"), "no_such_module"), (("--ego", "ego_samples:NoEgo"), "NoEgo"),
         (("--ego-id", "nobody"), "nobody"), (("--adversary", "nobody"), "nobody"),
@@ -287,7 +287,7 @@ def shelf(program: Program) -> Iterator[Path]:
 
 def test_a_bank_that_cannot_be_written_is_only_a_note(program: Program, shelf: Path) -> None:
     bank = shelf / "bank.sqlite"
-    options = ("--ttc", "20", "--memory", bank, "--out", "out", "--json")
+    options = ("--critical-ttc", "20", "--memory", bank, "--out", "out", "--json")
     done = program("run", "motorway_cut_in_left", *options, preexec_fn=powerless)
     assert (done.status, done.err) == (0, "")
     assert done.outcome["ending"] == "critical" and done.outcome["learnt"] is False

@@ -10,9 +10,9 @@ from sumo_adv.errors import UsageError
 
 def test_the_command_line_wins_over_the_file(tmp_path: Path) -> None:
     file = tmp_path / "settings.toml"
-    file.write_text("attempts = 7\nttc = 2.0\n[limits]\njerk = 10.0\n")
+    file.write_text("attempts = 7\ncritical_ttc = 2.0\n[limits]\njerk = 10.0\n")
     settings = load_settings(file, attempts=3, seed=None)
-    assert (settings.attempts, settings.ttc, settings.seed, settings.limits.jerk) == (3, 2.0, 0, 10.0)
+    assert (settings.attempts, settings.critical_ttc, settings.seed, settings.limits.jerk) == (3, 2.0, 0, 10.0)
 
 
 @pytest.mark.parametrize(

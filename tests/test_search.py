@@ -15,6 +15,7 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
 from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SamplingSettings, SearchSettings
 from sumo_adv.search.templates import templates_of
 from sumo_adv.situation import Target
@@ -74,13 +75,13 @@ def merging() -> Target:
 
 def search_of(
     scorer: Same | Best, library: Sequence[LibraryEntry] = (), *, at: Target | None = None, proposals: int = 10,
-    allowed: Sequence[str] = (), unknown_driver: bool = False,
+    selection: Selection | None = None, unknown_driver: bool = False,
 ) -> AttackSearch:  # fmt: skip
     """A search that has predicted its first candidates, for a neighbour if no target is given."""
     situations = {0.0: situation([neighbour() if at is None else at])}
     settings = SearchSettings(proposals=proposals)
     return AttackSearch(
-        scorer, situations, library, settings, seed=1, allowed=allowed, unknown_driver=unknown_driver
+        scorer, situations, library, settings, seed=1, selection=selection, unknown_driver=unknown_driver
     )  # fmt: skip
 
 
@@ -254,7 +255,7 @@ def test_what_the_expert_composed_waits_until_it_is_wanted_also_where_the_bank_h
     assert [(i.label, i.source) for i in some.ranking([])] == [(NEW, "generated")]
     some.extend([learnt])
     assert {p.label for p in some.pool} == {NEW}
-    named = search_of(Best(), [learnt], at=merging(), allowed=(NEW,))  # a scenario that names it
+    named = search_of(Best(), [learnt], at=merging(), selection=Selection(frozenset([NEW])))  # a scenario that names it
     assert [i.label for i in named.ranking([learnt])] == [NEW] and len(named.pool) == 10
 
 
@@ -288,7 +289,7 @@ def test_the_most_dangerous_intent_is_the_one_by_which_most_ways_collide_and_the
     some.pool = [replace(proposal(planners[name]), score=s) for name, many in scores.items() for s in many]
     library = [LibraryEntry(name, "", ("neighbour",), (planner,)) for name, planner in planners.items()]
     assert [i.label for i in some.ranking(library)] == ["Push", "Shift", "Cut"]
-    assert some.ranking(library)[2].reason.startswith("predicted: 25% of 4 candidates collide, 1 of them avoidably")
+    assert some.ranking(library)[2].reason.startswith("predicted: 1 of 4 candidates collide, 1 of them avoidably")
 
 
 # ---- planners for new intents

@@ -21,6 +21,7 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.selection import Selection
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Options
@@ -46,12 +47,12 @@ class Slow(Agents):
         situations: Mapping[float, Situation],
         library: Sequence[LibraryEntry],
         *,
-        allowed: Sequence[str],
+        selection: Selection,
         remembered: Mapping[str, str],
     ) -> list[Intent]:
         """The expert's ranking, late."""
         time.sleep(self.seconds)
-        return super().analyze(search, situations, library, allowed=allowed, remembered=remembered)
+        return super().analyze(search, situations, library, selection=selection, remembered=remembered)
 
 
 @dataclass

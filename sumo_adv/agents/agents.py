@@ -31,6 +31,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
 from sumo_adv.search.composed_intents import COMPOSED, NAME
 from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.selection import Selection
 from sumo_adv.situation import Situation
 
 ROLES = ("analyzer", "generator", "modifier")
@@ -110,13 +111,13 @@ class Agents:
         situations: Mapping[float, Situation],
         library: Sequence[LibraryEntry],
         *,
-        allowed: Sequence[str],
+        selection: Selection,
         remembered: Mapping[str, str],
     ) -> list[Intent]:
         """Intents, most dangerous first. Raises ModelError.
 
         search: has predicted its candidates; they are the model's evidence, and their ranking is the expert's answer.
-        allowed: labels that may be chosen, empty for all.
+        selection: the intents that may be chosen; unless it is open, a model invents none.
         remembered: label -> what the bank knows of that intent, in words.
         """
 
@@ -126,7 +127,8 @@ class Agents:
         def by_model() -> list[Intent]:
             evidence = partial(evidence_words, search.pool, library=library, remembered=remembered)
             analyzer = ModelAnalyzer(
-                self._metered("analyzer"), self.prompts, self._limits, samples=self.settings.samples, allowed=allowed,
+                self._metered("analyzer"), self.prompts, self._limits, samples=self.settings.samples,
+                allowed=() if selection.is_open else [e.label for e in selection.of(library)],
                 evidence=evidence if self.settings.evidence == "on" else None,
             )  # fmt: skip
             intents = ask(analyzer)

@@ -140,7 +140,7 @@ def modifier_prompt(
         for alias, entries in scene.choices.items() for e in entries
     ]  # fmt: skip
     return prompts.render(
-        "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.ttc:g}",
+        "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
         label=sanitize(planner.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
         source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
         feedback="\n".join(report_words(r) for r in reports[:MAX_ATTEMPTS]),

@@ -1,6 +1,7 @@
 """From what a plan names (files, patterns, folders, shipped names, Waymo records) to inputs known by their content.
 
-Whatever is wrong with one is kept in it: that input's episodes fail by name, the others run.
+An input that is not there is refused. Whatever is wrong with the content of one is kept in it: that input's episodes
+fail by name, the others run.
 """
 
 from __future__ import annotations
@@ -11,31 +12,46 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from sumo_adv.batch.nouns import Input, Parts
+from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.simulation.inputs import input_name, load_input
+from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
 
 MAGIC = re.compile(r"[*?\[]")
+SHIPPED = ("scenarios", "networks")
 
 
-def find_inputs(named: Sequence[str], folder: Path, records: Sequence[str], parts: Parts) -> list[Input]:
-    """The inputs that ``named`` means, relative paths counted from ``folder``; ``records``: only these of files of
-    Waymo records (ids, or places from 0), empty = all.
+def find_inputs(
+    named: Sequence[str], folder: Path, records: Sequence[str], parts: Parts, density: float | None = None
+) -> list[Input]:
+    """The inputs that ``named`` means, relative paths counted from ``folder``. The shipped folders ``scenarios`` and
+    ``networks`` are found from everywhere.
 
-    Raises UsageError for a pattern that matches nothing.
+    records: only these of files of Waymo records (ids, or places from 0), empty = all. density: of generated traffic.
+
+    Raises UsageError for a file, a name or a record that is not there, a pattern that matches nothing, and a density
+    for an input that brings its own traffic.
     """
     found: list[Input] = []
+    left = set(records)
     for name in named:
         for source in _sources(name, folder):
             if ".tfrecord" in source.name.lower():
-                found += _records(source, records, parts)
+                found += _records(source, records, left, parts)
             else:
-                found.append(_plain(source))
+                found.append(_plain(source, density))
+    if left:
+        raise UsageError(f"No record '{min(left)}' that can be read is in the inputs; check --records.")
     return found
 
 
 def _sources(name: str, folder: Path) -> list[Path]:
     """The files of a pattern, those of a folder, or the one file or shipped name."""
-    given = folder / name
+    given, shipped = folder / name, Path(name).parts[0]
+    if shipped in SHIPPED and not (folder / shipped).exists():
+        root = data_folder(shipped)
+        return [
+            Path(shipped) / p.relative_to(root) for p in _sources(str(root.joinpath(*Path(name).parts[1:])), Path())
+        ]
     if given.is_dir():
         files = [p for p in sorted(given.iterdir()) if p.name.lower().endswith((".toml", ".sumocfg", ".sumo.cfg"))]
         files += sorted(given.glob("*/scenario.toml"))
@@ -49,13 +65,23 @@ def _sources(name: str, folder: Path) -> list[Path]:
         if not matches:
             raise UsageError(f"Nothing matches '{name}' in {folder}.")
         return matches
-    return [given if given.exists() else Path(name)]
+    return [given if given.exists() else _known(name)]
 
 
-def _plain(source: Path) -> Input:
+def _known(name: str) -> Path:
+    """A shipped name. Raises UsageError for another one."""
+    resolve(Path(name))
+    return Path(name)
+
+
+def _plain(source: Path, density: float | None) -> Input:
     """A network, configuration or scenario with all its files."""
     try:
         given = load_input(source)
+    except (SumoAdvError, OSError) as error:
+        return broken(source, None, str(error))
+    refuse_density(given, density)
+    try:
         content = hash_of(given.files)
         place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
         return Input(given.name, place, None, content)
@@ -63,25 +89,22 @@ def _plain(source: Path) -> Input:
         return broken(source, None, str(error))
 
 
-def _records(source: Path, wanted: Sequence[str], parts: Parts) -> Iterator[Input]:
-    """The records of a file; a broken one is an input that fails."""
-    left = set(wanted)
+def _records(source: Path, wanted: Sequence[str], left: set[str], parts: Parts) -> Iterator[Input]:
+    """The records of a file; a broken one is an input that fails. Those that are there are removed from ``left``."""
     try:
         for k, record in enumerate(parts.records(source)):
             if isinstance(record, str):
-                if not wanted or str(k) in left:
+                if not wanted or str(k) in wanted:
                     left.discard(str(k))
                     yield broken(source, str(k), record)
                 continue
             name, content = record
-            if not wanted or {name, str(k)} & left:
+            if not wanted or name in wanted or str(k) in wanted:
                 left -= {name, str(k)}
                 yield Input(name, source.absolute(), name, content)
     except SumoAdvError as error:
+        left.clear()  # what cannot be read may hold them
         yield broken(source, None, str(error))
-        return
-    for record in sorted(left):
-        yield broken(source, record, f"{source} has no record '{record}' that can be read.")
 
 
 def broken(source: Path, record: str | None, error: str) -> Input:

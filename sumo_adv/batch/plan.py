@@ -30,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from sumo_adv.batch.inputs import find_inputs
 from sumo_adv.batch.nouns import Input, Job, Learn, Parts
 from sumo_adv.config import Settings, load_settings
+from sumo_adv.drivers.registry import check_name
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import parse_toml, read_toml
 
@@ -122,7 +123,7 @@ def make_plan(
 ) -> Plan:
     """A plan from its table; ``folder``: where relative inputs are looked for; ``said``: what to call it in errors.
 
-    Raises UsageError: unknown keys, bad values, settings that do not exist, nothing to run.
+    Raises UsageError: unknown keys, bad values, inputs, egos or settings that do not exist, nothing to run.
     """
     try:
         file = PlanFile.model_validate(table)
@@ -141,7 +142,10 @@ def make_plan(
     seeds = file.seeds if file.seeds is not None else (first.seed,)
     egos: Sequence[str | None] = file.egos or ((first.ego,) if "ego" in given else (None,))
     memory = file.memory or first.memory
-    inputs = find_inputs(file.inputs, folder, [str(r) for r in file.records], parts)
+    for ego in file.egos:
+        check_name(ego)
+    density = next((s.density for s in loaded if s.density is not None), None)
+    inputs = find_inputs(file.inputs, folder, [str(r) for r in file.records], parts, density)
     return Plan(
         inputs, tuple(egos), tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds),
         [_as_data(s) for s in loaded], varied, file.learn, memory, file.figures,

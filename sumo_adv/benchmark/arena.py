@@ -14,7 +14,7 @@ from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.benchmark.perturbed import robustness_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
-from sumo_adv.episode.assessment import attempt_of, checked, succeeded
+from sumo_adv.episode.assessment import attempt_of, checked
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
 from sumo_adv.episode.episode import Episode
@@ -114,7 +114,7 @@ class Arena:
             while len(done.attempts) < settings.attempts or exhaustive:
                 if not self._one(opponent, episode, found, clock):
                     break
-                if succeeded(done.attempts[-1].verdict, settings.until):
+                if done.goal.met(done.attempts[-1].verdict):
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
@@ -138,7 +138,7 @@ class Arena:
             return False
         result = self._result(proposal, found)
         attempt = attempt_of(len(done.attempts), "opponent", proposal, result, found, episode.settings)
-        attempt = checked(attempt, result, self._brain(found), episode.settings.until)
+        attempt = checked(attempt, result, self._brain(found), episode.refinement.goal)
         done.attempts.append(attempt)
         done.results.append(result)
         clock.tell("attempt", attempt)

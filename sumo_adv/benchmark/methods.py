@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,7 +25,8 @@ RAW, TRANSFORMER = "raw", "transformer"
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
 OWN = ("expert", "llm-a", "llm-f")
 GIVEN_ELSEWHERE = (
-    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "limits", "duration",
+    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "critical_ttc",
+    "min_delta_v", "limits", "duration",
     "step_length", "density", "background", "begin", "end", "search", "history", "shortlist", "adversary",
 )  # fmt: skip
 """Settings that no row changes: who is attacked, where, with what budget, and how it is judged."""
@@ -103,6 +104,16 @@ def method_of(row: str) -> Method | None:
     if learns and kind == "llm-f":
         raise UsageError(f"The row '{row}' learns, but llm-f is the row with a bank that stays; say llm-a or expert.")
     return Method(row, settings, kind == "llm-f", learns, shift)
+
+
+def growing_banks(rows: Sequence[str]) -> list[str]:
+    """A sentence for each row whose bank changes as a table goes on."""
+    return [
+        f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
+        "learn=off it stays as it is."
+        for row in rows
+        if (method := method_of(row)) is not None and method.learns
+    ]
 
 
 def _number(row: str, value: str) -> float:

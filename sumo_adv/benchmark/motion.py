@@ -34,7 +34,7 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
         least = float(np.nanmin(ttc(me, them), initial=np.inf))
         apart = float(np.nanmin(np.hypot(them.x - me.x, them.y - me.y), initial=np.inf))
     return {
-        "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.ttc,
+        "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.critical_ttc,
         "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [],
         "paper_centre_distance": {
             "minimum": _number(apart), "epsilon": PAPER_EPSILON, "within": apart <= PAPER_EPSILON

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from sumo_adv.cli import options as shared
+from sumo_adv.cli.options import INPUT, OUTPUT, SEARCH, option
 from sumo_adv.cli.set_option import set_values
 from sumo_adv.errors import UsageError
 
@@ -22,7 +24,7 @@ else:
     from sumo_adv.batch.nouns import Learn
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
+RUNNING = "Running"  # a panel of the help
 
 
 class _DefaultGroup(TyperGroup):
@@ -41,49 +43,58 @@ app = typer.Typer(
 )  # fmt: skip
 
 
+Given = Annotated[
+    list[str], typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, scenarios, records, folders.")
+]
+Seeds = Annotated[str | None, option(INPUT, "How many, from 0; or a list: 3,7,11.", default="1")]
+Egos = Annotated[str | None, option(INPUT, "krauss,idm,module:Class ...", default="the input's")]
+Records = Annotated[str | None, option(INPUT, "Of .tfrecord files: ids or places.", default="all")]
+Setting = Annotated[
+    list[str] | None, option(INPUT, "A setting of every episode; repeatable.", "--set", metavar="NAME=VALUE")
+]
+OddFile = Annotated[
+    Path | None, option(INPUT, "TOML file of an operational design domain: attack only within it.", default="none")
+]
+Learning = Annotated[
+    Learn | None,
+    option(SEARCH, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"),
+]
+Memory = Annotated[Path | None, option(SEARCH, "Memory bank; episodes read a snapshot of it.", default="your own")]
+Figures = Annotated[bool | None, option(OUTPUT, "Draw encounter.png for each run.", default="no")]
+Out = Annotated[Path | None, option(OUTPUT, "Folder of results.", default="runs/<plan>")]
+Parquet = Annotated[bool, option(OUTPUT, "Write results.parquet as well.", "--parquet")]
+States = Annotated[bool, option(OUTPUT, "Write states.parquet as well: all vehicles of every run.", "--states")]
+Workers = Annotated[int | None, option(RUNNING, "Processes.", default="one a core", min=1)]
+Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
+Recycle = Annotated[int, option(RUNNING, "Episodes after which a worker is replaced.", default="200", min=1)]
+Ray = Annotated[
+    str | None,
+    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", metavar="ADDRESS", default="none"),
+]
+Retry = Annotated[bool, option(RUNNING, "Run failed episodes again.", "--retry-failed")]
+DryRun = Annotated[bool, option(RUNNING, "Print the episodes and run none.", "--dry-run")]
+Force = Annotated[bool, option(RUNNING, "Go on in a folder of another plan.", "--force")]
+
+
 @app.command("run", epilog=EXAMPLE)
 def batch(
-    given: Annotated[
-        list[str],
-        typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, scenarios, records, folders."),
-    ],
-    seeds: Annotated[str | None, typer.Option(help="How many, from 0; or a list: 3,7,11 (default: 1).")] = None,
-    egos: Annotated[str | None, typer.Option(help="krauss,idm,module:Class ... (default: the input's).")] = None,
-    records: Annotated[str | None, typer.Option(help="Of .tfrecord files: ids or places (default: all).")] = None,
-    setting: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="A setting of every episode; repeatable.")
-    ] = None,
-    odd: Annotated[
-        Path | None, typer.Option(help="TOML file of an operational design domain: attack only within it.")
-    ] = None,
-    learn: Annotated[
-        Learn | None, typer.Option(help="Into the bank: off, after (all, in order), during (rows depend on order).")
-    ] = None,
-    memory: Annotated[Path | None, typer.Option(help="Memory bank; episodes read a snapshot of it.")] = None,
-    figures: Annotated[bool | None, typer.Option(help="Draw encounter.png for each run.")] = None,
-    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of results (default: runs/<plan>).")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
-    deadline: Annotated[float, typer.Option(min=1, help="Seconds after which an episode is stuck.")] = 600.0,
-    recycle: Annotated[int, typer.Option(min=1, help="Episodes after which a worker is replaced.")] = 200,
-    ray: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.")
-    ] = None,
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write results.parquet as well.")] = False,
-    states: Annotated[
-        bool, typer.Option("--states", help="Write states.parquet as well: all vehicles of every run.")
-    ] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run failed episodes again.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the episodes and run none.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Go on in a folder of another plan.")] = False,
-    as_json: Json = False,
-) -> None:
+    context: typer.Context, given: Given, seeds: Seeds = None, egos: Egos = None, records: Records = None,
+    setting: Setting = None, odd: OddFile = None, settings_file: shared.SettingsFile = None,
+    until: shared.UntilLevel = None,
+    ttc: shared.Ttc = None, critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None,
+    intents: shared.Intents = None, exclude: shared.Exclude = None, kind: shared.Kind = None,
+    diverse: shared.Diverse = None, attempts: shared.Attempts = None, learn: Learning = None, memory: Memory = None,
+    workers: Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: Ray = None,
+    retry_failed: Retry = False, dry_run: DryRun = False, force: Force = False, figures: Figures = None,
+    out: Out = None, parquet: Parquet = False, states: States = False, as_json: shared.AsJson = False,
+) -> None:  # fmt: skip
     """Run every input with every ego and every seed; the same command again does what is missing.
 
     Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
     """
-    from sumo_adv.app import batch_parts
+    from sumo_adv.app import batch_parts, check_intents
     from sumo_adv.batch.plan import is_plan, make_plan, read_plan
+    from sumo_adv.memory.paths import default_bank_path
 
     if parquet or states:
         from sumo_adv.batch.results import check_parquet
@@ -93,11 +104,13 @@ def batch(
     planned = len(given) == 1 and is_plan(first)
     table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
     table |= _overrides(seeds, egos, records, learn, memory, figures)
-    table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5")}
+    chosen = shared.given(context.params, shared.CHOICE)
+    table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5"), **chosen}
     if odd is not None:
         table["settings"] = _within(table["settings"], odd)
     said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
     plan = make_plan(table, folder, said, batch_parts(), settings_file)
+    check_intents(plan.variants, plan.memory or default_bank_path())
     target = out or Path("runs") / (first.stem if planned else "batch")
     if dry_run:
         _show(plan, target, as_json=as_json)
@@ -215,7 +228,7 @@ def _words_of(summary: Summary) -> str:
 def pack(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
     most: Annotated[int, typer.Option(min=1, help="Runs in a file.")] = 1000,
-    as_json: Json = False,
+    as_json: shared.AsJson = False,
 ) -> None:
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
     from dataclasses import asdict
@@ -239,7 +252,7 @@ def unpack(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
     names: Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Runs (default: all).")] = None,
     into: Annotated[Path | None, typer.Option(help="Where to (default: OUT/unpacked).")] = None,
-    as_json: Json = False,
+    as_json: shared.AsJson = False,
 ) -> None:
     """Put packed runs into folders again; the packs stay."""
     from sumo_adv.batch.pack import unpack as unpack_runs

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from sumo_adv.benchmark.nouns import Cell, Suite
     from sumo_adv.benchmark.run import Means, TableRequest
 
-EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert --row random --out runs/bench"
-ROWS = ("raw", "llm-f", "expert", "random")
+EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert+learn=off --row random --out runs/bench"
+ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes from one encounter to the next
 SAID_ELSEWHERE = {
     "ego": "--ego", "seed": "--seed", "until": "--until", "attempts": "--attempts", "memory": "--memory",
     "learn": "a row, expert+learn=off", "trigger": "a row, expert+shift=-1.5", "llm": "a row, llm-a:MODEL",
@@ -55,13 +55,15 @@ def table(
         list[str] | None,
         typer.Option(
             help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed, fixed:LABEL, oracle, "
-            "random_search, cma, bezier, resampling, module:Class; repeatable (default: raw, llm-f, expert, random)."
+            f"random_search, cma, bezier, resampling, module:Class; repeatable (default: {', '.join(ROWS)})."
         ),
     ] = None,
     seed: Seed = 0,
     attempts: Attempts = 25,
     until: Until = "valid",
-    reference: Annotated[str | None, typer.Option(help="Row the others are compared with (default: expert).")] = None,
+    reference: Annotated[
+        str | None, typer.Option(help="Row the others are compared with (default: the first expert).")
+    ] = None,
     setting: Setting = None,
     memory: Memory = None,
     workers: Workers = None,
@@ -78,7 +80,14 @@ def table(
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
     request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
     cells = _run(request, means, as_json=as_json)
-    _write(request, means, cells, "table", reference or ("expert" if "expert" in rows else None), as_json=as_json)
+    _write(
+        request,
+        means,
+        cells,
+        "table",
+        reference or next((r for r in rows if r.startswith("expert")), None),
+        as_json=as_json,
+    )
 
 
 @app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
@@ -105,11 +114,12 @@ def analyzer(
     ] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
-    """Who names the most dangerous intent: against the oracle, chance, the best constant answer and the ceiling."""
+    """Which analyzer names the most dangerous intent: against oracle, chance, the best constant answer, the ceiling."""
     from sumo_adv.benchmark.methods import REFERENCE
     from sumo_adv.benchmark.tables.analysis import analyze
-    from sumo_adv.benchmark.tables.analysis_files import labels_hash, to_markdown, write_analysis
+    from sumo_adv.benchmark.tables.analysis_files import labels_hash, write_analysis
     from sumo_adv.benchmark.tables.plots import draw_confusions
+    from sumo_adv.benchmark.tables.screen import analysis_text
 
     answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
     request, means = _order(
@@ -122,7 +132,7 @@ def analyzer(
     about = replace(_about(request, means), further={"labels_hash": labels_hash(request.suite)})
     files = write_analysis(analysis, cells, means.folder, about)
     files += draw_confusions(analysis, means.folder / "figures")
-    _say(means, cells, files, to_markdown(analysis), as_json=as_json)
+    _say(means, cells, files, analysis_text(analysis, files[0]), as_json=as_json)
 
 
 @app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
@@ -175,20 +185,22 @@ def league(
     """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
     from sumo_adv.benchmark.methods import REFERENCE
     from sumo_adv.benchmark.tables import league as tables
+    from sumo_adv.benchmark.tables.screen import league_text
     from sumo_adv.benchmark.tables.write import as_json as text_of
     from sumo_adv.benchmark.tables.write import manifest, write_texts
 
     request, means = _order(suite, ego, [REFERENCE], seed, attempts, until, setting, memory, workers, out, False)
     cells = _run(request, means, as_json=as_json)
     places, duels = tables.league(cells, attempts)
-    text = tables.to_markdown(places, duels, f"{request.suite.name}, {len(request.suite.cases)} encounters")
+    title = f"{request.suite.name}, {len(request.suite.cases)} encounters"
     about = manifest(_about(request, means), cells, ["league.md", "league.json"])
     made = {
-        "league.md": text,
+        "league.md": tables.to_markdown(places, duels, title),
         "league.json": text_of(tables.document(places, duels)),
         "league.manifest.json": text_of(about),
     }
-    _say(means, cells, write_texts(means.folder, made), text, as_json=as_json)
+    files = write_texts(means.folder, made)
+    _say(means, cells, files, league_text(places, title, files[0]), as_json=as_json)
 
 
 @app.command("make", epilog="Example: sumo-adv bench make --seed 2 --out suites/other")
@@ -288,20 +300,22 @@ def _write(
     request: TableRequest, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *,
     words: Mapping[str, str] | None = None, as_json: bool,
 ) -> None:  # fmt: skip
-    """The table's files; the table itself on stdout."""
+    """The table's files; its main columns on stdout."""
+    from sumo_adv.benchmark.methods import growing_banks
     from sumo_adv.benchmark.tables.compute import LATER, make_table
     from sumo_adv.benchmark.tables.plots import draw_all
+    from sumo_adv.benchmark.tables.screen import table_text
     from sumo_adv.benchmark.tables.write import write_table
 
     chosen: Suite = request.suite
     made = make_table(
         cells, title=f"{chosen.name}, {len(chosen.cases)} encounters", cases=chosen.cases, egos=request.egos,
         rows=request.rows, reference=reference, words=words or {},
-        later=LATER if words is None else {},
+        later=LATER if words is None else {}, notes=growing_banks(request.rows),
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(request, means), name)
     files += draw_all(cells, means.folder / "figures", request.rows)
-    _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
+    _say(means, cells, files, table_text(made, files[0]), as_json=as_json)
 
 
 def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, *, as_json: bool) -> None:
@@ -314,7 +328,8 @@ def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, 
         typer.echo(json.dumps({"folder": str(means.folder), **count, "files": [str(f) for f in files]}))
     else:
         typer.echo(text)
-        typer.echo(f"Files: {', '.join(map(str, files))}", err=True)
+        others = sorted({str(f.parent) for f in files})
+        typer.echo(f"{len(files)} files in {', '.join(others)}", err=True)
     if broken:
         why, *_ = broken[0]["reason"].split("\n")
         first = f"{broken[0]['case']} ({broken[0]['row']}): {why}"

@@ -23,7 +23,7 @@ def convert(
     out: Annotated[Path, typer.Option(help="Folder to write into: a folder a record, by its id.")],
     record_id: Annotated[str | None, typer.Option("--id", help="Only the record of this id.")] = None,
     index: Annotated[int | None, typer.Option(min=0, help="Only the record at this place, from 0.")] = None,
-    first: Annotated[int | None, typer.Option(min=1, help="Only the first so many records.")] = None,
+    first: Annotated[int | None, typer.Option(min=1, help="Number of records from the first on; else all.")] = None,
     keep_going: Annotated[
         bool, typer.Option("--keep-going", help="Tell what is wrong with a record and take the next one.")
     ] = False,

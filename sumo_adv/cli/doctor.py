@@ -36,7 +36,7 @@ def doctor(
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to mend it.
+    """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to fix it.
 
     ok; warn: something that a plain run does not need; fail: a run cannot work, and the exit status is 1.
     With --ego: what is wrong with a driver or its adapter; the exit status is 3 if anything is.
@@ -58,7 +58,7 @@ def doctor(
         for finding in findings:
             mend = f". To mend it: {finding.mend}" if finding.mend else ""
             typer.echo(f"{finding.level:<5} {finding.name}: {finding.found.rstrip('.')}{mend}.")
-        typer.echo("All that a run needs is here." if not failed else "A run cannot work: mend what says fail.")
+        typer.echo("All that a run needs is here." if not failed else "A run cannot work: fix what says fail.")
     if failed:
         raise typer.Exit(1)
 

@@ -208,7 +208,7 @@ def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding
         yield Finding("sandbox", Level.OK, note)
     elif in_container() if contained is None else contained:
         yield Finding(
-            "sandbox", Level.OK, "Planners run in a separate interpreter; bubblewrap is not to be had in this "
+            "sandbox", Level.OK, "Planners run in a separate interpreter; bubblewrap is not available in this "
             "container, which is the second wall: give it no network and no files that matter",
         )  # fmt: skip
     else:

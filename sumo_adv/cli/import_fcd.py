@@ -19,7 +19,7 @@ def import_fcd(
         list[Path] | None, typer.Option(help="File of vTypes that say how large vehicles are; repeatable.")
     ] = None,
     warm_up: Annotated[
-        float, typer.Option(min=0.0, help="So long the recording moves everybody after the ego came, s.")
+        float, typer.Option(min=0.0, help="How long the recording moves all vehicles after the ego came, s.")
     ] = 3.0,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier import.")] = False,
 ) -> None:

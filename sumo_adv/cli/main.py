@@ -22,6 +22,7 @@ from sumo_adv.cli import (
     minimise,
     report,
     run,
+    scenarios,
     serve,
 )
 from sumo_adv.cli.interrupts import Interrupts
@@ -35,6 +36,7 @@ app = typer.Typer(
     epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
 )  # fmt: skip
 app.command("run", epilog=run.EXAMPLE)(run.run)
+app.command("scenarios", epilog=scenarios.EXAMPLE)(scenarios.scenarios)
 app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)

@@ -24,7 +24,9 @@ def verify(
     scenario: Annotated[
         Path | None, typer.Option(help="Also run this scenario with each planner that has a success on it (slow).")
     ] = None,
-    attempts: Annotated[int, typer.Option(min=1, help="With --scenario: at most so many attempts a planner.")] = 25,
+    attempts: Annotated[
+        int, typer.Option(min=1, help="With --scenario: maximum number of attempts for each planner.")
+    ] = 25,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:

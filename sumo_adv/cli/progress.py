@@ -11,14 +11,14 @@ from typing import Any, Protocol, Self
 import typer
 
 from sumo_adv.cli.shown import Shown
-from sumo_adv.datatypes import Attempt, Level
+from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 
 
 class Reporter(Protocol):
     """Told what happens."""
 
     def tell(self, what: str, value: Any) -> None:
-        """``encounter``, ``intents`` or ``attempt``."""
+        """``encounter``, ``intents``, ``why_first`` or ``attempt``."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -59,8 +59,7 @@ class Live(Silent):
         text = line(what, value)
         if text:
             self._console.print(text, markup=False)
-        following = {"encounter": "Predicting ...", "intents": "Attacking ...", "attempt": "Attacking ..."}
-        self._display.update(following.get(what, ""))
+        self._display.update("Predicting ..." if what == "encounter" else "Attacking ...")
 
 
 def make_reporter(*, quiet: bool) -> Reporter:
@@ -79,6 +78,8 @@ def line(what: str, value: Any) -> str:
     if what == "intents":
         top = value[0]
         return f"Most dangerous: {top.bv} — {top.label} (risk {top.risk}; {top.reason})"
+    if what == "why_first":
+        return f"  {value}"
     return _attempt(value) if what == "attempt" else ""
 
 
@@ -96,7 +97,7 @@ def _attempt(a: Attempt) -> str:
 
 def summary(result: Mapping[str, Any], folder: Path) -> str:
     """The outcome in a few lines."""
-    lines = [f"Ending: {result['ending']}. {result['reason']}"]
+    lines = [_result(result)]
     raw, best = result["raw"], result["outcome"]
     if best is not None and raw is not None:
         intent = result["intent"]
@@ -108,8 +109,21 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
+    lines += [result["bank_change"]] if result.get("bank_change") else []
     lines.append(f"Files: {folder}")
     return "\n".join(lines)
+
+
+def _result(result: Mapping[str, Any]) -> str:
+    """How the run ended, after how many attempts, and what was wanted."""
+    tried, ending = len(result["attempts"]), str(result["ending"])
+    of = f" after {tried} of {result['attempts_allowed']} attempts (criterion: {result['goal']})" if tried else ""
+    if ending != Ending.CRITICAL:
+        return f"Result: {ending.replace('_', ' ')}{of}. {result['reason']}"
+    level = str((result["outcome"] or {}).get("level"))
+    reached = "NEAR MISS" if result["goal"].startswith("near miss") else level.upper()
+    more = str(result["reason"]).removeprefix(ENDING_SENTENCES[Ending.CRITICAL])
+    return f"Result: {reached}{of}.{more}"
 
 
 def _overridden(actions: Mapping[str, int]) -> str:

@@ -56,12 +56,12 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
 def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.evidence import evidence_words
-    from sumo_adv.episode.memory_access import remembered
+    from sumo_adv.episode.memory_access import remembered, selection_of
 
-    settings, allowed = episode.settings, episode.source.intents
+    settings = episode.settings
     known = remembered(bank, planned.library, planned.scene)
     evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=known)
-    library = [e for e in planned.library if not allowed or e.label in allowed]
+    library = selection_of(episode, bank).of(planned.library)
     return analyzer_prompt(
         shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
         evidence if settings.evidence == "on" else None,
@@ -82,7 +82,7 @@ def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine:
     once = settings.model_copy(update={"attempts": 1})
     found = Refinement()
     runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
-    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda _: None).run([intent], found)
+    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run([intent], found)
     if not found.attempts:
         return [generator]
     tried = found.attempts[0].proposal

@@ -27,7 +27,7 @@ def report(
         Path | None, typer.Option(help="File of a run's page, or folder of a batch's (default: in DIR).")
     ] = None,
     pages: Annotated[
-        int | None, typer.Option(min=0, help="Of a batch: maximum number of replay pages made now (default: all).")
+        int | None, typer.Option(min=0, help="Of a batch: maximum number of replay pages to make now (default: all).")
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Of a batch: processes (default: the cores).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from sumo_adv import app
-from sumo_adv.cli.memory_common import Metric
-from sumo_adv.config import Settings, Until, load_settings
+from sumo_adv.cli import options as shared
+from sumo_adv.cli import run_options as own
+from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
 
@@ -25,91 +26,35 @@ OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count
 
 
 def run(
-    context: typer.Context,
-    source: Annotated[
-        Path | None,
-        typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
-    ] = None,
-    record: Annotated[str | None, typer.Option(help="Of a .tfrecord: id, or place from 0 (default: 0).")] = None,
-    ego: Annotated[
-        str | None, typer.Option(help="krauss, idm, eidm, careful, lattice, blind, fiss_plus, replay, module:Class.")
-    ] = None,
-    ego_id: Annotated[str | None, typer.Option(help="The vehicle under test (default: chosen).")] = None,
-    adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
-    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
-    begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
-    end: Annotated[float | None, typer.Option(help="Look for an encounter until this time, s.")] = None,
-    until: Annotated[
-        Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
-    ] = None,
-    attempts: Annotated[int | None, typer.Option(help="At most so many attempts (default: 25).")] = None,
-    diverse: Annotated[
-        int | None, typer.Option(help="Go on until this many attacks of different kinds succeeded (default: 1).")
-    ] = None,
-    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
-    tuner: Annotated[str | None, typer.Option(help="builtin or off.")] = None,
-    llm: Annotated[
-        str | None,
-        typer.Option(help="A language model for all three parts: deepseek-chat, ollama:NAME, replay:FILE .."),
-    ] = None,
-    analyzer: Annotated[str | None, typer.Option(help="builtin or a model, for this part alone.")] = None,
-    generator: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
-    modifier: Annotated[str | None, typer.Option(help="builtin or a model.")] = None,
-    fallback: Annotated[
-        str | None, typer.Option(help="builtin: the expert goes on where a model fails (default: off).")
-    ] = None,
-    samples: Annotated[int | None, typer.Option(help="Ask the analyzer's model so many times (default: 1).")] = None,
-    evidence: Annotated[str | None, typer.Option(help="on or off: show a model the predictor's figures.")] = None,
-    instruction: Annotated[
-        str | None, typer.Option(help="In words, how generated planners are to shape their trajectories.")
-    ] = None,
-    show_prompts: Annotated[
-        bool, typer.Option("--show-prompts", help="Print what a model would be asked here, and ask nothing.")
-    ] = False,
-    learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
-    recall: Annotated[
-        str | None, typer.Option(help="intent, or scene: try first what worked in a like scene, asking nobody.")
-    ] = None,
-    memory: Annotated[
-        Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
-    ] = None,
-    metric: Metric = None,
-    density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
-    background: Annotated[
-        str | None,
-        typer.Option(
-            help="log, sumo or mixed (SUMO drives those near the adversary): who drives recorded vehicles "
-            "(default: as the input says, else log for a replayed ego)."
-        ),
-    ] = None,
-    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/<input>-<seed>).")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
-    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
-    replay: Annotated[
-        Path | None, typer.Option(help="Run the attempt of that folder again, from its manifest.")
-    ] = None,
-    no_fork: Annotated[bool, typer.Option("--no-fork", help="Load and repeat instead of forking (slower).")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
-) -> None:
+    context: typer.Context, source: own.Source = None, record: own.Record = None, begin: own.Begin = None,
+    end: own.End = None, density: own.Density = None, background: own.Background = None,
+    settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
+    ego_id: own.EgoId = None, until: shared.UntilLevel = None, ttc: shared.Ttc = None,
+    critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
+    exclude: shared.Exclude = None, kind: shared.Kind = None, adversary: own.Adversary = None,
+    trigger: own.Trigger = None, diverse: shared.Diverse = None, attempts: shared.Attempts = None,
+    tuner: own.Tuner = None, seed: own.Seed = None, learn: own.Learn = None, recall: own.Recall = None,
+    memory: own.Memory = None, metric: own.Metric = None, no_fork: own.NoFork = False, llm: own.Llm = None,
+    analyzer: own.Analyzer = None, generator: own.Generator = None, modifier: own.Modifier = None,
+    fallback: own.Fallback = None, samples: own.Samples = None, evidence: own.Evidence = None,
+    instruction: own.Instruction = None, show_prompts: own.ShowPrompts = False, out: own.Out = None,
+    force: own.Force = False, as_json: shared.AsJson = False,
+) -> None:  # fmt: skip
     """Turn an encounter into a dangerous one and write what happened."""
     if replay is not None:
         _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)
         return
-    given, driver = _input(source, record, ego)
+    found, driver = _input(source, record, ego)
+    named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, ego=driver, ego_id=ego_id, adversary=adversary, trigger=trigger,
-        begin=begin, end=end, until=until, attempts=attempts, diverse=diverse, ttc=ttc, tuner=tuner, learn=learn,
-        recall=recall, memory=memory, metric=metric, seed=seed, llm=llm, analyzer=analyzer, generator=generator,
-        modifier=modifier, fallback=fallback, samples=samples, evidence=evidence, instruction=instruction,
-        density=density, background=background, horizon=given.horizon, fork=False if no_fork else None,
-    )  # fmt: skip
+        settings_file, **{**named, "ego": driver, "horizon": found.horizon, "fork": False if no_fork else None}
+    )
     if show_prompts:
-        _show_prompts(given, settings, as_json=as_json)
+        _show_prompts(found, settings, as_json=as_json)
         return
-    target = out or Path("runs") / f"{given.name}-{settings.seed}"
-    _run(given, settings, target, force=force, as_json=as_json)
+    target = out or Path("runs") / f"{found.name}-{settings.seed}"
+    _run(found, settings, target, force=force, as_json=as_json)
 
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
@@ -118,17 +63,17 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
 
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
-    given = app.load(source, record)
-    return given, trusted_driver(ego, given.ego_controller, given.source)
+    found = app.load(source, record)
+    return found, trusted_driver(ego, found.ego_controller, found.source)
 
 
-def _show_prompts(given: RunInput, settings: Settings, *, as_json: bool) -> None:
+def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:
     from sumo_adv.cli.prompts import show
 
-    show(given, settings, as_json=as_json)
+    show(source, settings, as_json=as_json)
 
 
-def _run(given: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
+def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.report.folder import staged
@@ -141,7 +86,7 @@ def _run(given: RunInput, settings: Settings, target: Path, *, force: bool, as_j
     ):
         tell = interrupts.checked(reporter.tell)
         with reporter:
-            episode = app.play(given, settings, folder.stage, Path(scratch), tell, interrupts.hold)
+            episode = app.play(source, settings, folder.stage, Path(scratch), tell, interrupts.hold)
         finish(folder, episode, force=force, as_json=as_json)
 
 
@@ -166,8 +111,8 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
     if source is not None:
         raise UsageError("Give either an INPUT or --replay DIR, not both.")
     for parameter in context.command.params:
-        given = context.get_parameter_source(str(parameter.name))
-        if parameter.name not in OF_A_REPLAY and given is not None and given.name == "COMMANDLINE":
+        source_of = context.get_parameter_source(str(parameter.name))
+        if parameter.name not in OF_A_REPLAY and source_of is not None and source_of.name == "COMMANDLINE":
             raise UsageError(
                 f"{parameter.opts[0]} has no effect on a replay, which takes everything from the run's manifest: "
                 "leave it out, or give the INPUT for a new run."

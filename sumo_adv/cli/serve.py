@@ -1,4 +1,4 @@
-"""``serve``: attack an ego that somebody else's program drives, over TraCI."""
+"""``serve``: attack an ego that another program drives, over TraCI."""
 
 from __future__ import annotations
 
@@ -58,7 +58,9 @@ def serve(
     patience: Annotated[
         float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
     ] = None,
-    encounters: Annotated[int | None, typer.Option(min=1, help="End after so many (default: at Ctrl-C).")] = None,
+    encounters: Annotated[
+        int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
+    ] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
     begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
@@ -66,8 +68,12 @@ def serve(
     until: Annotated[
         Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
     ] = None,
-    attempts: Annotated[int | None, typer.Option(help="In episodes mode: at most so many each (default: 25).")] = None,
-    ttc: Annotated[float | None, typer.Option(help="Critical is a min TTC of at most this, s (default: 1).")] = None,
+    attempts: Annotated[
+        int | None, typer.Option(help="In episodes mode: maximum number per encounter (default: 25).")
+    ] = None,
+    critical_ttc: Annotated[
+        float | None, typer.Option(help="A min TTC of at most this is critical, s (default: 1).")
+    ] = None,
     llm: Annotated[str | None, typer.Option(help="A language model, as in run.")] = None,
     learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
     memory: Annotated[
@@ -90,8 +96,8 @@ def serve(
     given = _input(source)
     settings = load_settings(
         settings_file, ego="external", ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin, end=end,
-        until=until, attempts=attempts, ttc=ttc, llm=llm, learn=learn, memory=memory, density=density, seed=seed,
-        horizon=given.horizon,
+        until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm, learn=learn, memory=memory,
+        density=density, seed=seed, horizon=given.horizon,
     )  # fmt: skip
     if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})

@@ -20,7 +20,7 @@ from sumo_adv.drivers.protocol import Action, EgoController, Observation
 from sumo_adv.drivers.replay import ReplayEgo
 from sumo_adv.drivers.sumo_driven import MODELS, SumoEgo
 from sumo_adv.drivers.user import METHODS, UserEgo, make_object
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import UsageError, nearest
 
 ENTRY_POINTS = "sumo_adv.drivers"
 
@@ -66,11 +66,16 @@ def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = 
         return DRIVERS[name](parameters)
     if name == ExternalEgo.name:
         raise UsageError("The ego 'external' is driven by a program of yours over TraCI: use sumo-adv serve.")
-    installed = _installed()
-    if name in installed:
-        return UserEgo(installed[name], make_object("ego", installed[name], parameters, METHODS))
-    names = ", ".join((*DRIVERS, *installed))
-    raise UsageError(f"There is no ego {name!r}; choose {names} or module:Class.")
+    check_name(name)
+    installed = _installed()[name]
+    return UserEgo(installed, make_object("ego", installed, parameters, METHODS))
+
+
+def check_name(name: str) -> None:
+    """Raises UsageError if no driver has that name. A ``module:Class`` is not imported."""
+    names = (*DRIVERS, *_installed())
+    if ":" not in name and name not in names:
+        raise UsageError(f"There is no ego {name!r}{nearest(name, names)}; choose {', '.join(names)} or module:Class.")
 
 
 def is_foreign(name: str) -> bool:

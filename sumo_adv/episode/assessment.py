@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from sumo_adv.config import Settings, Until
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Level, ObservedMotion, Proposal, Verdict
 from sumo_adv.episode.attempt_runner import Attempts
 from sumo_adv.episode.diagnosis import REACH, diagnose
 from sumo_adv.episode.references import simulated
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.goal import Goal
 from sumo_adv.metrics.levels import judged
 from sumo_adv.search.novelty import kind_of
 from sumo_adv.simulation.recording import tracks_of
@@ -26,11 +27,6 @@ def rank(verdict: Verdict) -> tuple[float, float]:
     if verdict.collided:
         return (float(Level.SERIOUS - verdict.level), 0.0) if verdict.counts else (5, 0.0)
     return (4, verdict.min_ttc) if verdict.counts else (6, verdict.min_ttc)
-
-
-def succeeded(verdict: Verdict, until: Until) -> bool:
-    """Whether the level is reached; an infeasible motion and a rear-end never reach one."""
-    return verdict.level >= until.level
 
 
 def attempt_of(
@@ -72,9 +68,9 @@ def observed_motion(
     return ObservedMotion(stations + over * float(speeds[-1]), offsets, speeds[k], len(places))
 
 
-def checked(attempt: Attempt, result: AttemptResult, runner: Attempts, until: Until) -> Attempt:
+def checked(attempt: Attempt, result: AttemptResult, runner: Attempts, goal: Goal) -> Attempt:
     """The attempt; if it would be a success, reference drivers confirm it in the simulation first."""
-    needed = until.level >= Level.VALID and succeeded(attempt.verdict, until)
+    needed = goal.level >= Level.VALID and goal.met(attempt.verdict)
     return confirmed(attempt, result, runner) if needed else attempt
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import RankedVehicle
+from sumo_adv.episode.encounter_detector import RankedVehicle, vehicles_of
 from sumo_adv.episode.encounter_filter import danger
 from sumo_adv.episode.encounter_place import place_of
 from sumo_adv.episode.situation_builder import build_situations, trigger_state
@@ -57,12 +57,13 @@ def build_encounter(
         passed_over: reasons why earlier encounters were passed over.
     """
     if not ranking or drive.ego is None:
-        return "no vehicle near could endanger the ego" + (" within the ODD" if settings.odd is not None else "")
+        within = " within the ODD" if settings.odd is not None else ""
+        return f"no {vehicles_of(settings.kind)} near could endanger the ego{within}"
     trigger, place = trigger_state(drive, ranking), place_of(road, drive)
     late = MOST_SHIFT if all(c.meets_ahead for c in ranking) else 0.0
     baseline = baseline_for(settings.duration + max(settings.delays) + late)
     tracks = {name: t.between(-math.inf, trigger.time + checked) for name, t in baseline.tracks.items()}
-    why, critical = danger(tracks, drive, trigger.time, settings.ttc, [c.id for c in ranking])
+    why, critical = danger(tracks, drive, trigger.time, settings.harmless_ttc, [c.id for c in ranking])
     if why:
         return why
     ranking = [c for c in ranking if c.id not in critical]

@@ -70,14 +70,14 @@ class EncounterDetector:
     """Watches one ego. Call ``look`` every half second."""
 
     def __init__(
-        self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), *, recorded: bool = False,
-        odd: Odd | None = None,
+        self, road: RoadMap, shortlist: int, only: tuple[str, ...] = (), kinds: tuple[str, ...] = (), *,
+        recorded: bool = False, odd: Odd | None = None,
     ) -> None:  # fmt: skip
-        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack, empty for all; odd: no
-        encounter begins outside it."""
+        """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack; kinds: the relations to the
+        ego that they may have. Both are empty for all. odd: no encounter begins outside it."""
         self.road = road
         self.shortlist = shortlist
-        self.only = only
+        self.only, self.kinds = only, kinds
         self.odd = odd
         self.best = 0.0
         self.moments: list[tuple[float, int]] = []  # of a recording, below the threshold: risk, step
@@ -150,7 +150,7 @@ class EncounterDetector:
     ) -> list[RankedVehicle]:
         """The vehicles with a risk. ``ahead``: how far ahead of the ego a vehicle on its path may be [m]."""
         placed = [self._place(drive, name, ego, path, ahead) for name in names]
-        return [c for c in placed if c is not None and c.risk > 0]
+        return [c for c in placed if c is not None and c.risk > 0 and (not self.kinds or c.relation in self.kinds)]
 
     def _near(self, drive: Drive, ego: VehicleState) -> list[str]:
         names, obstacles = [], drive.obstacles
@@ -226,6 +226,11 @@ def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> f
     if not CONFLICT_TIMES[0] < ego_time < CONFLICT_TIMES[1] or earliest > ego_time + LATEST:
         return 0.0
     return 0.95 * math.exp(-max(0.0, abs(arrival - ego_time) - 0.5) / 4.0) * math.exp(-max(0.0, ego_time - 5.0) / 4.0)
+
+
+def vehicles_of(kinds: Sequence[str]) -> str:
+    """The vehicles that may attack, in words: ``oncoming or crossing vehicle``."""
+    return f"{' or '.join(kinds)} vehicle".strip()
 
 
 def ego_path(road: RoadMap, drive: Drive) -> Path | None:

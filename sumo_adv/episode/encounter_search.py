@@ -13,6 +13,7 @@ from sumo_adv.episode.encounter_detector import (
     ON,
     EncounterDetector,
     RankedVehicle,
+    vehicles_of,
 )
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import NoEncounter, Task
@@ -104,8 +105,8 @@ class EncounterSearch:
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(
-            self.road, self.task.settings.shortlist, self.task.only, recorded=self.drive.recorded(),
-            odd=self.task.settings.odd,
+            self.road, self.task.settings.shortlist, self.task.only, self.task.settings.kind,
+            recorded=self.drive.recorded(), odd=self.task.settings.odd,
         )  # fmt: skip
 
     def _inserted(self, name: str) -> float:
@@ -127,8 +128,8 @@ class EncounterSearch:
             return NoEncounter(Ending.NO_ENCOUNTER, f"{detector.missing} Try another --ego-id.")
         return NoEncounter(
             Ending.NO_ENCOUNTER,
-            f"No vehicle came into a position to endanger the ego before {self.drive.now:.0f} s "
-            f"(highest risk seen {detector.best:.2f}, {ON:.2f} is needed); "
+            f"No {vehicles_of(self.task.settings.kind)} came into a position to endanger the ego before "
+            f"{self.drive.now:.0f} s (highest risk seen {detector.best:.2f}, {ON:.2f} is needed); "
             f"try a longer --end, more --density, another --seed or --ego-id. {detector.outside}".rstrip(),
         )
 

@@ -38,9 +38,14 @@ class Episode:
     agents: Agents | None = None  # None in a replay
     bandit: list[Any] = field(default_factory=list)  # how the planners of each intent were ordered
     learnt: bool = False
+    bank_change: str = ""  # what the bank has learnt that changes the next run, in a sentence
     traceback: str = ""  # of a fault in sumo_adv
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """The attempts are judged by the goal of the settings."""
+        self.refinement.goal = self.settings.goal
 
     def of_attempt(self, index: int) -> Episode:
         """The same episode, in which another attempt counts."""

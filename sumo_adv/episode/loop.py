@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, succeeded
+from sumo_adv.episode.assessment import NOTHING
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
+from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn, learn_driver
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
@@ -97,7 +98,7 @@ def pursue(
 ) -> None:  # fmt: skip
     """Run attempts until one succeeds or the budget is used up, and learn from them."""
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, lambda a: tell("attempt", a))
+    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell)
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
@@ -110,8 +111,10 @@ def pursue(
         timing["prediction"] = timing.get("prediction", 0.0) + planned.predictor.seconds
         timing["attempts"] = episode.refinement.seconds
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
+    before = BankView.of(episode, bank, planned)
     learn(episode, bank, entries)
     learn_driver(episode, bank, planned.predictor.driver_weights)
+    episode.bank_change = before.difference(BankView.of(episode, bank, planned))
 
 
 def replay_episode(
@@ -130,7 +133,7 @@ def replay_episode(
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
     settle_best(episode.refinement, runner)
-    ok = succeeded(episode.refinement.attempts[0].verdict, settings.until)
+    ok = settings.goal.met(episode.refinement.attempts[0].verdict)
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
     return episode
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Limits, Planner, Proposal, acceleration_of
 from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.episode import Episode
@@ -20,6 +21,7 @@ from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
+from sumo_adv.search.selection import Selection, select
 from sumo_adv.situation import Situation
 
 CONFIRMED = 2  # the analyzer compares a new intent with this number of nearest intents
@@ -43,18 +45,30 @@ def read_library(
     return entries, explained
 
 
+def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
+    """The intents that the settings and the scenario let an episode try. Raises UsageError for unknown ones."""
+    return selected(episode.settings, bank, episode.source.intents)
+
+
+def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
+    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones."""
+    known = [record.label for record in bank.intents() if record.status == "active"]
+    return select(known, settings.intents, settings.exclude, scenario)
+
+
 def recall(
     episode: Episode, found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank
 ) -> tuple[Intent, Proposal] | None:
     """The attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
-    began, allowed, limits = time.perf_counter(), episode.source.intents, episode.settings.limits.limits()
+    began, limits = time.perf_counter(), episode.settings.limits.limits()
+    selection = selection_of(episode, bank)
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
             scene = signature(situation, target.state.id, episode.task.ego_driver)
             evidence = bank.recall_scene(scene)
             remains = _remembered(library, evidence, limits) if evidence is not None else None
-            if evidence is None or remains is None or (allowed and evidence.label not in allowed):
+            if evidence is None or remains is None or not selection.allows(evidence.label):
                 continue
             entry, planner = remains
             order = (not evidence.valid, signature_distance(evidence.scene, scene))

@@ -34,6 +34,8 @@ def minimise_episode(
     Raises:
         UsageError: the attack does not reach the level when it is repeated, or the encounter does not come back.
     """
+    if settings.goal.ttc is not None:
+        raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
     episode = Episode(source, settings, task)
     began = time.perf_counter()
     found = recorded_encounter(episode, engine, proposal, skips)
@@ -41,6 +43,7 @@ def minimise_episode(
         raise UsageError(f"The encounter did not come back ({episode.reason}), so there is nothing to minimise.")
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "minimised from a manifest")
     episode.intents, level, done = (episode.intent,), settings.until.level, episode.refinement
+    reached, met = settings.goal.reached, settings.goal.met
     runner = AttemptRunner(engine, sandbox, found, settings.seed)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
@@ -53,8 +56,10 @@ def minimise_episode(
         return attempt, result
 
     first, result = attempted(proposal)
-    if first.verdict.level < level or first.verdict.delta_v is None:
-        raise UsageError(f"The attack reaches the level {first.verdict.level}, not {level}; choose a lower --until.")
+    if not met(first.verdict) or first.verdict.delta_v is None:
+        raise UsageError(
+            f"The attack reaches the level {first.verdict.level}, not {settings.goal}; choose a lower --until."
+        )
     predictor = Predictor(sandbox, settings, found.drivable, found.situations)
     starts = [delay for delay, situation in found.situations.items() if proposal.bv in situation.targets]
     search = Minimiser(predictor, proposal, math.inf, level, starts, settings.seed)
@@ -62,8 +67,8 @@ def minimise_episode(
     done.chosen, done.ending, episode.ending = 0, Ending.CRITICAL, Ending.CRITICAL
     while len(done.attempts) < settings.attempts and (variant := search.propose()) is not None:
         attempt, result = attempted(variant)
-        harshness = _harshness(search, attempt, result, settings) if attempt.verdict.level >= level else math.inf
-        if search.observe(variant, attempt.verdict.level, harshness):
+        harshness = _harshness(search, attempt, result, settings) if met(attempt.verdict) else math.inf
+        if search.observe(variant, reached(attempt.verdict), harshness):
             done.chosen = attempt.index
     episode.reason = (
         f"The mildest of {len(done.attempts)} attacks that reaches {level}: harshness {search.harshness:.1f} instead "

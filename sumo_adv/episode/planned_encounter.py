@@ -12,7 +12,15 @@ from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.drivers.car_following import exact
 from sumo_adv.episode.encounter_detector import ON_RECORDED
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.memory_access import read_library, recall, remembered, retrieve, signature, weights_of_driver
+from sumo_adv.episode.memory_access import (
+    read_library,
+    recall,
+    remembered,
+    retrieve,
+    selection_of,
+    signature,
+    weights_of_driver,
+)
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
@@ -25,7 +33,8 @@ from sumo_adv.simulation.engine import Engine
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]
-"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
+"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("why_first", sentence),
+("attempt", Attempt)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +59,9 @@ def find_attackable(
 ) -> PlannedEncounter | None:
     """The first encounter in which some candidate is predicted to collide; None if there is none.
 
-    The episode says why there is none.
+    The episode says why there is none. Raises UsageError for intents in the settings that the bank does not know.
     """
+    selection_of(episode, bank)  # what is misspelt is refused before anything is simulated
     while True:
         found = seek(episode, engine, tell)
         if found is None:
@@ -87,8 +97,8 @@ def searched(
     known = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
         predictor, found.situations, library,
-        weights, seed=settings.seed, goal=settings.until.level,
-        allowed=episode.source.intents, unknown_driver=not driver.known, exact_driver=exact(driver),
+        weights, seed=settings.seed, goal=settings.goal,
+        selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if known is None else known[1],
     )  # fmt: skip
     return search, None if known is None else known[0]
@@ -104,7 +114,7 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
     situations, library = planned.found.situations, planned.library
     try:
         episode.intents = agents.analyze(
-            planned.search, situations, library, allowed=episode.source.intents,
+            planned.search, situations, library, selection=selection_of(episode, bank),
             remembered=remembered(bank, library, planned.scene),
         )  # fmt: skip
         if agents.by_model("analyzer") and episode.settings.tuner == "builtin":

@@ -9,14 +9,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank, succeeded
+from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.goal import Goal
 from sumo_adv.search.fixed_order import FixedOrder, as_written, chosen
 from sumo_adv.search.protocols import Optimizer
 from sumo_adv.search.search import AttackSearch
@@ -28,10 +30,12 @@ AT_ONCE = 2  # attempts that run side by side after the first; also where they c
 class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
-    successes: indices of the attempts that reached the level, one of each kind. chosen: the attempt that counts, if it
-    is not the best.
+    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
+    the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
+    ranked first, empty if it does.
     """
 
+    goal: Goal = field(default_factory=Goal)
     attempts: list[Attempt] = field(default_factory=list)
     results: list[AttemptResult] = field(default_factory=list)
     ending: Ending = Ending.ATTEMPTS_EXHAUSTED
@@ -40,13 +44,15 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
+    why_first: str = ""
 
     @property
     def best(self) -> int | None:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
-        return min(range(len(self.attempts)), key=lambda k: (*rank(self.attempts[k].verdict), k))
+        verdicts = [a.verdict for a in self.attempts]
+        return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:
@@ -69,22 +75,25 @@ class Refiner:
         agents: Agents,
         library: Sequence[LibraryEntry],
         settings: Settings,
-        tell: Callable[[Attempt], None],
+        tell: Callable[[str, Any], None],
     ) -> None:
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
         self._favourites: list[Proposal] = []  # of a model whose answers disagree: tried first, side by side
+        self._intents: Sequence[Intent] = ()
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
-        optimizer = self._optimizer(intents)
+        optimizer, self._intents = self._optimizer(intents), intents
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(optimizer, found)
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
                 break
+            if not found.attempts:
+                self._explain(plans[0], found)
             if self._try(plans, found, began):
                 break
             self._observe(optimizer, found, len(plans))
@@ -94,6 +103,12 @@ class Refiner:
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
         found.seconds = time.perf_counter() - began
+
+    def _explain(self, first: Proposal, found: Refinement) -> None:
+        """Say why the first attempt does not try the intent that is ranked first, if it does not."""
+        found.why_first = self._search.why_first(first, self._intents)
+        if found.why_first:
+            self._tell("why_first", found.why_first)
 
     def _optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
@@ -126,11 +141,11 @@ class Refiner:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, self._settings.until)
+            attempt = checked(attempt, result, self._runner, found.goal)
             found.attempts.append(attempt)
             found.results.append(result)
-            self._tell(attempt)
-            if succeeded(attempt.verdict, self._settings.until) and self._keep(attempt, found, began):
+            self._tell("attempt", attempt)
+            if found.goal.met(attempt.verdict) and self._keep(attempt, found, began):
                 return True
         return False
 

@@ -103,6 +103,21 @@ class Prefix:
     sizes: Mapping[str, tuple[float, float]]
 
 
+def refuse_density(source: RunInput, density: float | None) -> None:
+    """Raises UsageError if an input with traffic of its own is given a density of generated traffic."""
+    logged = source.playback is not None and source.playback.tracks is not None
+    if density is not None and (source.routes or logged or _drives(source)):
+        raise UsageError(
+            f"{source.source} brings its own traffic, so --density {density:g} would have no effect: leave it out, or "
+            "give the network alone."
+        )
+
+
+def _drives(source: RunInput) -> bool:
+    """Whether additional files of an input hold vehicles."""
+    return any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
+
+
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task for an input; demand is generated into ``folder`` if the input has none.
 
@@ -113,10 +128,11 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
             f"--until {settings.until} cannot be reached against the ego 'careful': strict means that this very driver "
             "avoids the collision; use --until valid."
         )
+    refuse_density(source, settings.density)
     routes = source.routes
     playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else source.begin
-    driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
+    driven = _drives(source)
     if begin is None:
         begin = first_departure((*routes, *source.additional)) if routes or driven else 0.0
     end = settings.end if settings.end is not None else source.end

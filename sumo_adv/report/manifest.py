@@ -59,7 +59,7 @@ RETIRED = ("experience",)  # settings of earlier versions; a replay drives the r
 
 
 def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
-    settings = load_settings(None, **{name: value for name, value in m["settings"].items() if name not in RETIRED})
+    settings = load_settings(None, **_settings(m["settings"]))
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
@@ -80,6 +80,12 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     proposal = Proposal(a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"])
     source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
     return Recorded(source, settings, task, proposal, m["skips"])
+
+
+def _settings(recorded: dict[str, Any]) -> dict[str, Any]:
+    """The settings of a manifest under the names of today: before 0.2 ``ttc`` was what ``critical_ttc`` is now."""
+    kept = {name: value for name, value in recorded.items() if name not in RETIRED}
+    return {**kept, "ttc": None, "critical_ttc": kept["ttc"]} if isinstance(kept.get("ttc"), float) else kept
 
 
 def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) -> PlaybackSpec | None:

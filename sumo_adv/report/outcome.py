@@ -12,6 +12,7 @@ from typing import Any
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import BUILT_IN, ROLES
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     ENDING_SENTENCES,
     Attempt,
@@ -60,10 +61,13 @@ def outcome(
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
+        "goal": _goal(settings), "attempts_allowed": settings.attempts,
+        "why_first": episode.refinement.why_first or None,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
-        "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt, "notes": episode.notes,
+        "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
+        "bank_change": episode.bank_change or None, "notes": episode.notes,
     }  # fmt: skip
 
 
@@ -78,6 +82,13 @@ def _encounter(found: FoundEncounter) -> dict[str, Any]:
         "limit": None if place is None else number(place.limit),
         "vehicles_near": None if place is None else place.vehicles_near,
     }  # fmt: skip
+
+
+def _goal(settings: Settings) -> str:
+    """What an attempt had to come to, in words."""
+    goal = settings.goal
+    plain = goal.ttc is None and not goal.min_delta_v and goal.level is Level.CRITICAL
+    return f"min TTC of {settings.critical_ttc:g} s or less" if plain else str(goal)
 
 
 def _ego_actions(episode: Episode) -> dict[str, int] | None:

@@ -106,7 +106,7 @@ def _tracks(
 
 def _full(episode: Episode, case: Case, found: FoundEncounter, result: AttemptResult) -> FullVerdict:
     return full_judge(
-        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.ttc,
+        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
         limits=episode.settings.limits.limits(), on_road=found.drivable,
         lane_half_width=found.first.road.lane_width / 2,
     )  # fmt: skip

@@ -14,6 +14,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
+from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.rollouts import Rollouts, predict
 from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
@@ -111,6 +112,8 @@ class Predictor:
         rollouts, failures = self._rolled(self._situations, proposals, motions)
         limits = self._settings.limits.limits()
         judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
+        goal, weights = self._settings.goal, self._weights
+        judged = [(goal_score(goal, score, made, weights), made) for score, made in judged]
         for k, failure in failures.items():
             judged[k] = self._weights.failed, Prediction(failure)
         return [replace(p, score=score, prediction=made) for p, (score, made) in zip(proposals, judged, strict=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from sumo_adv.datatypes import Intent, Proposal
+from sumo_adv.goal import Goal
 from sumo_adv.search.robustness import drawn
 from sumo_adv.search.settings import SearchSettings
 
@@ -16,6 +17,7 @@ def ranked_intents(
     descriptions: Mapping[str, str],
     price: Callable[[Proposal], float],
     settings: SearchSettings,
+    goal: Goal,
 ) -> tuple[list[Intent], list[Intent]]:
     """The intents of the pool with which some candidate is predicted to collide, and the others; best first."""
     groups: dict[tuple[str, str], list[Proposal]] = {}
@@ -27,7 +29,7 @@ def ranked_intents(
         return (-_share(members, settings), min(map(price, members)), *key)
 
     ranked = [
-        (_share(g, settings), _intent(g, descriptions[key[1]], settings))
+        (_share(g, settings), _intent(g, descriptions[key[1]], settings, goal))
         for key, g in sorted(groups.items(), key=order)
     ]
     return [i for share, i in ranked if share > 0], [i for share, i in ranked if share == 0]
@@ -39,15 +41,19 @@ def _share(members: Sequence[Proposal], settings: SearchSettings) -> float:
     return sum(p.nominal_score < settings.reaches for p in first) / len(first)
 
 
-def _intent(members: Sequence[Proposal], description: str, settings: SearchSettings) -> Intent:
+def _counts(goal: Goal, met: int, avoidable: int, count: int) -> str:
+    """How many candidates meet the goal, in words."""
+    if goal.ttc is not None:
+        return f"{met} of {count} candidates pass with a min TTC in the band"
+    return f"{met} of {count} candidates collide{goal.hard}, {avoidable} of them avoidably"
+
+
+def _intent(members: Sequence[Proposal], description: str, settings: SearchSettings, goal: Goal) -> Intent:
     best, first = min(members, key=lambda p: p.score), drawn(members)
     risk = "high" if best.score < settings.avoidable else ("medium" if best.score < settings.reaches else "low")
     avoidable = sum(p.nominal_score < settings.avoidable for p in first)
     made = [p.prediction for p in first if p.prediction is not None and not p.prediction.failure]
     least = min((prediction.min_ttc for prediction in made), default=NOTHING_NEAR)
-    share = _share(members, settings)
-    reason = (
-        f"predicted: {share:.0%} of {len(first)} candidates collide, {avoidable} of them avoidably; "
-        f"least TTC {least:.2f} s"
-    )
+    met = sum(p.nominal_score < settings.reaches for p in first)
+    reason = f"predicted: {_counts(goal, met, avoidable, len(first))}; least TTC {least:.2f} s"
     return Intent(best.bv, best.label, description, risk, best.acceleration, reason)

@@ -18,13 +18,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
+from sumo_adv.goal import Goal
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
+from sumo_adv.search.first_attempt import why_first
 from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.ranking import ranked_intents
 from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
 from sumo_adv.search.sampling import Sampler, elites
+from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
@@ -41,22 +44,24 @@ class AttackSearch:
         settings: SearchSettings,
         *,
         seed: int,
-        goal: Level = Level.SERIOUS,
-        allowed: Sequence[str] = (),
+        goal: Goal | None = None,
+        selection: Selection | None = None,
         unknown_driver: bool = False,
         exact_driver: bool = False,
         recalled: Proposal | None = None,
     ) -> None:
         """Predict the first candidates.
 
-        situations: by delay after the trigger [s]. goal: the level that is wanted. allowed: the only intents, if any
-        are named. unknown_driver: no model of the ego's driver is known; exact_driver: the model is the driver's own.
+        situations: by delay after the trigger [s]. goal: what is wanted, a serious collision by default. selection: the
+        intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
+        the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
         has failed.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
-        self._goal, self._best = max(goal, Level.VALID), Level.NONE
-        self._allowed, self._unknown_driver = tuple(allowed), unknown_driver
+        self._goal, self._best = goal or Goal(), Level.NONE
+        self._level = max(self._goal.level, Level.VALID)
+        self._selection, self._unknown_driver = selection or Selection(), unknown_driver
         self._sampler = Sampler(settings.sampling, seed)
         self._correction = PredictionCorrection(scorer, settings.correction, known_driver=exact_driver)
         self._ranks: Mapping[tuple[str, str], int] = {}
@@ -72,7 +77,7 @@ class AttackSearch:
         if recalled is not None:
             self.pool = [recalled]
         else:
-            self.extend([e for e in library if not composed(e) or e.label in self._allowed])
+            self.extend([e for e in library if not composed(e) or self._selection.names(e.label)])
 
     # -- the pool -----------------------------------------------------------------------------------------------
 
@@ -84,7 +89,7 @@ class AttackSearch:
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
         settings, count = self._settings, self._settings.proposals
-        templates = templates_of(self._situations, library, self._allowed)
+        templates = templates_of(self._situations, library, [e.label for e in self._selection.of(library)])
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
@@ -100,9 +105,10 @@ class AttackSearch:
         that reach the ego and before those that do not; nothing is predicted of them yet.
         """
         descriptions = {e.label: e.description for e in library}
-        reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings)
+        reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings, self._goal)
         good = sum(p.nominal_score < self._settings.avoidable for p in drawn(self.pool))
-        new = [] if good >= self._settings.few or self._allowed else compose(self._situations, library)
+        new = [] if good >= self._settings.few else compose(self._situations, library)
+        new = [intent for intent in new if self._selection.allows(intent.label)]
         return reaching + new + rest
 
     def price(self, p: Proposal) -> float:
@@ -114,6 +120,10 @@ class AttackSearch:
         late = weights.late * seen.time + weights.at_the_end * hurried
         return p.score + late + weights.harsh * seen.braking
 
+    def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
+        """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
+        return why_first(first, intents[0], self.pool, self._price_now, self._goal, self._settings.price)
+
     # -- attempts -----------------------------------------------------------------------------------------------
 
     def follow(
@@ -124,7 +134,8 @@ class AttackSearch:
 
         Returns the templates.
         """
-        drawn_from = self._allowed if in_their_order else [i.label for i in intents]
+        open_ = [e.label for e in self._selection.of(library)]
+        drawn_from = open_ if in_their_order else [i.label for i in intents]
         self._templates = templates_of(self._situations, library, drawn_from)
         self._ranks = {}
         for i in intents if in_their_order else ():
@@ -151,13 +162,14 @@ class AttackSearch:
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
         """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""
-        if not self._kinds or verdict.level < self._goal:  # a success is of a kind that is no longer looked for
-            self._best = max(self._best, verdict.level)
+        reached = self._goal.reached(verdict)
+        if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
+            self._best = max(self._best, reached)
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         if motion is None:
             return
         self.pool = self._predicted_again(tried, motion)
-        if (tried.nominal_score < self._settings.avoidable) != (verdict.level >= Level.VALID):
+        if (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
     def succeeded(self, kind: str) -> None:
@@ -168,11 +180,12 @@ class AttackSearch:
     @property
     def result(self) -> str:
         """What the search came to, in a sentence."""
-        count = len(drawn(self.pool)) + len(self._tried)
+        count, wish = len(drawn(self.pool)) + len(self._tried), self._goal.attack(self._level)
         if self._kinds:
             kinds = "one kind" if len(self._kinds) == 1 else f"{len(self._kinds)} kinds"
-            return f"Attacks of {kinds} succeeded; {count} candidates promise no {self._goal} attack of another kind."
-        return f"No {self._goal} attack found in {count} candidates; the best level is {self._best}."
+            return f"Attacks of {kinds} succeeded; {count} candidates promise no {wish} of another kind."
+        best = "" if self._goal.ttc is not None else f"; the best level is {self._best}"
+        return f"No {wish} found in {count} candidates{best}."
 
     def exhausted(self) -> list[str]:
         """Hashes of planners without attempts left; of versions with one share, the most tried one."""
@@ -285,7 +298,7 @@ class AttackSearch:
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
         settings, sampling = self._settings, self._settings.sampling
-        best, bound = min((p.score for p in pool), default=math.inf), settings.bound(Level(self._goal - 1))
+        best, bound = min((p.score for p in pool), default=math.inf), settings.bound(Level(self._level - 1))
         if best < bound - settings.spare:
             return 0
         return sampling.most if best >= bound else settings.proposals + sampling.for_spare

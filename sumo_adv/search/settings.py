@@ -23,6 +23,8 @@ class ScoreSettings:
     miss_by_ttc: float = 0.3  # 1/s, up to 10 s
     miss_by_gap: float = 0.1  # 1/m, up to 30 m
     near_miss: float = 1.0  # a miss that costs no more is tried, as long as no attempt has been critical
+    too_mild: float = 0.3  # added to a miss: the share of the delta-v that is wanted and missing
+    contact: float = 0.3  # added to a miss where a near miss is wanted
     off_road: float = 3.0  # leaves the road before the contact
     beyond_limits: float = 3.0  # moves as no vehicle can
     third_party: float = 4.0  # touches another vehicle first

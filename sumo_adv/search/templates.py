@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from sumo_adv.datatypes import LibraryEntry, Parameter, Planner, Proposal
@@ -41,11 +41,12 @@ def _drawn(parameter: Parameter, draw: random.Random) -> float:
 
 
 def templates_of(
-    situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Sequence[str] = ()
+    situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Collection[str] | None = None
 ) -> list[AttackTemplate]:
     """All templates that apply: by delay, most dangerous vehicle first, in the library's order. Of each mode, the first
-    ``VERSIONS`` versions and the first ``VERSIONS`` learnt ones."""
-    versions = [(entry, _first_versions(entry, library)) for entry in library if not allowed or entry.label in allowed]
+    ``VERSIONS`` versions and the first ``VERSIONS`` learnt ones. ``allowed``: labels of intents, None for all."""
+    entries = library if allowed is None else [entry for entry in library if entry.label in allowed]
+    versions = [(entry, _first_versions(entry, library)) for entry in entries]
     selected = []
     for delay in sorted(situations):
         for target in situations[delay].target_list():

@@ -79,4 +79,5 @@ class EncounterMonitor:
         return "" if now.get(bv) == relation else f"{bv} is no longer {relation} but {now.get(bv, 'out of reach')}"
 
     def _fresh(self) -> EncounterDetector:
-        return EncounterDetector(self._road, self._settings.shortlist, self._only, odd=self._settings.odd)
+        settings = self._settings
+        return EncounterDetector(self._road, settings.shortlist, self._only, settings.kind, odd=settings.odd)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
@@ -126,7 +126,8 @@ def resolve(path: Path) -> Path:
         return shipped
     if path.is_dir():
         raise UsageError(f"{path} is a folder: give a .net.xml, .sumocfg or scenario file in it.")
-    raise UsageError(f"There is no file {path}, nor a shipped scenario or network of that name.")
+    like = nearest(input_name(path), shipped_names())
+    raise UsageError(f"There is no file {path}, nor a shipped scenario or network of that name{like}.")
 
 
 def _shipped(path: Path) -> Path | None:

@@ -53,7 +53,7 @@ class Trial:
 def trial(scenario: Path, ego: str, bv: str, kind: str, seed: int = 0) -> Trial:
     """The trial of a scenario file with the driver ``ego`` and SUMO's ``seed``."""
     source = load_input(scenario)
-    settings = load_settings(None, ego=ego, seed=seed, ttc=TTC, horizon=source.horizon)
+    settings = load_settings(None, ego=ego, seed=seed, critical_ttc=TTC, horizon=source.horizon)
     task = make_task(source, settings, Path(tempfile.gettempdir()))
     return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
 

@@ -65,11 +65,13 @@ def make_table(
     columns: Sequence[Column] = COLUMNS,
     later: Mapping[str, str] = LATER,
     words: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
 ) -> Table:
     """The table of cells of any egos, rows and seeds.
 
     ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
-    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks).
+    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks); ``notes``:
+    said before those on the cells.
     """
     asked = tuple(rows or names(cells, "row"))
     cells = [cell for cell in cells if cell["row"] in asked]
@@ -85,7 +87,7 @@ def make_table(
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
+    notes = (*notes, *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     left = {row: why for row, why in later.items() if row not in shown}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})

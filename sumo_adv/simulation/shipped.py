@@ -1,0 +1,45 @@
+"""What is shipped: scenarios, each with a line on what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sumo_adv.simulation.inputs import data_folder, input_name
+from sumo_adv.simulation.scenario import load_scenario
+
+
+@dataclass(frozen=True, slots=True)
+class ShippedScenario:
+    """One scenario. road: the name of its network; intents: those that its author holds to be the most dangerous."""
+
+    name: str
+    description: str
+    road: str
+    intents: tuple[str, ...]
+
+
+def shipped_scenarios() -> list[ShippedScenario]:
+    """The shipped scenarios by name."""
+    return [_read(path) for path in sorted(data_folder("scenarios").glob("*.toml"))]
+
+
+def shipped_files(folder: str, ending: str) -> list[str]:
+    """The names of what a shipped folder (``networks``, ``suites``) holds."""
+    return sorted(input_name(path) for path in data_folder(folder).glob(f"*{ending}"))
+
+
+def _read(path: Path) -> ShippedScenario:
+    scenario = load_scenario(path)
+    intents = scenario.label.intents if scenario.label is not None else ()
+    return ShippedScenario(input_name(path), _opening(path), input_name(scenario.network), intents)
+
+
+def _opening(path: Path) -> str:
+    """The comment that opens a file, as one line."""
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines)

@@ -1,0 +1,126 @@
+"""What is misspelt or would have no effect is refused by name, and what changes the next run is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_samples import ROOT, Program
+
+from sumo_adv.app import batch_parts
+from sumo_adv.batch.plan import make_plan
+from sumo_adv.benchmark.methods import method_of
+from sumo_adv.cli.bench import ROWS
+from sumo_adv.config import load_settings
+from sumo_adv.episode.bank_view import BankView
+from sumo_adv.errors import UsageError, nearest
+
+SCENARIOS = len(list((ROOT / "scenarios").glob("*.toml")))
+
+
+def refused(program: Program, *options: str) -> str:
+    """One sentence, and nothing has begun."""
+    before = program.leftovers()
+    done = program(*options)
+    assert (done.status, done.out, program.leftovers()) == (2, "", before), done.err
+    assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
+    return done.err
+
+
+# -- the inputs of a batch
+
+
+def test_a_batch_with_a_misspelt_input_runs_nothing(program: Program) -> None:
+    said = refused(program, "batch", "motorway_cut_in_left", "motorway_cut_in_lefd", "--out", "out")
+    assert "There is no file motorway_cut_in_lefd" in said and "the nearest is 'motorway_cut_in_left'" in said
+
+
+def test_a_batch_with_a_misspelt_ego_or_record_runs_nothing(program: Program) -> None:
+    said = refused(program, "batch", "motorway", "--egos", "idm,carefull", "--out", "out")
+    assert "There is no ego 'carefull'; the nearest is 'careful'" in said
+    assert "No record '3' that can be read is in the inputs" in refused(program, "batch", "motorway", "--records", "3")
+
+
+def test_the_shipped_scenarios_are_found_from_every_folder(program: Program) -> None:
+    done = program("batch", "scenarios", "--dry-run", "--json")
+    assert done.status == 0, done.err
+    names = {e["input"] for e in json.loads(done.out)["episodes"]}
+    assert len(names) == SCENARIOS and "motorway_cut_in_left" in names
+    assert program.leftovers() == []
+
+
+def test_a_pattern_of_shipped_scenarios_and_an_own_folder_of_that_name(tmp_path: Path) -> None:
+    plan = make_plan({"inputs": ["scenarios/motorway_*.toml"]}, tmp_path, "The plan", batch_parts())
+    assert [job.input.name for job in plan.jobs] == ["motorway_cut_in_left", "motorway_cut_in_right"]
+    (tmp_path / "scenarios").mkdir()
+    with pytest.raises(UsageError, match="holds no scenario"):
+        make_plan({"inputs": ["scenarios"]}, tmp_path, "The plan", batch_parts())
+
+
+# -- options without an effect
+
+
+@pytest.fixture
+def configuration(program: Program) -> str:
+    """A .sumocfg with traffic of its own."""
+    network = ROOT / "networks" / "motorway.net.xml"
+    routes = ROOT / "scenarios" / "demand" / "motorway_cut_in_left.rou.xml"
+    text = f'<configuration><net-file value="{network}"/><route-files value="{routes}"/></configuration>\n'
+    (program.folder / "own.sumocfg").write_text(text, encoding="utf-8")
+    return "own.sumocfg"
+
+
+def test_a_density_beside_own_traffic_is_refused(program: Program, configuration: str) -> None:
+    says = "own.sumocfg brings its own traffic, so --density 30 would have no effect"
+    assert says in refused(program, "run", configuration, "--density", "30", "--out", "out")
+    assert says in refused(program, "batch", configuration, "--set", "density=30", "--out", "out")
+
+
+# -- settings
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"atempts": 3}, "There is no setting 'atempts'; the nearest is 'attempts'."),
+        ({"limits": {"breaking": 3}}, "There is no setting 'limits.breaking'; the nearest is 'braking'."),
+        ({"qqq": 3}, "There is no setting 'qqq'."),
+    ],
+)
+def test_an_unknown_setting_names_the_nearest_one(given: dict[str, object], says: str) -> None:
+    with pytest.raises(UsageError) as told:
+        load_settings(None, **given)
+    assert str(told.value) == says
+
+
+def test_the_nearest_name_is_found_in_any_case() -> None:
+    assert nearest("ONCOMMING", ["leader", "oncoming"]) == "; the nearest is 'oncoming'"
+    assert nearest("ONCOMMING", ["leader"]) == ""
+
+
+# -- the memory bank
+
+
+def test_a_table_compares_with_banks_that_stay_as_they_are() -> None:
+    methods = [method_of(row) for row in ROWS]
+    assert not any(method.learns for method in methods if method is not None)
+
+
+def test_what_the_next_run_would_see_is_told_apart() -> None:
+    view = BankView(((0.0, "bv", "Shift", "a"),), {"idm": 0.9}, 0)
+    assert view.difference(view) == ""
+    learnt = BankView(((0.0, "bv", "Shift", "a"), (0.0, "bv", "Shift", "b")), {"idm": 0.6}, 0)
+    assert view.difference(learnt) == (
+        "The memory bank has learnt planners of Shift and how this ego drives: the same command may run differently "
+        "next time (--learn off keeps the bank as it is)."
+    )
+
+
+def test_a_run_says_what_it_has_learnt_of_an_unknown_driver(program: Program) -> None:
+    """The search knows the rules of idm; of a class of the user's it learns how it drives."""
+    options = ("--ego", "ego_samples:CalmEgo", "--attempts", "1", "--out", "out")
+    done = program("run", "leader_two_lanes", *options)
+    assert done.status == 0, done.err
+    assert "The memory bank has learnt how this ego drives: " in done.out
+    assert program("run", "leader_two_lanes", *options[2:], "--force").outcome["bank_change"] is None
