@@ -20,6 +20,7 @@ LEVELS = (
     ("agents",),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
+    ("regression", "comparison"),
     ("app",),
     ("cli", "api", "world", "__main__"),
 )
