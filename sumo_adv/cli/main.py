@@ -12,6 +12,7 @@ import typer
 from sumo_adv.cli import (
     batch,
     bench,
+    compare,
     convert,
     doctor,
     export,
@@ -43,6 +44,7 @@ app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)
 app.command("judge", epilog=judge.EXAMPLE)(judge.judge)
 app.command("keep", epilog=keep.EXAMPLE)(keep.keep)
 app.command("regress", epilog=regress.EXAMPLE)(regress.regress)
+app.command("compare", epilog=compare.EXAMPLE)(compare.compare)
 app.command("report", epilog=report.EXAMPLE)(report.report)
 app.command("figure", epilog=figure.EXAMPLE)(figure.figure)
 app.command("export", epilog=export.EXAMPLE)(export.export)
