@@ -20,7 +20,8 @@ LEVELS = (
     ("agents",),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
-    ("regression", "comparison"),
+    ("regression",),
+    ("comparison",),
     ("app",),
     ("cli", "api", "world", "__main__"),
 )
