@@ -59,12 +59,9 @@ def campaign(folder: Path, episodes: Sequence[tuple[str, str, Sequence[str]]], a
     return folder
 
 
-def figures(done: Comparison) -> dict[str, tuple[float, float, float | None]]:
+def figures(done: Comparison) -> dict[str, tuple[float, float, float]]:
     """Value of the first side, of the second, difference."""
-    return {
-        f.name: (f.first.value, f.second.value, None if f.difference is None else f.difference.difference)
-        for f in done.figures
-    }
+    return {f.name: (f.first.value, f.second.value, f.change) for f in done.figures}
 
 
 def test_two_regressions_are_paired_by_case(tmp_path: Path) -> None:
@@ -94,10 +91,22 @@ def test_two_campaigns_have_attempts_until_the_first_valid_one(tmp_path: Path) -
     assert [change.key for change in done.changes] == ["merge seed 0", "bend seed 0"]
 
 
+def test_a_difference_has_an_interval_from_six_pairs_on(tmp_path: Path) -> None:
+    names = "abcdef"
+    for many in (5, 6):
+        old = regression(tmp_path / f"old{many}", "first", [case(name, "valid", 2.0) for name in names[:many]])
+        new = regression(tmp_path / f"new{many}", "second", [case(name) for name in names[:many]])
+        valid = next(f for f in compare(read_side(old), read_side(new)).figures if f.name == "valid")
+        if many == 5:
+            assert (valid.change, valid.difference) == (-1.0, None)
+        else:
+            assert valid.difference is not None and valid.difference.p == 2 / 2**6  # McNemar: six of six
+
+
 def test_two_egos_of_one_campaign_are_chosen_by_name(tmp_path: Path) -> None:
     both = campaign(tmp_path / "c", [("bend", "idm", ["valid"]), ("bend", "careful", ["none"])])
     done = compare(read_side(both), read_side(both), ("idm", "careful"))
-    assert done.names == ("idm", "careful") and figures(done)["valid"] == (1.0, 0.0, None)  # one pair: no interval
+    assert done.names == ("idm", "careful") and figures(done)["valid"] == (1.0, 0.0, -1.0)
     whole = compare(read_side(both), read_side(both))
     assert [a.key for a, _ in whole.pairs] == ["bend seed 0", "bend seed 0"] and not whole.changes
     with pytest.raises(UsageError, match="no ego 'krauss'; it has idm, careful"):

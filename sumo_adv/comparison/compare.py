@@ -14,17 +14,23 @@ from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
 from sumo_adv.regression.measured import Result
 
 SCHEMA = 1
+LEAST = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One figure of both sides; ``difference``: second - first, paired, None with fewer than two encounters."""
+    """One figure of both sides; ``difference``: second - first, paired, None with fewer than ``LEAST`` pairs."""
 
     name: str
     unit: str
     first: Estimate
     second: Estimate
     difference: Paired | None
+
+    @property
+    def change(self) -> float:
+        """Second - first."""
+        return self.second.value - self.first.value
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,13 +148,17 @@ def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Fi
 def _rate(name: str, pairs: Sequence[tuple[Compared, Compared]], holds: Callable[[Compared], bool]) -> Figure:
     values = [[float(holds(e)) for e in side] for side in zip(*pairs, strict=True)]
     one, two = (wilson(int(sum(v)), len(v)) for v in values)
-    return Figure(name, "rate", one, two, paired(values[1], values[0], rate=True) if len(pairs) > 1 else None)
+    return Figure(name, "rate", one, two, _difference(values, rate=True))
 
 
 def _mean(name: str, unit: str, pairs: Sequence[tuple[Compared, Compared]], of: Callable[[Compared], float]) -> Figure:
     values = [[of(e) for e in side] for side in zip(*pairs, strict=True)]
     one, two = (bootstrap(v) for v in values)
-    return Figure(name, unit, one, two, paired(values[1], values[0], rate=False) if len(pairs) > 1 else None)
+    return Figure(name, unit, one, two, _difference(values, rate=False))
+
+
+def _difference(values: Sequence[Sequence[float]], *, rate: bool) -> Paired | None:
+    return paired(values[1], values[0], rate=rate) if len(values[0]) >= LEAST else None
 
 
 def _as_data(e: Compared) -> dict[str, Any]:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sumo_adv.benchmark.tables.markdown import grid, number, signed
-from sumo_adv.comparison.compare import Comparison, Figure
+from sumo_adv.comparison.compare import LEAST, Comparison, Figure
 from sumo_adv.comparison.side import Compared
 from sumo_adv.metrics.statistics import Estimate
 
-HOW = "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %."
+HOW = (
+    "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; "
+    f"without an interval where there are fewer than {LEAST} encounters."
+)
 MOST = 30  # changes shown
 Link = Callable[[Compared], str | None]
 """Where the replay of an episode is, None if there is none."""
@@ -62,12 +65,13 @@ def words(e: Compared) -> str:
 
 def _row(figure: Figure) -> list[str]:
     unit = f" [{figure.unit}]" if figure.unit not in ("", "rate") else ""
-    return [f"{figure.name}{unit}", _value(figure.first), _value(figure.second), signed(figure.difference)]
+    change = signed(figure.difference) if figure.difference is not None else f"{figure.change:+.2f}"
+    return [f"{figure.name}{unit}", *(_value(each, figure.unit) for each in (figure.first, figure.second)), change]
 
 
-def _value(estimate: Estimate) -> str:
-    """With an interval if there is more than one value."""
-    return number(estimate) if estimate.n > 1 else f"{estimate.value:.2f}"
+def _value(estimate: Estimate, unit: str) -> str:
+    """With an interval if it rests on enough encounters. Wilson's interval of a rate holds for any number."""
+    return number(estimate) if unit == "rate" or estimate.n >= LEAST else f"{estimate.value:.2f}"
 
 
 def _link(place: str | None, name: str) -> str:
