@@ -1,9 +1,10 @@
 """Two versions of one driver, for docs/first_week.md: the first looks ahead in its lane, the second all around."""
 
 import math
+from dataclasses import replace
 
 from sumo_adv import LaneSpeed, Observation
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import DriverModel, Guard, VehicleState
 
 HORIZON, STEP = 3.0, 0.25  # s: how far ahead the second version looks, and in which steps
 ROOM = 0.4  # m that it wants to have between itself and another vehicle
@@ -22,6 +23,10 @@ class First:
         """Leave the step to SUMO."""
         return None
 
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """SUMO's IDM drives, so the search need not find that out by trying."""
+        return replace(numbers, kind="idm", known=True)
+
 
 class Second(First):
     """Drives like the first, and brakes for every vehicle whose way crosses its own within three seconds."""
@@ -33,6 +38,10 @@ class Second(First):
         if any(meet(seen.ego, other) for other in seen.others):
             return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - BRAKING * seen.dt))
         return super().act(seen)
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """The same with an emergency brake."""
+        return replace(super().model_of(numbers), guard=Guard(HORIZON, reaction=0.0, deceleration=BRAKING))
 
 
 def meet(ego: VehicleState, other: VehicleState) -> bool:
