@@ -102,6 +102,29 @@ def json_text(value: Any, indent: int | None = None) -> str:
     return json.dumps(_plain(value), indent=indent, ensure_ascii=False, allow_nan=False, default=str) + "\n"
 
 
+def toml_text(text: str) -> str:
+    """A basic string of TOML: JSON's, with DEL escaped too."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def toml_value(value: Any) -> str:
+    """A string, truth, number or list as TOML writes it; a mapping becomes an inline table."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return toml_text(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{toml_text(str(k))} = {toml_value(v)}' for k, v in value.items())} }}"
+    return repr(value)
+
+
+def toml_lines(table: Mapping[str, Any]) -> list[str]:
+    """A table's keys, a line each; None is left out. Keys must be bare: letters, digits, ``_`` and ``-``."""
+    return [f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None]
+
+
 def _plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None

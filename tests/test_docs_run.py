@@ -73,6 +73,17 @@ def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, told: Tol
     assert (outcome["ending"], outcome["outcome"]["valid"]) == ("critical", True)
 
 
+def test_the_second_version_passes_what_the_first_one_fails(told: Told) -> None:
+    folder, wrong = told["docs/first_week.md"]
+    assert wrong.result() == []
+    found = {}
+    for version in ("First", "Second"):
+        file = folder / "runs" / f"two_versions:{version}" / "regress.json"
+        found[version] = json.loads(file.read_text(encoding="utf-8"))["counts"]
+    assert found["First"]["pass"] == 0 and found["Second"]["pass"] == found["First"]["fail"] >= 2
+    assert (folder / "runs" / "compared" / "compare.html").is_file()
+
+
 @pytest.mark.parametrize("page", ["README.md", "docs/first_hour.md"])
 def test_the_output_shown_is_the_output(page: str, told: Told) -> None:
     folder, wrong = told["docs/first_hour.md"]
@@ -95,5 +106,5 @@ def test_a_block_that_fails_is_told(tmp_path: Path) -> None:
 
 
 def test_the_stories_are_those_that_newcomers_need() -> None:
-    needed = {"first_hour", "ego", "planner", "bank", "campaign", "extend", "settings"}
+    needed = {"first_hour", "ego", "planner", "bank", "campaign", "extend", "settings", "first_week"}
     assert needed <= {page.stem for page in STORIES.values()}

@@ -20,6 +20,8 @@ LEVELS = (
     ("agents",),
     ("episode",),
     ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
+    ("regression",),
+    ("comparison",),
     ("app",),
     ("cli", "api", "api_batch", "world", "__main__"),
 )

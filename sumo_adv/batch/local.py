@@ -9,13 +9,13 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.nouns import Done, Job, Setup
+from sumo_adv.batch.nouns import Done, Job
 from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
@@ -77,13 +77,17 @@ class _Slot:
 
 @dataclass
 class LocalWorkers:
-    """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text)."""
+    """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
-    setup: Setup
+    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch.
+    """
+
+    setup: Any
     pace: Pace
     scratch: Path
     fail: Callable[[Job, str, str], Done]
     stop: Stop
+    make: Callable[[Any], AbstractContextManager[Any]] | None = None
     _slots: list[_Slot] = field(default_factory=list)
     _tried: dict[str, int] = field(default_factory=dict)
     _again: deque[Job] = field(default_factory=deque)
@@ -122,7 +126,7 @@ class LocalWorkers:
         variables = {**QUIET_VARIABLES, "TMPDIR": str(folder)}
         saved = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
-        process = context.Process(target=_work, args=(theirs, self.setup, folder / "log"))
+        process = context.Process(target=_work, args=(theirs, self.setup, folder / "log", self.make))
         try:
             with deaf():
                 process.start()
@@ -199,7 +203,9 @@ class LocalWorkers:
         slot.kill()
 
 
-def _work(connection: Connection, setup: Setup, log: Path) -> None:
+def _work(
+    connection: Connection, setup: Any, log: Path, make: Callable[[Any], AbstractContextManager[Any]] | None = None
+) -> None:
     """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
     import faulthandler
 
@@ -214,7 +220,7 @@ def _work(connection: Connection, setup: Setup, log: Path) -> None:
     from sumo_adv.batch.worker import Runner
 
     try:
-        with Runner(setup) as runner:
+        with (make or Runner)(setup) as runner:
             connection.send("ready")
             while True:
                 job, last = connection.recv()

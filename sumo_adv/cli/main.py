@@ -12,14 +12,17 @@ import typer
 from sumo_adv.cli import (
     batch,
     bench,
+    compare,
     convert,
     doctor,
     export,
     figure,
     import_fcd,
     judge,
+    keep,
     memory,
     minimise,
+    regress,
     report,
     run,
     scenarios,
@@ -41,6 +44,9 @@ app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
 app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)
 app.command("judge", epilog=judge.EXAMPLE)(judge.judge)
+app.command("keep", epilog=keep.EXAMPLE)(keep.keep)
+app.command("regress", epilog=regress.EXAMPLE)(regress.regress)
+app.command("compare", epilog=compare.EXAMPLE)(compare.compare)
 app.command("report", epilog=report.EXAMPLE)(report.report)
 app.command("figure", epilog=figure.EXAMPLE)(figure.figure)
 app.command("export", epilog=export.EXAMPLE)(export.export)

@@ -73,6 +73,14 @@ class Drive:
         """The newest states."""
         return self.recording.snapshots[-1]
 
+    @property
+    def driven_from(self) -> float | None:
+        """When the driver took over the ego [s]: the time of the newest state then. None without an ego."""
+        if self.ego is None or not self._takeovers:
+            return None
+        step = self._takeovers[-1][0]
+        return self.recording.snapshots[step - 1].time if step else self.now
+
     def left(self) -> int | None:
         """Steps until the log that is played back ends; None without a log."""
         last = math.inf if self.playback is None else self.playback.last(self.ego)

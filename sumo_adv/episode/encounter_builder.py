@@ -48,6 +48,7 @@ def build_encounter(
     *,
     checked: float = math.inf,
     passed_over: Sequence[str] = (),
+    delay: float | None = None,
 ) -> tuple[FoundEncounter, UnattackedMotion] | str:
     """The encounter that begins now, and its baseline; or why it is passed over.
 
@@ -55,19 +56,20 @@ def build_encounter(
         baseline_for: takes seconds from now and returns the baseline until then.
         checked: seconds from now within which the baseline must not be dangerous itself.
         passed_over: reasons why earlier encounters were passed over.
+        delay: the only delay after the trigger [s] at which an attack may begin; None = those of ``start_times.py``.
     """
     if not ranking or drive.ego is None:
         within = " within the ODD" if settings.odd is not None else ""
         return f"no {vehicles_of(settings.kind)} near could endanger the ego{within}"
     trigger, place = trigger_state(drive, ranking), place_of(road, drive)
     late = MOST_SHIFT if all(c.meets_ahead for c in ranking) else 0.0
-    baseline = baseline_for(settings.duration + max(settings.delays) + late)
+    baseline = baseline_for(settings.duration + max(max(settings.delays) + late, delay or 0.0))
     tracks = {name: t.between(-math.inf, trigger.time + checked) for name, t in baseline.tracks.items()}
     why, critical = danger(tracks, drive, trigger.time, settings.harmless_ttc, [c.id for c in ranking])
     if why:
         return why
     ranking = [c for c in ranking if c.id not in critical]
-    situations = build_situations(road, baseline.tracks, trigger, ranking, settings)
+    situations = build_situations(road, baseline.tracks, trigger, ranking, settings, delay)
     if not situations:
         return "the vehicles near it leave at once"
     order = tuple((c.id, c.relation, round(c.risk, 4)) for c in ranking)

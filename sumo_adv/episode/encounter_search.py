@@ -70,7 +70,7 @@ class EncounterSearch:
             step = len(drive.recording.snapshots)
             if drive.ego is None:
                 name = requested
-                if requested is not None and not (requested in snapshot.raw and drive.may_take_over(requested)):
+                if requested is not None and not self._may_begin(requested):
                     name = None
                 if requested is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
                     name = self._choose_ego(tried)
@@ -102,6 +102,12 @@ class EncounterSearch:
                 break
         self._moments += detector.moments
         return self._nothing(requested, detector)
+
+    def _may_begin(self, requested: str) -> bool:
+        """Whether the requested ego is there and its driver may take over now."""
+        drive, earliest = self.drive, self.task.driven_from
+        there = requested in drive.snapshot.raw and drive.may_take_over(requested)
+        return there and (earliest is None or drive.now >= earliest - 1e-6)
 
     def _watch(self) -> EncounterDetector:
         return EncounterDetector(

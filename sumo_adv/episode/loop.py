@@ -124,8 +124,14 @@ def replay_episode(
     episode = Episode(source, settings, task)
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
     found = recorded_encounter(episode, engine, proposal, skips)
-    if found is None:
-        return episode
+    if found is not None:
+        attack_once(episode, engine, sandbox, found, proposal)
+    return episode
+
+
+def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: FoundEncounter, proposal: Proposal) -> None:
+    """Run one given attempt in an encounter, with its reference drivers, and keep it as the only one."""
+    settings = episode.settings
     runner = AttemptRunner(engine, sandbox, found, settings.seed)
     result = runner.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
@@ -135,7 +141,6 @@ def replay_episode(
     settle_best(episode.refinement, runner)
     ok = settings.goal.met(episode.refinement.attempts[0].verdict)
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
-    return episode
 
 
 def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, skips: int) -> FoundEncounter | None:

@@ -79,13 +79,19 @@ def build_situations(
     trigger: TriggerState,
     ranking: Sequence[RankedVehicle],
     settings: Settings,
+    delay: float | None = None,
 ) -> dict[float, Situation]:
-    """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once."""
+    """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once.
+
+    delay: the only one that may be tried; None = those of ``start_times.py``.
+    """
 
     def at(moments: Sequence[float]) -> dict[float, Situation]:
         built = {delay: build_situation(road, tracks, trigger, ranking, settings, delay) for delay in moments}
         return {delay: situation for delay, situation in built.items() if situation is not None}
 
+    if delay is not None:
+        return at([delay])
     ahead = {name: track.between(trigger.time, math.inf) for name, track in tracks.items()}
     lateral = settings.limits.limits().lateral
     situations = at(delays(ranking, ahead, trigger.ego, settings))

@@ -27,6 +27,8 @@ class Task:
     """What the engine is opened with. ``ego``: an id, a route to insert it on, or None to choose one. Times in s.
 
     ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
+    driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
+    delay: the only delay after the trigger at which an attack may begin; None = those of ``start_times.py``.
     """
 
     spec: SimulationSpec
@@ -41,6 +43,8 @@ class Task:
     end: float
     playback: PlaybackSpec | None = None
     ego_given: GivenEgo | None = field(default=None, repr=False)
+    driven_from: float | None = None
+    delay: float | None = None
 
     def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
@@ -65,6 +69,7 @@ class FoundEncounter:
     last: bool = False  # no other encounter comes
     place: Place | None = None  # what surrounds the ego
     below_threshold: float | None = None  # the highest risk, where no moment of a recording reaches the threshold
+    driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
 
     @property
     def first(self) -> Situation:

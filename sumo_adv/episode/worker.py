@@ -6,6 +6,7 @@ milliseconds). Elsewhere it runs in place, and then the simulation is loaded aga
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from sumo_adv.episode.attempt import Driven, attack, leader
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
+from sumo_adv.episode.encounter_filter import LEAST
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
@@ -249,12 +251,15 @@ class Worker:
     def _survey(self, ranking: Sequence[RankedVehicle]) -> str:
         """Run on unattacked and describe the encounter. Why it is passed over, or empty."""
         self._trigger_step = len(self._drive.recording.snapshots)
+        given = self._task.delay is not None  # a given attack: what is dangerous later is for its verdict
         built = build_encounter(
-            self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed
-        )
+            self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed,
+            checked=LEAST + self._settings.step_length if given else math.inf, delay=self._task.delay,
+        )  # fmt: skip
         if isinstance(built, str):
             return built
-        self._encounter, baseline = built
+        encounter, baseline = built
+        self._encounter = replace(encounter, driven_from=self._drive.driven_from)
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 

@@ -7,7 +7,6 @@ like code.  Settings are left out: epsilon is calibrated where a bank is used.
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import tempfile
 import textwrap
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
+from sumo_adv.files import toml_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import EVIDENCE_FILE, Parse, read_sources
 from sumo_adv.memory.edits import Absorbed, free_mode
@@ -135,17 +135,17 @@ def _slug(name: str) -> str:
 
 def _toml(source: Source, names: dict[str, str]) -> str:
     intent = source.intent
-    wrapped = "\n".join(textwrap.wrap(_quoted(" ".join(intent.description.split()))[1:-1], 118, break_long_words=False,
-                                      break_on_hyphens=False))  # fmt: skip
+    words = toml_text(" ".join(intent.description.split()))[1:-1]
+    wrapped = "\n".join(textwrap.wrap(words, 118, break_long_words=False, break_on_hyphens=False))
     lines = [
-        f"label = {_quoted(intent.label)}",
+        f"label = {toml_text(intent.label)}",
         f'description = """\n{wrapped}\n"""',
-        f"applies = [{', '.join(map(_quoted, intent.applies))}]",
+        f"applies = [{', '.join(map(toml_text, intent.applies))}]",
     ]
     if intent.status != "active":
-        lines.append(f"status = {_quoted(intent.status)}")
+        lines.append(f"status = {toml_text(intent.status)}")
     if source.merged_into is not None:
-        lines.append(f"merged_into = {_quoted(source.merged_into)}")
+        lines.append(f"merged_into = {toml_text(source.merged_into)}")
     for planner in source.planners:
         name = names[planner.hash]
         more = {
@@ -154,12 +154,7 @@ def _toml(source: Source, names: dict[str, str]) -> str:
             "parent": planner.parent,
             "status": "retired" if planner.hash in source.retired else None,
         }
-        told = [f"{key} = {_quoted(value)}" for key, value in more.items() if value is not None]
+        told = [f"{key} = {toml_text(value)}" for key, value in more.items() if value is not None]
         if told:
             lines += ["", f"[planners.{name}]", *told]
     return "\n".join(lines) + "\n"
-
-
-def _quoted(text: str) -> str:
-    """A basic string of TOML: JSON's, with DEL escaped too."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -70,6 +70,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     task = Task(
         spec, settings, ego, m["ego_base_type"], m["ego_driver"], m["ego_parameters"], tuple(m["only"]), m["trigger"],
         m["warm_up"], m["end"], _playback(folder, m.get("playback"), spec.routes),
+        driven_from=m.get("driven_from"), delay=m.get("delay"),
     )  # fmt: skip
     a = m["attempt"]
     p = m["planners"][a["planner"]]

@@ -77,6 +77,7 @@ def _encounter(found: FoundEncounter) -> dict[str, Any]:
     return {
         "time": number(found.time), "passed_over": list(found.passed_over),
         "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
+        "driven_from": number(found.driven_from),
         "road": None if place is None or place.road is None else str(place.road),
         "ego_speed": None if place is None else number(place.speed),
         "limit": None if place is None else number(place.limit),
@@ -247,7 +248,8 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
-        "ego_parameters": dict(task.ego_parameters), "skips": episode.skips,
+        "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
+        "skips": episode.skips,
         "intents_allowed": list(episode.source.intents),
         "bank_hash": episode.bank_hash, "bandit": episode.bandit,
         "model_answers": None if asked is None else MODEL_FILE,

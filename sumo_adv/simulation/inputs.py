@@ -184,25 +184,33 @@ def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
 def _from_scenario(path: Path) -> RunInput:
     """A run from a scenario file, its demand and ids checked against one another."""
     scenario = load_scenario(path)
+    network = _named_network(path, scenario.network)
     routes, additional = scenario.demand.files, (*scenario.signals.files, *scenario.additional)
-    edges, scans = _scan_all(path, scenario.network, (*routes, *additional))
+    edges, scans = _scan_all(path, network, (*routes, *additional))
     playback = scenario_playback(scenario)
     recorded = frozenset() if playback is None else playback.vehicles
     if routes or recorded:
         _check_ids(path, scenario, scans, recorded)
     for edge in scenario.ego.route:
         if edge not in edges.edges:
-            raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {scenario.network} does not have.")
+            raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {network} does not have.")
     return RunInput(
-        name=input_name(path), source=path, network=scenario.network, routes=routes, additional=additional,
+        name=input_name(path), source=path, network=network, routes=routes, additional=additional,
         begin=_or(scenario.demand.begin, playback.begin if recorded and playback else None),
         end=_or(scenario.demand.end, playback.end if recorded and playback else None), density=scenario.demand.density,
         demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
         ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, intents=scenario.adversary.intents, label=scenario.label,
-        files=(path, scenario.network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
+        files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
     )  # fmt: skip
+
+
+def _named_network(path: Path, network: Path) -> Path:
+    """The network of the scenario at ``path``: the file that it names, else the shipped one of that name."""
+    shipped = data_folder("networks") / f"{network.name}.net.xml"
+    named = network.parent == path.parent and not network.suffix
+    return shipped if named and not network.exists() and shipped.is_file() else network
 
 
 def _or(value: float | None, default: float | None) -> float | None:

@@ -1,7 +1,7 @@
 """The scenario file: one encounter, or one place and its traffic, in TOML (``schema = 1``).
 
     schema = 1                              # version of this layout
-    network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder
+    network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder; or a shipped name
     tracks = "log.csv.gz"                   # recorded tracks with valid flags (``tracks.py``), from which time 0 on
     background = "sumo"                     # from the hand-over on: sumo | log (the BVs are driven by the tracks);
                                             # not given: log for an ego that is replayed, else sumo

@@ -46,13 +46,18 @@ class RunRead:
 
 def read_run(folder: Path) -> RunRead:
     """All that a page shows. Raises UsageError: no run's folder, or a file in it is damaged."""
-    if not (folder / OUTCOME).is_file():
-        raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
-    outcome = _json(folder / OUTCOME)
+    outcome = read_outcome(folder)
     manifest = _json(folder / MANIFEST) if (folder / MANIFEST).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
     lights = read_signals(folder / SIGNALS) if (folder / SIGNALS).is_file() else SignalLog({})
     return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights)
+
+
+def read_outcome(folder: Path) -> dict[str, Any]:
+    """``outcome.json`` of a run. Raises UsageError: no run's folder, or the file is damaged."""
+    if not (folder / OUTCOME).is_file():
+        raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
+    return _json(folder / OUTCOME)
 
 
 def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[Track]]]:

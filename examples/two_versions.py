@@ -1,0 +1,63 @@
+"""Two versions of one driver, for docs/first_week.md: the first looks ahead in its lane, the second all around."""
+
+import math
+from dataclasses import replace
+
+from sumo_adv import LaneSpeed, Observation
+from sumo_adv.datatypes import DriverModel, Guard, VehicleState
+
+HORIZON, STEP = 3.0, 0.25  # s: how far ahead the second version looks, and in which steps
+ROOM = 0.4  # m that it wants to have between itself and another vehicle
+BRAKING = 7.0  # m/s2
+
+
+class First:
+    """Follows its lane and the vehicle ahead as SUMO's driver does, and sees nothing else."""
+
+    name, forkable = "first", True  # nothing inside that could not be copied
+
+    def reset(self, seed: int) -> None:
+        """There is nothing to forget."""
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Leave the step to SUMO."""
+        return None
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """SUMO's IDM drives, so the search need not find that out by trying."""
+        return replace(numbers, kind="idm", known=True)
+
+
+class Second(First):
+    """Drives like the first, and brakes for every vehicle whose way crosses its own within three seconds."""
+
+    name = "second"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Brake where another vehicle, going on as it does now, would come too near; else leave the step to SUMO."""
+        if any(meet(seen.ego, other) for other in seen.others):
+            return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - BRAKING * seen.dt))
+        return super().act(seen)
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """The same with an emergency brake."""
+        return replace(super().model_of(numbers), guard=Guard(HORIZON, reaction=0.0, deceleration=BRAKING))
+
+
+def meet(ego: VehicleState, other: VehicleState) -> bool:
+    """Whether two vehicles that keep speed and heading come too near to each other. One behind is left out."""
+    forward, side = math.cos(ego.heading), math.sin(ego.heading)
+    x, y = other.x - ego.x, other.y - ego.y
+    turned = other.heading - ego.heading
+    ahead, left = x * forward + y * side, y * forward - x * side
+    length = (ego.length + other.length * abs(math.cos(turned)) + other.width * abs(math.sin(turned))) / 2
+    width = (ego.width + other.width * abs(math.cos(turned)) + other.length * abs(math.sin(turned))) / 2
+    if ahead < -length:
+        return False
+    for k in range(1, round(HORIZON / STEP) + 1):
+        time = k * STEP
+        along = ahead + (other.speed * math.cos(turned) - ego.speed) * time
+        across = left + other.speed * math.sin(turned) * time
+        if abs(along) < length + ROOM and abs(across) < width + ROOM:
+            return True
+    return False

@@ -1,0 +1,64 @@
+"""``keep``: found attacks as the cases of a regression suite."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sumo_adv.config import Until
+from sumo_adv.errors import UsageError
+
+EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regression"
+
+
+def keep(
+    given: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or that hold such.")],
+    suite: Annotated[Path, typer.Option(help="Folder of the suite; made if it is not there.")],
+    level: Annotated[
+        Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
+    ] = Until.COLLISION,
+    avoid: Annotated[
+        Until | None, typer.Option(help="Expect that the attack stays below this level (default: collision).")
+    ] = None,
+    min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a least TTC above this, s.")] = None,
+    no_worse: Annotated[
+        bool, typer.Option("--no-worse", help="Expect the ego to be no worse than in a baseline.")
+    ] = False,
+    name: Annotated[str | None, typer.Option(help="Of the case, for one RUN (default: input and seed).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Keep found attacks in a suite: scenario, planner, parameters and trigger, in a folder a case.
+
+    The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
+    """
+    from sumo_adv.regression.case import Expectation
+    from sumo_adv.regression.keep import keep_run, level_of
+    from sumo_adv.report.judging import run_folders
+    from sumo_adv.report.page.read import read_outcome
+
+    if avoid is None and min_ttc is None and not no_worse:
+        avoid = Until.COLLISION
+    level_name = None if avoid is None else str(avoid.level)
+    expect = Expectation.model_validate({"avoid": level_name, "min_ttc": min_ttc, "no_worse": no_worse})
+    runs = run_folders(given)
+    if name is not None and len(runs) != 1:
+        raise UsageError(f"--name is for one run, and {len(runs)} were given.")
+    kept, again, left = list[Path](), list[Path](), list[Path]()
+    for run in runs:
+        if run not in given and level_of(read_outcome(run)) < level.level:
+            left.append(run)
+            continue
+        folder, new = keep_run(run, suite, expect, name)
+        (kept if new else again).append(folder)
+    if as_json:
+        names = {"kept": kept, "there_already": again, "left_out": left}
+        typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))
+        return
+    for folder in kept:
+        typer.echo(f"Kept {folder}")
+    more = [f"{len(again)} there already"] if again else []
+    more += [f"{len(left)} left out (below {level})"] if left else []
+    typer.echo(f"{len(kept)} cases into {suite}{''.join(', ' + each for each in more)}.")

@@ -1,0 +1,96 @@
+"""A comparison as a folder to look at: one page, and beside it the replay of both runs of each case that changed.
+
+OUT/compare.html    figures, and the cases that changed with links
+OUT/compare.md      the same as text
+OUT/compare.json    the same as data
+OUT/pages/          the replays; by the place of the case among those that changed, and by side
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+from sumo_adv.comparison.compare import Comparison
+from sumo_adv.comparison.markdown import HOW, notes, rows, to_markdown, words
+from sumo_adv.comparison.side import Compared
+from sumo_adv.errors import UsageError
+from sumo_adv.files import json_text, sentences, write_text
+from sumo_adv.report.folder import staged
+from sumo_adv.report.page.document import write_document
+from sumo_adv.report.page.make import page_of
+
+PAGE = "compare.html"
+HEAD = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
+table {{ border-collapse: collapse; margin: 1rem 0 }}
+th, td {{ text-align: left; padding: .3rem .8rem; border-bottom: 1px solid #8886 }}
+</style>
+</head>
+<body>
+"""
+
+
+def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
+    """Write the folder; its page. Raises UsageError: it is taken or cannot be written."""
+    with staged(out, force=force, marker=PAGE) as folder, sentences(out):
+        links: dict[Path, str] = {}
+        for k, change in enumerate(done.changes, 1):
+            for side, episode in enumerate((change.first, change.second), 1):
+                name = f"pages/{k}-{side}.html"
+                if episode.run is not None and _replay(episode.run, folder.stage / name):
+                    links[episode.run] = name
+        write_text(folder.stage / "compare.md", to_markdown(done, lambda e: _link(e, links)) + "\n")
+        write_text(folder.stage / "compare.json", json_text(done.document(), 2))
+        write_document(folder.stage / PAGE, html(done, links))
+        folder.keep(force=force)
+    return out / PAGE
+
+
+def _replay(run: Path, target: Path) -> bool:
+    """Write the replay of a run; False if the run cannot be shown."""
+    try:
+        write_document(target, page_of(run, back=f"../{PAGE}").html)
+    except UsageError:
+        return False
+    return True
+
+
+def _link(episode: Compared, links: Mapping[Path, str]) -> str | None:
+    return None if episode.run is None else links.get(episode.run)
+
+
+def html(done: Comparison, links: Mapping[Path, str]) -> str:
+    """The page. ``links``: to the replays, by the folder of the run."""
+    one, two = done.names
+    head, *figures = rows(done)
+    worse = sum(change.worse for change in done.changes)
+    changes = [[escape(c.key), *(_shown(e, links) for e in (c.first, c.second))] for c in done.changes]
+    return "\n".join([
+        HEAD.format(title=escape(f"{one} and {two}")), f"<h1>{escape(f'{one} and {two}')}</h1>",
+        f"<p>{escape(' '.join(notes(done)))}</p>",
+        *_table([escape(cell) for cell in head], [[escape(cell) for cell in row] for row in figures]),
+        f"<h2>Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)</h2>",
+        *_table(["case", escape(one), escape(two)], changes), f"<p>{escape(HOW)}</p>", "</body>", "</html>", "",
+    ])  # fmt: skip
+
+
+def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
+    """What an episode came to; it leads to its replay."""
+    said, link = escape(words(episode)), _link(episode, links)
+    return said if link is None else f'<a href="{escape(link)}">{said}</a>'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table of cells that are HTML."""
+    lines = ["<table>", f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
+    return [*lines, *(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows), "</table>"]

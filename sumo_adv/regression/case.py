@@ -1,0 +1,188 @@
+"""One kept attack: the folder of a case, read and checked.
+
+SUITE/networks/NAME.net.xml    networks that do not come with the program, once each
+SUITE/CASE/scenario.toml       road, traffic, ego and trigger: an input of ``sumo-adv run`` like any other
+SUITE/CASE/planner.py          the adversary's planner; it only ever runs in the sandbox, unless it is a shipped one
+SUITE/CASE/case.toml           the attack and what is expected of the ego:
+
+schema = 1
+[expect]                       # all that stand here must hold; edit them
+avoid = "collision"            # the attack must not reach this level: critical, collision, valid, strict, serious
+min_ttc = 1.5                  # the least TTC must stay above this [s]
+no_worse = true                # than in the file of --baseline
+[attack]
+adversary = "beside"           # drives again by its planner, against what this ego does
+relation = "neighbour"         # of the adversary to the ego at the trigger; with another one there is no encounter
+intent = "Straight Lane Shift"
+mode = "drift"
+origin = "seed"                # of the planner: seed, expert, person, or a model's name
+delay = 1.5                    # s after the trigger until the adversary is taken over
+acceleration = 0.5             # m/s2, or knots [[s, m/s2], ..]
+ego_driven_from = 4.0          # s: the ego's driver takes over then (left out: as soon as the ego is there)
+network = "0b6a5f1c2d3e"       # the first digits of the network's SHA-256
+[attack.parameters]            # of the planner
+[settings]                     # those that shape the run
+[found]                        # what the attack came to where it was found; nothing depends on it
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import Level, Proposal, acceleration_of
+from sumo_adv.errors import SandboxError, UsageError
+from sumo_adv.planners.source import make_planner
+from sumo_adv.simulation.inputs import RunInput, load_input
+
+SCHEMA = 1
+CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
+HASH_DIGITS = 12
+SHAPING = ("seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits")
+"""The settings that shape the run of one given attack, all that a case may set; the horizon stands in its scenario."""
+Avoided = Literal["critical", "collision", "valid", "strict", "serious"]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Expectation(_Table):
+    """What is expected of the ego; everything that is given must hold. ``min_ttc`` [s]."""
+
+    avoid: Avoided | None = None
+    min_ttc: Annotated[float, Field(ge=0.0)] | None = None
+    no_worse: bool = False
+
+    @model_validator(mode="after")
+    def _something(self) -> Expectation:
+        if self.avoid is None and self.min_ttc is None and not self.no_worse:
+            raise ValueError("give avoid, min_ttc or no_worse = true")
+        return self
+
+    @property
+    def level(self) -> Level | None:
+        """The level that must not be reached."""
+        return None if self.avoid is None else Level[self.avoid.upper()]
+
+
+class _Attack(_Table):
+    adversary: str
+    relation: str
+    intent: str
+    mode: str
+    origin: str
+    delay: Annotated[float, Field(ge=0.0)]
+    acceleration: Any
+    ego_driven_from: Finite | None = None
+    network: str
+    parameters: dict[str, Finite] = Field(default_factory=dict)
+
+
+class _File(_Table):
+    schema_version: Literal[1] = Field(alias="schema")
+    expect: Expectation = Expectation(avoid="collision")
+    attack: _Attack
+    settings: dict[str, Any] = Field(default_factory=dict)
+    found: dict[str, Any] = Field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A kept attack. ``settings``: those that shape the run, as data; ``found``: what it came to where it was found.
+
+    relation: of the adversary to the ego at the trigger. ego_driven_from: the earliest time at which the ego's driver
+    takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
+    """
+
+    name: str
+    folder: Path
+    source: RunInput
+    proposal: Proposal
+    relation: str
+    expect: Expectation
+    ego_driven_from: float | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    found: Mapping[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def read_suite(folder: Path) -> list[Case]:
+    """The cases of a suite, by name. Raises UsageError: there are none, or one of them is damaged."""
+    if (folder / CASE_FILE).is_file():
+        return [read_case(folder)]
+    files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
+    if not files:
+        raise UsageError(f"{folder} holds no case: give a folder that sumo-adv keep has made.")
+    return [read_case(file.parent) for file in files]
+
+
+def read_case(folder: Path) -> Case:
+    """The case in a folder, checked. Raises UsageError: a file is missing, damaged, or does not fit the others."""
+    file = folder / CASE_FILE
+    given = _parsed(file)
+    source = load_input(folder / SCENARIO_FILE)
+    attack = given.attack
+    if source.trigger == "auto" or source.candidates != (attack.adversary,):
+        raise UsageError(
+            f"The scenario of the case {folder} needs a trigger [s], and as its only candidate '{attack.adversary}'."
+        )
+    if source.ego is None:
+        raise UsageError(f"The scenario of the case {folder} names no ego: give it an id or a route.")
+    try:
+        text = (folder / PLANNER_FILE).read_text(encoding="utf-8")
+        planner = make_planner(attack.intent, attack.mode, text, attack.origin)
+        acceleration = acceleration_of(attack.acceleration)
+    except (OSError, ValueError, SandboxError) as error:
+        raise UsageError(f"The planner of the case {folder} cannot be used ({error}).") from error
+    numbers = {**planner.defaults(), **attack.parameters}
+    unknown = sorted(numbers.keys() - planner.defaults().keys())
+    if unknown:
+        raise UsageError(f"{file} has the parameter '{unknown[0]}', which the planner does not have.")
+    strange = sorted(given.settings.keys() - set(SHAPING))
+    if strange:
+        raise UsageError(f"{file} sets '{strange[0]}', which a case does not; it may set {', '.join(SHAPING)}.")
+    load_settings(None, **given.settings)
+    proposal = Proposal(
+        attack.adversary, attack.intent, planner, numbers, acceleration, attack.delay, by="kept"
+    )  # fmt: skip
+    changed = hash_of(source.network) != attack.network
+    note = f"{folder.resolve().name}: the network {source.network.name} is not the one that the case was kept with."
+    return Case(
+        folder.resolve().name, folder, source, proposal, attack.relation, given.expect, attack.ego_driven_from,
+        given.settings, given.found, (note,) if changed else (),
+    )  # fmt: skip
+
+
+def hash_of(file: Path) -> str:
+    """The first digits of the SHA-256 of a file."""
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:HASH_DIGITS]
+
+
+def needs_baseline(cases: Sequence[Case]) -> list[str]:
+    """The names of the cases that are compared with a baseline."""
+    return [case.name for case in cases if case.expect.no_worse]
+
+
+def _parsed(file: Path) -> _File:
+    try:
+        return _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UsageError(f"The case {file} cannot be read ({error}).") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            raise UsageError(f"The case {file} has an unknown key '{key}'.") from error
+        if first["type"] == "missing":
+            raise UsageError(f"The case {file} lacks the key '{key}'.") from error
+        reason = first["msg"].removeprefix("Value error, ")
+        raise UsageError(f"The case {file} has a bad '{key}': {reason[:1].lower()}{reason[1:]}.") from error

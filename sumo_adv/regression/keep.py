@@ -1,0 +1,206 @@
+"""From the folder of a run to the folder of a case: what ``sumo-adv keep`` writes."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Level, plain_acceleration
+from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences, toml_lines
+from sumo_adv.regression.case import (
+    CASE_FILE,
+    NETWORKS,
+    PLANNER_FILE,
+    SCENARIO_FILE,
+    SCHEMA,
+    SHAPING,
+    Expectation,
+    hash_of,
+    read_case,
+)
+from sumo_adv.report.folder import staged
+from sumo_adv.report.manifest import Recorded, read_manifest
+from sumo_adv.report.page.read import read_outcome
+from sumo_adv.simulation.inputs import EgoRoute, data_folder
+from sumo_adv.simulation.props import Prop
+
+FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")
+HASH_AND_DASH = 13  # characters in front of an input's own name in a run's folder
+PROPS = {"parked": "parked", "pedestrian": "pedestrians", "cyclist": "cyclists"}
+
+
+def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = None) -> tuple[Path, bool]:
+    """Write the attack of a run as a case into a suite; its folder, and whether it is new.
+
+    name: of the case; by default that of the input with the seed, and a number where that is taken by another attack.
+
+    Raises:
+        UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
+            cannot be written.
+    """
+    recorded, outcome = read_manifest(run), read_outcome(run)
+    level = level_of(outcome)
+    if level is Level.NONE:
+        raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
+    encounter = outcome.get("encounter") or {}
+    relation = next((r["relation"] for r in encounter.get("ranking", ()) if r["id"] == recorded.proposal.bv), None)
+    if relation is None:
+        raise UsageError(f"{run} does not say how its adversary stood to the ego; run the attack again.")
+    texts = {
+        SCENARIO_FILE: _scenario(recorded, outcome, suite),
+        PLANNER_FILE: recorded.proposal.planner.source,
+        CASE_FILE: _case(recorded, outcome, relation, expect),
+    }
+    with sentences(suite):
+        folder = _place(suite, name or _slug(f"{recorded.source.name}-{recorded.settings.seed}"), texts, fixed=name)
+        if folder.exists():
+            return folder, False
+        with staged(folder, force=False) as made:
+            for file, text in texts.items():
+                (made.stage / file).write_text(text, encoding="utf-8")
+            for copy, target in _traffic(recorded).items():
+                shutil.copyfile(copy, made.stage / target)
+            _copy_network(recorded.task.spec.network, suite)
+            made.keep(force=False)
+    read_case(folder)
+    return folder, True
+
+
+def level_of(outcome: Mapping[str, Any]) -> Level:
+    """The level that the attempt that counts reached."""
+    return Level[str((outcome.get("outcome") or {}).get("level") or "none").upper()]
+
+
+def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | None) -> Path:
+    """A folder that is free, or holds the same case. Raises UsageError: the fixed name is taken."""
+    for k in range(1, 10_000):
+        folder = suite / (name if k == 1 else f"{name}-{k}")
+        if not folder.exists() or _same(folder, texts):
+            return folder
+        if fixed is not None:
+            break
+    raise UsageError(f"The suite {suite} has another case '{name}'; give another --name.")
+
+
+def _same(folder: Path, texts: Mapping[str, str]) -> bool:
+    """Whether a folder holds the same attack; its expectation may have been edited."""
+    held = {name: (folder / name).read_text(encoding="utf-8") for name in texts if (folder / name).is_file()}
+    attack = [text[CASE_FILE].partition("[attack]")[2] for text in (held, texts) if CASE_FILE in text]
+    same = all(held.get(name) == text for name, text in texts.items() if name != CASE_FILE)
+    return same and len(attack) == 2 and attack[0] == attack[1]
+
+
+def _slug(name: str) -> str:
+    return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name).strip(".-") or "case"
+
+
+def _traffic(recorded: Recorded) -> dict[Path, str]:
+    """The run's copies of demand, additional files and what is played back, and what they are called in the case."""
+    spec, played = recorded.task.spec, recorded.task.playback
+    files = (*spec.routes, *spec.additional, *(played.files if played is not None else ()))
+    names: dict[Path, str] = {}
+    for file in files:
+        own = file.name[HASH_AND_DASH:]
+        taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, PLANNER_FILE)
+        names.setdefault(file, f"{len(names)}-{own}" if taken else own)
+    return names
+
+
+# -- the network ------------------------------------------------------------------------------------------------------
+
+
+def _network(network: Path, suite: Path) -> str:
+    """What the scenario calls a network: the name of a shipped one, or the path of its copy in the suite."""
+    own = network.name[HASH_AND_DASH:]
+    shipped = data_folder("networks") / own
+    if shipped.is_file() and hash_of(shipped) == hash_of(network):
+        return own.removesuffix(".net.xml")
+    return f"../{NETWORKS}/{_copy_of(network, suite).name}"
+
+
+def _copy_of(network: Path, suite: Path) -> Path:
+    """Where the suite has its copy of a network; with its hash in the name if another network has that name."""
+    copy = suite / NETWORKS / network.name[HASH_AND_DASH:]
+    return copy.with_name(network.name) if copy.exists() and hash_of(copy) != hash_of(network) else copy
+
+
+def _copy_network(network: Path, suite: Path) -> None:
+    if not _network(network, suite).startswith(".."):
+        return
+    target = _copy_of(network, suite)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if not target.exists():
+        shutil.copyfile(network, target)
+
+
+# -- the texts --------------------------------------------------------------------------------------------------------
+
+
+def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> str:
+    task, settings = recorded.task, recorded.settings
+    spec, played, files = task.spec, task.playback, _traffic(recorded)
+    found = outcome["encounter"]
+    top = {
+        "schema": 1, "network": _network(spec.network, suite),
+        "tracks": files[played.tracks] if played is not None and played.tracks is not None else None,
+        "background": played.background if played is not None and played.tracks is not None else None,
+        "additional": [files[f] for f in spec.additional] or None,
+    }  # fmt: skip
+    demand = {"files": [files[f] for f in spec.routes] or None, "begin": spec.begin, "end": task.end}
+    window = {"warm_up": task.warm_up, "trigger": found["time"], "horizon": settings.horizon}
+    lines = [
+        *toml_lines(top), "", "[demand]", *toml_lines(demand), "", "[ego]",
+        *toml_lines(_ego(task.ego, str(outcome["ego"]["id"]))),
+        *toml_lines({"controller": task.ego_driver, "type": task.ego_base_type}),
+        *toml_lines({"parameters": dict(task.ego_parameters) or None}), "", "[window]", *toml_lines(window),
+        "", "[adversary]", *toml_lines({"candidates": [recorded.proposal.bv]}),
+    ]  # fmt: skip
+    if played is not None and played.signals is not None:
+        lines += ["", "[signals]", *toml_lines({"log": files[played.signals]})]
+    for prop in played.props if played is not None else ():
+        lines += ["", f"[[{PROPS[prop.id.rstrip('0123456789')]}]]", *toml_lines(_box(prop))]
+    return "\n".join(lines) + "\n"
+
+
+def _ego(ego: str | EgoRoute | None, name: str) -> dict[str, Any]:
+    """An ego that the run chose among the traffic is named."""
+    if not isinstance(ego, EgoRoute):
+        return {"id": name}
+    return {
+        "route": list(ego.edges), "depart": ego.depart, "lane": ego.lane, "position": ego.position, "speed": ego.speed
+    }  # fmt: skip
+
+
+def _box(prop: Prop) -> dict[str, Any]:
+    keys = ("x", "y", "heading", "length", "width", "speed")
+    always = prop.start == 0.0 and math.isinf(prop.end)
+    return {k: getattr(prop, k) for k in keys} | {"times": None if always else [prop.start, prop.end]}
+
+
+def _case(recorded: Recorded, outcome: Mapping[str, Any], relation: str, expect: Expectation) -> str:
+    p, task = recorded.proposal, recorded.task
+    encounter, verdict = outcome["encounter"], outcome["outcome"]
+    attack = {
+        "adversary": p.bv, "relation": relation, "intent": p.label, "mode": p.planner.mode, "origin": p.planner.origin,
+        "delay": p.delay, "acceleration": plain_acceleration(p.acceleration),
+        "ego_driven_from": encounter.get("driven_from") if task.ego is None else task.driven_from,
+        "network": hash_of(task.spec.network),
+    }  # fmt: skip
+    expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}
+    found = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
+    lines = [
+        f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
+        "[attack.parameters]", *toml_lines(dict(p.parameters)), "", "[settings]", *_settings(recorded.settings), "",
+        "[found]", *toml_lines(found),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _settings(settings: Settings) -> Sequence[str]:
+    shaping = settings.model_dump(mode="json", include=set(SHAPING))
+    return toml_lines({k: shaping[k] for k in SHAPING})

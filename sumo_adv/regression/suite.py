@@ -1,0 +1,130 @@
+"""All cases of a suite against one driver: run on worker processes, judged, and kept in a folder.
+
+OUT/regress.json    results and measurements; the file that --baseline takes
+OUT/results.csv     a row a case, as a batch has it: sumo-adv report OUT makes an index with the replays
+OUT/runs/CASE/      the run of each case that came to its encounter
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from sumo_adv.batch.local import LocalWorkers, Pace, Stop
+from sumo_adv.batch.nouns import Done, Row
+from sumo_adv.batch.results import read_row, write_csv
+from sumo_adv.drivers import make_ego
+from sumo_adv.errors import UsageError
+from sumo_adv.files import json_text, sentences, write_text
+from sumo_adv.regression.case import Case, needs_baseline
+from sumo_adv.regression.measured import UNTESTED, Judged, Measured, Result, judged, measured_of
+from sumo_adv.regression.runner import CaseJob, CaseRunner, Setup
+from sumo_adv.report.folder import staged
+from sumo_adv.report.outcome import versions
+
+SCHEMA = 1
+RESULTS = "regress.json"
+DEADLINE = 300.0  # s after which a case is held to be stuck; one takes a few seconds
+RECYCLE = 200  # cases after which a worker process is replaced
+
+
+@dataclass(frozen=True, slots=True)
+class SuiteRun:
+    """What a suite came to: its cases in order."""
+
+    suite: str
+    ego: str
+    cases: Sequence[Judged]
+
+    @property
+    def counts(self) -> Mapping[Result, int]:
+        """How many cases have each result."""
+        found = Counter(case.result for case in self.cases)
+        return {result: found[result] for result in Result}
+
+    def passed(self, *, allow_untested: bool) -> bool:
+        """Whether all cases pass, leaving out those that say nothing about the ego if they are allowed."""
+        fine = {Result.PASS, *(UNTESTED if allow_untested else ())}
+        return all(case.result in fine for case in self.cases)
+
+    def document(self) -> dict[str, Any]:
+        """As the JSON file has it."""
+        return {
+            "schema": SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
+            "counts": {str(result): many for result, many in self.counts.items()},
+            "cases": [case.row() for case in self.cases],
+        }  # fmt: skip
+
+
+def run_suite(
+    cases: Sequence[Case], suite: str, ego: str, out: Path, *, workers: int, force: bool,
+    baseline: Mapping[str, Measured] | None = None, tell: Callable[[Judged], None] = lambda case: None,
+) -> SuiteRun:  # fmt: skip
+    """Run each case once against ``ego``, and write ``out``. ``tell``: called with each case when it is done.
+
+    Raises:
+        UsageError: no such ego, a case without its baseline, or ``out`` is taken or cannot be written.
+        SumoAdvError: no worker process starts.
+    """
+    make_ego(ego, {})
+    lacking = [name for name in needs_baseline(cases) if baseline is None or name not in baseline]
+    if lacking:
+        where = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
+        raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {where}.")
+    found: dict[str, Judged] = {}
+    by_name = {case.name: case for case in cases}
+
+    def told(job: Any, done: Done) -> None:
+        measured = Measured(**(done.row or {}))
+        found[job.id] = judged(by_name[job.id], measured, (baseline or {}).get(job.id))
+        tell(found[job.id])
+
+    def failed(job: Any, why: str, text: str) -> Done:
+        return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
+
+    with staged(out, force=force, marker=RESULTS) as folder, sentences(out):
+        runs, scratch = folder.stage / "runs", folder.stage / ".workers"
+        runs.mkdir()
+        scratch.mkdir()
+        jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
+        setup, pace = Setup(runs.absolute(), ego), Pace(workers, DEADLINE, RECYCLE)
+        with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
+            pool.run(jobs, told)  # type: ignore[arg-type]
+        scratch.rmdir()
+        whole = SuiteRun(suite, ego, [found[case.name] for case in cases])
+        _write(folder.stage, whole)
+        folder.keep(force=force)
+    return whole
+
+
+def _write(folder: Path, whole: SuiteRun) -> None:
+    write_text(folder / RESULTS, json_text(whole.document(), 2))
+    rows: list[Row] = [row for run in sorted((folder / "runs").iterdir()) if (row := read_row(run)) is not None]
+    write_csv(folder / "results.csv", rows, [])
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """The JSON file of a suite's run, or that in its folder. Raises UsageError."""
+    file = path / RESULTS if path.is_dir() else path
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        if document["schema"] != SCHEMA:
+            raise UsageError(f"{file} has schema {document['schema']}; this program reads {SCHEMA}.")
+        return {**document, "cases": list(document["cases"])}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{file} is not what sumo-adv regress writes ({error}); give its {RESULTS}.") from error
+
+
+def read_baseline(path: Path) -> dict[str, Measured]:
+    """The measurements of another run of the suite, by case. Raises UsageError."""
+    try:
+        return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
+    except (ValidationError, AttributeError) as error:
+        raise UsageError(f"The baseline {path} cannot be read; run it again.") from error

@@ -1,0 +1,62 @@
+"""Cases for the tests of ``keep``, ``regress`` and ``compare``, and drivers that meet them in their own way."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from ego_samples import CalmEgo
+
+import sumo_adv
+from sumo_adv.drivers import LaneSpeed, Observation
+from sumo_adv.regression.case import Expectation
+from sumo_adv.regression.keep import keep_run
+
+FOUND = "priority_straight_from_right"
+LOOPS = """\
+PARAMETERS = {"gap": (3.0, 1.0, 9.0, "m", "not used")}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    while True:
+        pass
+"""
+
+
+class StandingEgo(CalmEgo):
+    """Comes to a stop and stays there, so it never reaches a trigger's situation."""
+
+    name = "standing"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Stop."""
+        return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - 5.0 * seen.dt))
+
+
+class BrokenEgo(CalmEgo):
+    """Raises as soon as it drives."""
+
+    name = "broken"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Fail."""
+        raise RuntimeError("the driver fell asleep")
+
+
+@cache
+def attacked() -> Path:
+    """The folder of a run in which SUMO's IDM is hit by a vehicle that crosses its way."""
+    home = Path(tempfile.mkdtemp(prefix="sumo_adv-tests-"))
+    atexit.register(shutil.rmtree, home, ignore_errors=True)
+    settings = {"until": "valid", "attempts": 8, "learn": "off", "memory": home / "bank.sqlite"}
+    return sumo_adv.run(FOUND, out=home / "run", ego="idm", **settings).folder
+
+
+def suite_in(folder: Path, *names: str, expect: Expectation | None = None) -> Path:
+    """A suite with the attack kept once under each name, by default once."""
+    for name in names or ("crossing",):
+        keep_run(attacked(), folder / "suite", expect or Expectation(avoid="collision"), name)
+    return folder / "suite"

@@ -1,0 +1,166 @@
+"""``compare``: two sides paired by encounter, with figures worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import Program
+from regression_samples import attacked
+
+from sumo_adv.batch.results import row_of, write_csv
+from sumo_adv.comparison.compare import Comparison, compare
+from sumo_adv.comparison.markdown import to_markdown
+from sumo_adv.comparison.page import html
+from sumo_adv.comparison.side import read_side
+from sumo_adv.errors import UsageError
+
+
+def case(name: str, level: str = "none", delta_v: float | None = None, **more: Any) -> dict[str, Any]:
+    """A row of ``regress.json``; a collision has a delta-v."""
+    hit = delta_v is not None
+    result = "fail" if hit else "pass"
+    figures = {"level": level, "collided": hit, "delta_v": delta_v, "min_ttc": 0.0 if hit else 2.0}
+    return {"case": name, "result": result, **figures, **more}
+
+
+def regression(folder: Path, ego: str, cases: Sequence[dict[str, Any]]) -> Path:
+    folder.mkdir()
+    document = {"schema": 1, "suite": "s", "ego": ego, "cases": [{"ego": ego, **each} for each in cases]}
+    (folder / "regress.json").write_text(json.dumps(document))
+    return folder
+
+
+def attempt(level: str) -> dict[str, Any]:
+    return {"level": level, "valid": level in ("valid", "strict", "serious")}
+
+
+def campaign(folder: Path, episodes: Sequence[tuple[str, str, Sequence[str]]], attempts: int = 5) -> Path:
+    """A campaign's folder: for each episode its input, its ego, and the levels of its attempts, the last of which
+    counts."""
+    rows = []
+    for k, (network, ego, levels) in enumerate(episodes):
+        best = levels[-1]
+        verdict = {"level": best, "collided": best != "none", "min_ttc": 0.5, "delta_v": 2.0, "severity": "minor"}
+        outcome = {
+            "ending": "critical", "reason": "", "network": network, "seed": 0, "ego": {"controller": ego},
+            "intent": None, "raw": None, "attempts": [attempt(level) for level in levels], "best": len(levels) - 1,
+            "outcome": verdict, "timing": {},
+        }  # fmt: skip
+        run = folder / "runs" / f"{k:016x}"
+        run.mkdir(parents=True)
+        (run / "outcome.json").write_text(json.dumps(outcome))
+        rows.append(row_of(run.name, outcome, False))
+    write_csv(folder / "results.csv", rows, [])
+    (folder / "plan.json").write_text(json.dumps({"settings": [{"attempts": attempts}]}))
+    return folder
+
+
+def figures(done: Comparison) -> dict[str, tuple[float, float, float]]:
+    """Value of the first side, of the second, difference."""
+    return {f.name: (f.first.value, f.second.value, f.change) for f in done.figures}
+
+
+def test_two_regressions_are_paired_by_case(tmp_path: Path) -> None:
+    old = regression(
+        tmp_path / "old", "first", [case("a", "serious", 4.0), case("b", "valid", 1.0), case("c"), case("gone")]
+    )
+    new = regression(tmp_path / "new", "second", [case("c", "collision", 0.5), case("a"), case("b", "valid", 1.0)])
+    done = compare(read_side(old), read_side(new))
+    assert (done.names, len(done.pairs), done.alone) == (("first", "second"), 3, (1, 0))
+    found = figures(done)
+    assert found["case fails"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert found["collision"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert found["serious"] == pytest.approx((1 / 3, 0.0, -1 / 3))
+    assert found["delta-v, 0 without a collision"] == pytest.approx((5 / 3, 0.5, 0.5 - 5 / 3))
+    assert found["min TTC, at most 10"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert "attempts until valid" not in found  # there is one attempt in each
+    assert [(c.key, c.worse) for c in done.changes] == [("c", True), ("a", False)]  # what got worse stands first
+
+
+def test_two_campaigns_have_attempts_until_the_first_valid_one(tmp_path: Path) -> None:
+    one = campaign(tmp_path / "one", [("bend", "idm", ["none", "valid"]), ("merge", "idm", ["serious"])])
+    two = campaign(tmp_path / "two", [("bend", "idm", ["none", "collision"]), ("merge", "idm", ["none", "valid"])])
+    done = compare(read_side(one), read_side(two))
+    assert done.names == ("one", "two")  # the same driver: two revisions
+    assert figures(done)["attempts until valid"] == (1.5, 4.0, 2.5)  # 2 and 1; none of 5 counts as 6, and 2
+    assert figures(done)["strict"] == (0.5, 0.0, -0.5)
+    assert [change.key for change in done.changes] == ["merge seed 0", "bend seed 0"]
+
+
+def test_a_difference_has_an_interval_from_six_pairs_on(tmp_path: Path) -> None:
+    names = "abcdef"
+    for many in (5, 6):
+        old = regression(tmp_path / f"old{many}", "first", [case(name, "valid", 2.0) for name in names[:many]])
+        new = regression(tmp_path / f"new{many}", "second", [case(name) for name in names[:many]])
+        valid = next(f for f in compare(read_side(old), read_side(new)).figures if f.name == "valid")
+        if many == 5:
+            assert (valid.change, valid.difference) == (-1.0, None)
+        else:
+            assert valid.difference is not None and valid.difference.p == 2 / 2**6  # McNemar: six of six
+
+
+def test_two_egos_of_one_campaign_are_chosen_by_name(tmp_path: Path) -> None:
+    both = campaign(tmp_path / "c", [("bend", "idm", ["valid"]), ("bend", "careful", ["none"])])
+    done = compare(read_side(both), read_side(both), ("idm", "careful"))
+    assert done.names == ("idm", "careful") and figures(done)["valid"] == (1.0, 0.0, -1.0)
+    whole = compare(read_side(both), read_side(both))
+    assert [a.key for a, _ in whole.pairs] == ["bend seed 0", "bend seed 0"] and not whole.changes
+    with pytest.raises(UsageError, match="no ego 'krauss'; it has idm, careful"):
+        compare(read_side(both), read_side(both), ("idm", "krauss"))
+    other = campaign(tmp_path / "d", [("bend", "eidm", ["valid"])])
+    with pytest.raises(UsageError, match="choose one of each with --egos"):
+        compare(read_side(both), read_side(other))
+
+
+def test_what_cannot_be_paired_is_said(tmp_path: Path) -> None:
+    one, two = (regression(tmp_path / name, name, [case(name)]) for name in "ab")
+    with pytest.raises(UsageError, match="no encounter in common"):
+        compare(read_side(one), read_side(two))
+    with pytest.raises(UsageError, match="holds no run, campaign, bench or regression"):
+        read_side(tmp_path)
+
+
+def test_a_failure_and_a_missed_encounter_stay_in_the_denominator(tmp_path: Path) -> None:
+    missed = case("b", broken="Gone.", missed=True, result="no encounter")
+    old = regression(tmp_path / "old", "first", [case("a", "valid", 1.0), case("b", "valid", 1.0)])
+    new = regression(tmp_path / "new", "second", [case("a", broken="It raised.", result="error"), missed])
+    done = compare(read_side(old), read_side(new))
+    assert figures(done)["valid"] == (1.0, 0.0, -1.0)
+    text = to_markdown(done, lambda _: None)
+    assert "Failed: 0 of first, 1 of second. Without an attack: 0 of first, 1 of second." in " ".join(text.splitlines())
+    assert "| no encounter |" in text and "| failed |" in text
+
+
+def test_the_page_shows_what_a_run_wrote_as_text(tmp_path: Path) -> None:
+    name = "<script>alert(1)</script>"
+    old = regression(tmp_path / "old", "first", [case(name, "valid", 1.0)])
+    new = regression(tmp_path / "new", name, [case(name)])
+    page = html(compare(read_side(old), read_side(new)), {})
+    assert "<script" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+
+
+def test_the_command_links_the_replays_of_both(program: Program) -> None:
+    for name, level in (("one", "serious"), ("two", "valid")):
+        folder = program.folder / name / "runs" / "crossing"
+        folder.parent.mkdir(parents=True)
+        folder.symlink_to(attacked())
+        document = {"schema": 1, "suite": "s", "cases": [case("crossing", level, 2.0, ego=name)]}
+        (program.folder / name / "regress.json").write_text(json.dumps(document))
+    done = program("compare", "one", "two", "--out", "out")
+    assert (done.status, done.err) == (0, "")
+    assert "[one](one/runs/crossing)" in done.out and "[two](two/runs/crossing)" in done.out
+    page = (program.folder / "out" / "compare.html").read_text()
+    assert '<a href="pages/1-1.html">fail: serious, delta-v 2.0 m/s</a>' in page
+    assert {p.name for p in (program.folder / "out" / "pages").iterdir()} == {"1-1.html", "1-2.html"}
+    data = json.loads(program("compare", "one", "two", "--json").out)
+    assert data["encounters"] == 1 and data["changes"][0]["second"]["run"] == "two/runs/crossing"
+    assert program("compare", "one", "two", "--egos", "one").status == 2
+
+
+def test_a_run_is_compared_with_itself(program: Program) -> None:
+    done = json.loads(program("compare", attacked(), attacked(), "--json").out)
+    assert done["encounters"] == 1 and done["changes"] == []

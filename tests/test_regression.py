@@ -1,0 +1,306 @@
+"""``keep`` and ``regress``: what a case holds, what it comes to against other drivers, and what is refused."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from cli_samples import ROOT, Done, Program, files_of
+from metrics_tracks import cruise
+from regression_samples import FOUND, LOOPS, attacked, suite_in
+
+from sumo_adv.errors import UsageError
+from sumo_adv.files import toml_lines
+from sumo_adv.metrics.ego_contacts import first_other_contact
+from sumo_adv.regression.case import Case, Expectation, read_case, read_suite
+from sumo_adv.regression.junit import junit
+from sumo_adv.regression.keep import keep_run
+from sumo_adv.regression.measured import Judged, Measured, Result, judged
+from sumo_adv.regression.suite import SuiteRun
+from sumo_adv.simulation.inputs import load_input
+
+CALM = Measured("one", "mine", min_ttc=2.0)
+HIT = Measured("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=3.0)
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A suite of one case."""
+    return suite_in(tmp_path_factory.mktemp("kept"))
+
+
+def case_of(suite: Path, **expect: Any) -> Case:
+    (case,) = read_suite(suite)
+    return Case(case.name, case.folder, case.source, case.proposal, case.relation, Expectation(**expect))
+
+
+def regress(program: Program, suite: Path, *options: str | Path) -> Done:
+    return program("regress", suite, "--workers", "1", "--out", "out", *options)
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """Of each case all that does not depend on the clock."""
+    cases = json.loads((folder / "regress.json").read_text(encoding="utf-8"))["cases"]
+    return [{key: value for key, value in case.items() if key != "seconds"} for case in cases]
+
+
+# -- what is expected of the ego
+
+
+@pytest.mark.parametrize(
+    ("expect", "measured", "result"),
+    [
+        ({"avoid": "collision"}, HIT, Result.FAIL),
+        ({"avoid": "serious"}, HIT, Result.PASS),  # strict is below serious
+        ({"avoid": "collision"}, CALM, Result.PASS),
+        ({"min_ttc": 1.5}, CALM, Result.PASS),
+        ({"min_ttc": 2.0}, CALM, Result.FAIL),  # it must stay above
+        ({"avoid": "collision", "min_ttc": 3.0}, CALM, Result.FAIL),  # both must hold
+        ({"min_ttc": 1.5}, Measured("one", "mine"), Result.PASS),  # never
+    ],
+)  # fmt: skip
+def test_an_expectation_is_met_or_not(suite: Path, expect: Any, measured: Measured, result: Result) -> None:
+    assert judged(case_of(suite, **expect), measured, None).result is result
+
+
+def test_what_says_nothing_about_the_ego_has_a_result_of_its_own(suite: Path) -> None:
+    case = case_of(suite, avoid="collision")
+    behind = Measured("one", "mine", collided=True, rear_end=True, min_ttc=0.0)
+    assert judged(case, behind, None).result is Result.PASS
+    assert "ego's back" in judged(case, behind, None).why
+    flown = Measured("one", "mine", collided=True, failed_gates=("off_road",), min_ttc=0.0)
+    assert judged(case, flown, None).result is Result.INVALID
+    assert judged(case, Measured("one", "mine", planner="It loops."), None).result is Result.INVALID
+    assert judged(case, Measured("one", "mine", broken="Gone.", missed=True), None).result is Result.NO_ENCOUNTER
+    assert judged(case, Measured("one", "mine", broken="It raised."), None).result is Result.ERROR
+    swerved = Measured("one", "mine", touched="parked0")
+    assert judged(case, swerved, None) == Judged(swerved, Result.FAIL, "The ego ran into parked0.")
+
+
+def test_no_worse_than_a_baseline_allows_for_a_step_of_ttc_and_a_mile_an_hour(suite: Path) -> None:
+    case = case_of(suite, no_worse=True)
+
+    def hit(delta_v: float) -> Measured:
+        return Measured("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=delta_v)
+
+    def near(min_ttc: float | None) -> Measured:
+        return Measured("one", "mine", min_ttc=min_ttc)
+
+    def result(now: Measured, before: Measured) -> Result:
+        return judged(case, now, before).result
+
+    assert result(HIT, CALM) is Result.FAIL  # hit now, not before
+    assert result(CALM, HIT) is Result.PASS
+    assert (result(hit(3.4), HIT), result(hit(3.5), HIT)) == (Result.PASS, Result.FAIL)  # 0.4 and 0.5 m/s harder
+    assert (result(near(1.95), CALM), result(near(1.85), CALM)) == (Result.PASS, Result.FAIL)
+    assert result(near(4.5), near(None)) is Result.PASS  # above 4 s nothing is compared
+    missed = Measured("one", "mine", broken="Gone.", missed=True)
+    assert (result(HIT, missed), result(CALM, missed)) == (Result.FAIL, Result.PASS)
+
+
+def test_the_ego_touches_a_third_vehicle_unless_that_runs_into_its_back() -> None:
+    ego = cruise("ego", 0.0, 0.0, 10.0)
+    ahead, behind = cruise("ahead", 20.0, 0.0, 2.0), cruise("behind", -20.0, 0.0, 18.0)
+    gap, closing = 20.0 - (ego.length + ahead.length) / 2, 8.0
+    touched = first_other_contact(ego, [behind, ahead], 0.0)
+    assert touched is not None and touched[0] == "ahead" and touched[1] == pytest.approx(gap / closing, abs=1e-6)
+    assert first_other_contact(ego, [behind], 0.0) is None
+    assert first_other_contact(ego, [cruise("apart", 0.0, 5.0, 10.0)], 0.0) is None
+    assert first_other_contact(ego, [cruise("inside", 1.0, 0.0, 10.0)], 0.0) is None  # an error of a log
+
+
+# -- what a case holds
+
+
+def test_a_case_is_text_without_any_path_of_this_machine(suite: Path) -> None:
+    folder = suite / "crossing"
+    assert set(files_of(suite)) == {
+        f"crossing/{name}" for name in ("case.toml", "scenario.toml", "planner.py", f"{FOUND}.rou.xml")
+    }
+    for name, content in files_of(folder).items():
+        assert not re.search(r"(^|[\"' ])/\w", content.decode().split("<routes", 1)[0]), name
+    assert 'network = "priority_crossing"' in (folder / "scenario.toml").read_text()  # shipped: by its name
+    assert load_input(folder / "scenario.toml").network.parent == ROOT / "networks"
+
+
+def test_a_case_moves_with_its_suite(suite: Path, tmp_path: Path) -> None:
+    shutil.copytree(suite, tmp_path / "elsewhere")
+    here, there = read_case(suite / "crossing"), read_case(tmp_path / "elsewhere" / "crossing")
+    assert here.proposal == there.proposal and here.settings == there.settings
+    assert there.source.routes == (tmp_path / "elsewhere" / "crossing" / f"{FOUND}.rou.xml",)
+
+
+def test_an_attack_is_kept_once_and_its_expectation_may_be_edited(tmp_path: Path) -> None:
+    suite = suite_in(tmp_path)
+    file = suite / "crossing" / "case.toml"
+    file.write_text(file.read_text().replace('avoid = "collision"', "min_ttc = 1.5"))
+    edited = files_of(suite)
+    folder, new = keep_run(attacked(), suite, Expectation(avoid="collision"), "crossing")
+    assert (folder, new, files_of(suite)) == (suite / "crossing", False, edited)
+    assert read_case(folder).expect == Expectation(min_ttc=1.5)
+
+
+def test_a_network_of_ones_own_is_copied_once(tmp_path: Path) -> None:
+    network = tmp_path / "town.net.xml"
+    network.write_text((ROOT / "networks" / "priority_crossing.net.xml").read_text() + "<!-- mine -->\n")
+    own = tmp_path / "run"
+    shutil.copytree(attacked(), own)
+    manifest = json.loads((own / "manifest.json").read_text())
+    (own / "inputs" / manifest["network"]).unlink()
+    manifest["network"] = f"{hashlib.sha256(network.read_bytes()).hexdigest()[:12]}-town.net.xml"
+    shutil.copy(network, own / "inputs" / manifest["network"])
+    (own / "manifest.json").write_text(json.dumps(manifest))
+    for name in ("one", "two"):
+        keep_run(own, tmp_path / "suite", Expectation(avoid="collision"), name)
+    assert [p.name for p in (tmp_path / "suite" / "networks").iterdir()] == ["town.net.xml"]
+    case = read_case(tmp_path / "suite" / "one")
+    assert case.source.network.resolve() == (tmp_path / "suite" / "networks" / "town.net.xml").resolve()
+    assert case.notes == ()
+    network = tmp_path / "suite" / "networks" / "town.net.xml"
+    network.write_text(network.read_text() + "<!-- another -->\n")
+    assert "town.net.xml is not the one" in read_case(tmp_path / "suite" / "one").notes[0]
+
+
+# -- the commands
+
+
+def test_the_driver_of_the_run_meets_the_attack_as_it_was_found(program: Program, suite: Path) -> None:
+    found = json.loads((attacked() / "outcome.json").read_text())["outcome"]
+    done = regress(program, suite, "--ego", "idm", "--junit", "out.xml")
+    assert (done.status, done.err) == (3, "")
+    assert "1 cases of suite against idm: 0 pass, 1 fail." in done.out
+    (case,) = results(program.folder / "out")
+    assert (case["result"], case["level"]) == ("fail", found["level"])
+    assert [case[key] for key in ("contact_time", "delta_v", "preventable_by")] == [
+        found[key] for key in ("contact_time", "delta_v", "preventable_by")
+    ]
+    again = program("run", "--replay", "out/runs/crossing", "--out", "again", "--json")
+    assert json.loads(again.out)["outcome"]["contact_time"] == found["contact_time"]
+    (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
+    assert test.find("failure") is not None and test.get("name") == "crossing"
+
+
+def test_an_ego_that_looks_around_passes_and_is_compared_with_the_baseline(program: Program, tmp_path: Path) -> None:
+    suite = suite_in(program.folder, expect=Expectation(no_worse=True))
+    lacking = regress(program, suite, "--ego", "careful")
+    assert (lacking.status, lacking.err.count("\n")) == (2, 1) and "give --baseline FILE" in lacking.err
+    baseline = {"schema": 1, "cases": [{"case": "crossing", "ego": "idm", "collided": True, "level": "serious"}]}
+    (program.folder / "before.json").write_text(json.dumps(baseline))
+    done = regress(program, suite, "--ego", "careful", "--baseline", "before.json")
+    assert (done.status, done.err) == (0, "")
+    assert "baseline" in done.out.splitlines()[0] and "serious" in done.out.splitlines()[1]
+
+
+def test_a_case_repeated_on_any_number_of_processes_gives_one_answer(program: Program) -> None:
+    suite = suite_in(program.folder, *(f"case{k}" for k in range(4)))
+    done = program("regress", suite, "--ego", "idm", "--workers", "2", "--out", "out")
+    assert done.status == 3
+    (first, *others) = [{k: v for k, v in case.items() if k != "case"} for case in results(program.folder / "out")]
+    assert len(others) == 3 and all(other == first for other in others)
+    moved = {(program.folder / "out" / "runs" / f"case{k}" / "states.csv.gz").read_bytes() for k in range(4)}
+    assert len(moved) == 1
+
+
+def test_an_ego_that_never_comes_there_has_had_no_encounter(program: Program, suite: Path) -> None:
+    missed = regress(program, suite, "--ego", "regression_samples:StandingEgo", "--junit", "out.xml")
+    assert missed.status == 3 and "no encounter" in missed.out.splitlines()[1]
+    assert results(program.folder / "out")[0]["missed"] is True
+    allowed = ("--allow-untested", "--force", "--junit", "out.xml")
+    assert regress(program, suite, "--ego", "regression_samples:StandingEgo", *allowed).status == 0
+    (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
+    assert test.find("skipped") is not None
+
+
+def test_a_driver_that_breaks_is_an_error_of_its_case(program: Program, suite: Path) -> None:
+    done = regress(program, suite, "--ego", "regression_samples:BrokenEgo", "--junit", "out.xml")
+    assert (done.status, done.err) == (3, "")
+    assert "the driver fell asleep" in done.out
+    (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
+    assert test.find("error") is not None
+
+
+def test_a_hostile_planner_stays_in_the_sandbox(program: Program) -> None:
+    suite = suite_in(program.folder)
+    (suite / "crossing" / "planner.py").write_text(LOOPS)
+    file = suite / "crossing" / "case.toml"
+    file.write_text(re.sub(r"(?s)\[attack.parameters\].*?\n\n", "[attack.parameters]\n\n", file.read_text()))
+    done = regress(program, suite, "--ego", "idm")
+    assert done.status == 3 and "invalid" in done.out and "planner failed" in done.out
+
+
+def test_keep_takes_what_reached_a_level_from_a_folder_of_runs(program: Program) -> None:
+    shutil.copytree(attacked(), program.folder / "runs" / "first")
+    kept = program("keep", "runs", "--suite", "suite")
+    assert (kept.status, kept.err) == (0, "")
+    assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0", "1 cases into suite."]
+    again = json.loads(program("keep", "runs", "--suite", "suite", "--json").out)
+    assert again == {
+        "suite": "suite", "kept": [], "there_already": [f"suite/{FOUND}-0"], "left_out": []
+    }  # fmt: skip
+
+
+# -- what is refused
+
+
+def edited(suite: Path, old: str, new: str) -> None:
+    file = suite / "crossing" / "case.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('avoid = "collision"', 'avoid = "everything"', "bad 'expect.avoid'"),
+        ('avoid = "collision"', "avoided = 1", "unknown key 'expect.avoided'"),
+        ('avoid = "collision"', "", "give avoid, min_ttc or no_worse"),
+        ("delay = ", "later = ", "unknown key 'attack.later'|lacks the key 'attack.delay'"),
+        ("[settings]", "[settings]\nbubblewrap = false", "sets 'bubblewrap', which a case does not"),
+        ("[attack.parameters]", "[attack.parameters]\nwings = 2.0", "parameter 'wings'"),
+        ("schema = 1", "schema = 9", "bad 'schema'"),
+        ('adversary = "', 'adversary = "x', "only candidate 'x"),
+    ],
+)  # fmt: skip
+def test_a_damaged_case_is_one_sentence_with_its_file(tmp_path: Path, old: str, new: str, said: str) -> None:
+    suite = suite_in(tmp_path)
+    edited(suite, old, new)
+    with pytest.raises(UsageError, match=said):
+        read_suite(suite)
+
+
+def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path) -> None:
+    cases = {
+        "holds no case": ("regress", "nowhere", "--ego", "idm"),
+        "no ego 'idmm'": ("regress", suite, "--ego", "idmm"),
+        "not what sumo-adv regress writes": ("regress", suite, "--ego", "idm", "--baseline", "no.json"),
+        "is no folder": ("keep", "nowhere", "--suite", "s"),
+    }
+    for said, command in cases.items():
+        done = program(*command)
+        assert (done.status, done.err.count("\n")) == (2, 1) and said in done.err, done.err
+    assert program.leftovers() == []
+
+
+def test_junit_holds_any_text(suite: Path) -> None:
+    hostile = "a \x00 b <&> \"'"
+    run = SuiteRun("s", "mine", [Judged(Measured("c<1>", "mine", broken=hostile), Result.ERROR, hostile)])
+    (test,) = ElementTree.fromstring(junit(run, allow_untested=False)).iter("testcase")
+    error = test.find("error")
+    assert test.get("name") == "c<1>" and error is not None
+    assert error.get("message") == "a \ufffd b <&> \"'"
+
+
+def test_toml_is_written_as_it_is_read() -> None:
+    table = {"text": 'a "b" \\ \n \x7f é', "truth": True, "number": 1e-9, "list": [1, [2.5, 3.0]], "none": None}
+    read = tomllib.loads("\n".join(toml_lines({**table, "inline": {"odd key": 1.0}})))
+    assert read == {k: v for k, v in table.items() if v is not None} | {"inline": {"odd key": 1.0}}
+    assert np.isinf(tomllib.loads("\n".join(toml_lines({"never": float("inf")})))["never"])
