@@ -13,7 +13,7 @@ from sumo_adv.datatypes import Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.page.document import asset, document
-from sumo_adv.report.page.read import RunRead, read_run
+from sumo_adv.report.page.read import RunRead, read_run, reading
 from sumo_adv.report.page.road import Strip, network, strips_near
 from sumo_adv.report.page.scene import Shown, make_attempts, make_scene
 from sumo_adv.report.page.words import planner_versions
@@ -40,8 +40,8 @@ def make_page(folder: Path) -> str:
 
 def page_of(folder: Path, back: str | None = None) -> Page:
     """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
-    run = read_run(folder)
-    try:
+    with reading(folder):
+        run = read_run(folder)
         made = make_attempts(run)
         scene, moments, place = None, [], None
         if made is not None:
@@ -53,11 +53,8 @@ def page_of(folder: Path, back: str | None = None) -> Page:
             "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
             "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
         }  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise UsageError(
-            f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
-        ) from error
-    return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place, network_name(run.manifest))
+        page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
+        return Page(page, place, network_name(run.manifest))
 
 
 def _strips(run: RunRead, attempts: Sequence[Shown]) -> list[Strip]:
