@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Track
-from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.page.document import asset, document
 from sumo_adv.report.page.read import RunRead, read_run, reading
