@@ -187,7 +187,7 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
             raise UsageError(
                 f"The settings do not fit together: {first['msg'].removeprefix('Value error, ')}."
             ) from error
-        given_as = "" if name in SECRET else f" {first.get('input')!r}"
+        given_as = "" if name in SECRET else f" {repr(first.get('input'))[:200]}"
         message = first["msg"].removeprefix("Value error, ")
         raise UsageError(f"Setting '{name}' cannot be{given_as or ' used'}: {message}.") from error
     except ValueError as error:

@@ -1,6 +1,6 @@
 """Banks with wrong content: statements on their tables and their schema, and wrong bytes in their file.
 
-``python tests/soak/fuzz_banks.py --seed 1 --count 1200``
+``python tests/soak/fuzz_banks.py --seed 1 --count 500``
 """
 
 from __future__ import annotations
@@ -118,4 +118,4 @@ def _use(bank: MemoryBank, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(attack, 1200)
+    main(attack, 500)

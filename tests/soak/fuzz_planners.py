@@ -1,6 +1,6 @@
 """Planners with wrong text: lines and words of real ones changed, and statements that ask for too much.
 
-``python tests/soak/fuzz_planners.py --seed 1 --count 150``; each is tried as ``memory import`` and ``verify`` do.
+``python tests/soak/fuzz_planners.py --seed 1 --count 80``; each is tried as ``memory import`` and ``verify`` do.
 """
 
 from __future__ import annotations
@@ -88,6 +88,6 @@ def _replaced(rng: random.Random, text: str, pattern: str, by: tuple[str, ...]) 
 
 if __name__ == "__main__":
     try:
-        main(attack, 150)
+        main(attack, 80)
     finally:
         sandbox().close()

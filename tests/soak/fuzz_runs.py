@@ -1,6 +1,6 @@
 """Run folders with wrong values in their JSON, wrong bytes in their tables, and files that are missing or folders.
 
-``python tests/soak/fuzz_runs.py --seed 1 --count 60``; each is given to two of the commands that read run folders.
+``python tests/soak/fuzz_runs.py --seed 1 --count 40``; each is given to two of the commands that read run folders.
 """
 
 from __future__ import annotations
@@ -76,4 +76,4 @@ def _damage(rng: random.Random, run: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(attack, 60)
+    main(attack, 40)
