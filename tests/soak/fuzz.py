@@ -29,8 +29,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from sumo_adv.errors import SumoAdvError
 
-PATIENCE = 60  # s that a try may last, on a busy machine too
+PATIENCE = 120  # s that a try may last, on a busy machine too
 MEMORY = 4 * 2**30  # bytes that a program may have mapped: a try that wants more gets a MemoryError
+LONGEST = 20_000  # characters of a refusal, which may quote a long value
 KEPT = 10  # broken tries that are told in full
 
 Attack = Callable[[random.Random, Path], str]
@@ -65,7 +66,7 @@ def hold(attack: Attack, *, seed: int, count: int, first: int = 0) -> Tally:
                     tally.words[attack(random.Random(f"{seed}/{number}"), Path(folder))] += 1
             except SumoAdvError as error:
                 words = str(error)
-                if "\n" in words or not words.endswith((".", ")")) or len(words) > 2000:
+                if "\n" in words or not words.endswith((".", ")")) or len(words) > LONGEST:
                     tally.broken[number] = f"no sentence: {words[:500]!r}"
                 tally.words["refused"] += 1
             except (Exception, Hung):
