@@ -257,5 +257,5 @@ def _sentence(detail: ErrorDetails) -> str:
         known = ", ".join(Relation)
         like = nearest(str(detail["input"]), Relation)
         return f"There is no kind '{detail['input']}'{like}; known kinds are {known}."
-    given = "used" if name in SECRET else repr(detail.get("input"))
+    given = "used" if name in SECRET else repr(detail.get("input"))[:200]
     return f"Setting '{name}' cannot be {given}: {message}."

@@ -33,6 +33,15 @@ def test_a_bank_with_wrong_content_is_refused_in_a_sentence_and_stays_as_it_is(
     assert not (tmp_path / "mine.sqlite").exists()
 
 
+def test_a_schema_that_is_no_text_is_damage(tmp_path: Path) -> None:
+    path = bank_of(tmp_path / "bank.sqlite")
+    data = path.read_bytes()
+    assert data.count(b"CREATE TABLE intents") == 1
+    path.write_bytes(data.replace(b"CREATE TABLE intents", b"CREATE TABLE \xe3ntents"))
+    with pytest.raises(BankError, match="is damaged; restore a copy"):
+        MemoryBank.open(path)
+
+
 def test_what_no_bank_may_hold_is_not_written_to_one(tmp_path: Path) -> None:
     """Else the bank could not be opened again."""
     backwards = Planner(BRAKING.label, "odd", "# odd\n", (Parameter("a", 5.0, 8.0, 9.0, "m"),), "person")

@@ -43,10 +43,12 @@ def export(
         raise UsageError("Only --format openscenario has a --variant.")
     from sumo_adv.report.export.piece import read_piece
     from sumo_adv.report.export.write import write_export
+    from sumo_adv.report.page.read import reading
 
-    piece = read_piece(folder, unattacked=unattacked, before=before, whole=whole)
     target = out or folder.resolve().parent / f"{folder.resolve().name}{ENDINGS[format]}"
-    write_export(target, piece, format, variant, force=force)
+    with reading(folder):
+        piece = read_piece(folder, unattacked=unattacked, before=before, whole=whole)
+        write_export(target, piece, format, variant, force=force)
     _say(target, piece, format, as_json=as_json)
 
 

@@ -32,9 +32,10 @@ def figure(
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
     from sumo_adv.files import sentences
     from sumo_adv.report.figures.story import read_story
+    from sumo_adv.report.page.read import reading
 
-    story = read_story(folder)
-    with sentences(target):
+    with reading(folder), sentences(target):
+        story = read_story(folder)
         target.parent.mkdir(parents=True, exist_ok=True)
         if kind in FILMS:
             from sumo_adv.report.figures.film import write_film

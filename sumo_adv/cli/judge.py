@@ -80,8 +80,10 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import is_version_2, judge_files
+    from sumo_adv.report.page.read import reading
 
-    return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
+    with reading(folder):
+        return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
 
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:

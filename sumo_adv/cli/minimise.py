@@ -34,16 +34,18 @@ def minimise(
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.report.page.read import read_run
+    from sumo_adv.report.page.read import read_run, reading
 
     recorded = read_manifest(run)
     driver = recorded.task.ego_driver
     if trusted_driver(ego, driver, run) != driver:
         raise UsageError(f"The run in {run} was driven by {driver!r}: leave out --ego {ego}.")
-    reached = str((read_run(run).outcome.get("outcome") or {}).get("level") or "none")
-    if until is None and reached in ("none", "critical"):
+    with reading(run):
+        reached = str((read_run(run).outcome.get("outcome") or {}).get("level") or "none")
+        own = None if reached in ("none", "critical") else Until(reached)
+    level = until or own
+    if level is None:
         raise UsageError(f"The attack of {run} reached the level {reached}; minimise takes one with a collision.")
-    level = until or Until(reached)
     if level.level < Until.COLLISION.level:
         raise UsageError("Minimise keeps a collision: choose --until collision, valid, strict or serious.")
     settings = recorded.settings.model_copy(update={"until": level, "attempts": attempts, "learn": "off"})

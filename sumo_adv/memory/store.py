@@ -42,6 +42,8 @@ def sentences(path: Path) -> Iterator[None]:
         yield
     except sqlite3.Error as error:
         raise bank_error(error, path) from error
+    except UnicodeDecodeError as error:  # in the schema, or in a message about it
+        raise BankError(f"The memory bank {path} is damaged; {REPAIR}.") from error
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise BankError(

@@ -185,7 +185,7 @@ def _sentence(path: Path, detail: ErrorDetails) -> str:
     if detail["type"] == "missing":
         return f"The scenario {path} lacks the key '{key}'."
     if key == "schema":
-        return f"The scenario {path} has schema = {detail['input']!r}; this program reads schema = {SCHEMA}."
+        return f"The scenario {path} has schema = {repr(detail['input'])[:200]}; this program reads schema = {SCHEMA}."
     reason = detail["msg"].removeprefix("Value error, ")
     return f"The scenario {path} has a bad '{key}': {reason[:1].lower()}{reason[1:]}."
 

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import FAILED_ENDINGS, Track
-from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.page.document import asset, document
 from sumo_adv.report.page.markings import lane_changes
-from sumo_adv.report.page.read import RunRead, read_run
+from sumo_adv.report.page.read import RunRead, read_run, reading
 from sumo_adv.report.page.road import RoadNear, network, road_near
 from sumo_adv.report.page.scene import Shown, make_attempts, make_scene
 from sumo_adv.report.page.words import planner_versions
@@ -41,8 +40,8 @@ def make_page(folder: Path) -> str:
 
 def page_of(folder: Path, back: str | None = None) -> Page:
     """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
-    run = read_run(folder)
-    try:
+    with reading(folder):
+        run = read_run(folder)
         made = make_attempts(run)
         scene, moments, place = None, [], None
         if made is not None:
@@ -55,11 +54,8 @@ def page_of(folder: Path, back: str | None = None) -> Page:
             "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
             "failed": run.outcome["ending"] in FAILED_ENDINGS,
         }  # fmt: skip
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise UsageError(
-            f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
-        ) from error
-    return Page(document("Replay", asset("replay.html"), STYLES, SCRIPTS, data), place, network_name(run.manifest))
+        page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
+        return Page(page, place, network_name(run.manifest))
 
 
 def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
@@ -83,6 +85,21 @@ def damaged(file: Path, error: Exception | str) -> UsageError:
     return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
 
 
+@contextmanager
+def reading(folder: Path) -> Iterator[None]:
+    """Within it, what a run's files make of the program is raised as a sentence about ``folder``.
+
+    They hold hundreds of values that other programs and people may have changed. Raises UsageError.
+    """
+    try:
+        yield
+    except (SumoAdvError, OSError, MemoryError):
+        raise
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"[:200].replace("\n", " ")
+        raise UsageError(f"The run in {folder} is not as this program writes it ({what}); run it again.") from error
+
+
 def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:
     """The columns of a table as text (of states, unless another header is ``expected``).
 
@@ -97,7 +114,7 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
         if header != names:
             raise ValueError("its columns are others")
         return dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
-    except (OSError, EOFError, ValueError, csv.Error) as error:
+    except (OSError, EOFError, ValueError, zlib.error, csv.Error) as error:
         raise damaged(file, error) from error
 
 
