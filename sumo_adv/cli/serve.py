@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -134,7 +133,6 @@ def _serve(
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        _end_on_sigterm(stack)
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)
@@ -169,12 +167,6 @@ def _serve(
         events.tell("stopped", **summary)
         note(target, given, settings, options, summary)
     _finish(ending, summary, writer, options, as_json=as_json)
-
-
-def _end_on_sigterm(stack: ExitStack) -> None:
-    """While the stack is open SIGTERM, which services are sent, ends the server like Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
-    stack.callback(signal.signal, signal.SIGTERM, before)
 
 
 def _gate(options: Options, events: Events) -> Gate:
