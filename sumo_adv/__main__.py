@@ -1,4 +1,4 @@
-"""``sumo-adv`` and ``python -m sumo_adv``: can be interrupted from its first moment on, and only then loads the rest."""
+"""``sumo-adv``, ``python -m sumo_adv``: can be interrupted from its first moment on, and only then loads the rest."""
 
 from __future__ import annotations
 
