@@ -16,6 +16,7 @@ from sumo_adv import app
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.serve.older_clients import NEWEST
 from sumo_adv.serve.options import Mode, OnLoss, Options
 
 if TYPE_CHECKING:
@@ -57,6 +58,9 @@ def serve(
     patience: Annotated[
         float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
     ] = None,
+    traci_version: Annotated[
+        int, typer.Option(min=21, max=22, help="The newest that the client knows: 21 for Veins and the like.")
+    ] = 22,
     encounters: Annotated[int | None, typer.Option(min=1, help="End after so many (default: at Ctrl-C).")] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
@@ -96,7 +100,7 @@ def serve(
         settings = settings.model_copy(update={"search": LONG})
     options = Options(
         host, port, _words(allow), mode, on_loss, real_time, encounters, ego_type, _words(may_set), patience,
-        deadline,
+        deadline, traci_version < NEWEST,
     )  # fmt: skip
     target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
     _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
@@ -179,6 +183,7 @@ def _gate(options: Options, events: Events) -> Gate:
         allow=options.allow,
         deadline=options.turn,
         rules=Rules(frozenset(options.may_set)),
+        older=options.older,
         on_event=_teller(events),
     )
 
