@@ -142,10 +142,12 @@ class Scene:
 
 
 @contextmanager
-def opened(folder: Path, deadline: float = 5.0, rules: Rules | None = None) -> Iterator[tuple[Gate, list[GateEvent]]]:
+def opened(
+    folder: Path, deadline: float = 5.0, rules: Rules | None = None, *, older: bool = False
+) -> Iterator[tuple[Gate, list[GateEvent]]]:
     """A gate that listens, and what happens at it."""
     events: list[GateEvent] = []
-    with Gate(deadline=deadline, rules=rules or Rules(), on_event=events.append) as gate:
+    with Gate(deadline=deadline, rules=rules or Rules(), older=older, on_event=events.append) as gate:
         yield gate, events
 
 

@@ -59,10 +59,13 @@ def _state(pid: int) -> str:
         return ""
 
 
-def interrupted(program: Program, process: subprocess.Popen[str]) -> Done:
-    """Press Ctrl-C, wait for the end, and see that nothing of the run lives on."""
+def interrupted(
+    program: Program, process: subprocess.Popen[str], sent: signal.Signals = signal.SIGINT, *, group: bool = True
+) -> Done:
+    """Press Ctrl-C, or send another signal, to all of its processes or to itself alone; wait for the end, and see that
+    nothing of the run lives on."""
     family = children_of(process.pid) | processes_of(process.pid)
-    os.killpg(process.pid, signal.SIGINT)
+    (os.killpg if group else os.kill)(process.pid, sent)
     try:
         out, err = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
@@ -127,6 +130,49 @@ def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
     assert done.folder.exists()  # the run had begun
     if mark.startswith("attempt"):
         assert len(done.outcome["attempts"]) >= int(mark.split()[1])
+
+
+@pytest.mark.parametrize("group", [False, True], ids=["to the program", "to all of its processes"])
+@pytest.mark.parametrize("mark", ["Encounter at", "attempt  1"])
+def test_sigterm_in_the_middle(program: Program, mark: str, group: bool) -> None:
+    """As services, containers and time limits end a program."""
+    options = ("--diverse", "20", "--until", "valid", "--memory", "bank.sqlite", "--out", "out")
+    with program.start("run", "oncoming_four_lanes", *options) as process:
+        read_until(process, mark)
+        done = interrupted(program, process, signal.SIGTERM, group=group)
+    whole_or_nothing(program, done, ["bank.sqlite"])
+    assert done.folder.exists()
+
+
+def test_sigterm_of_a_table_leaves_no_temporary_folder(program: Program) -> None:
+    options = ("--suite", "smoke", "--row", "expert", "--out", "out", "--workers", "1")
+    with program.start("bench", "table", *options) as process:
+        wait_until(process, lambda: any(program.temporary.iterdir()))
+        done = interrupted(program, process, signal.SIGTERM, group=False)
+    assert done.status == 1 and "Traceback" not in done.err
+    assert list(program.temporary.iterdir()) == []
+
+
+def has_handler(process: subprocess.Popen[str]) -> bool:
+    """Whether the program has begun, so that SIGTERM is caught (Python itself does not catch it)."""
+    try:
+        status = Path(f"/proc/{process.pid}/status").read_text()
+    except OSError:
+        return False
+    caught = next(int(line.split()[1], 16) for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay", [0.0, 0.03, 0.06, 0.1, 0.2, 0.3])
+def test_a_signal_in_the_first_moments(program: Program, delay: float, sent: signal.Signals) -> None:
+    """While its modules are loaded, from its first instruction on."""
+    with program.start("run", "motorway_cut_in_left", "--out", "out") as process:
+        wait_until(process, lambda: has_handler(process))
+        time.sleep(delay)
+        done = interrupted(program, process, sent)
+    assert (done.status, done.err) == (1, "sumo-adv: interrupted.\n")
+    assert program.leftovers() == []
 
 
 def test_ctrl_c_while_it_starts(program: Program) -> None:

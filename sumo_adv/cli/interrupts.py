@@ -1,4 +1,4 @@
-"""Ctrl-C during a run: it ends the episode, and never the writing of what came of it."""
+"""Ctrl-C or SIGTERM during a run: it ends the episode, and never the writing of what came of it."""
 
 from __future__ import annotations
 
@@ -7,22 +7,25 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
+
 
 class Interrupts:
-    """Remembers a Ctrl-C beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows one that comes while it runs a
-    planner (measured). A context manager for the main thread."""
+    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows one that comes while
+    it runs a planner (measured). A context manager for the main thread."""
 
     happened = False  # in this process, ever
 
     def __enter__(self) -> Self:
         self._pressed = False
-        self._before = signal.signal(signal.SIGINT, self._press)
+        self._before = {number: signal.signal(number, self._press) for number in SIGNALS}
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
 
     def check(self) -> None:
         """Raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
@@ -39,8 +42,9 @@ class Interrupts:
         return report_then_check
 
     def hold(self) -> None:
-        """From here on Ctrl-C is ignored: the rest takes a second or two."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        """From here on both are ignored: the rest takes a second or two."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
     def _press(self, number: int, frame: FrameType | None) -> None:
         self._pressed = Interrupts.happened = True

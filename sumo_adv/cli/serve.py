@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -17,6 +16,7 @@ from sumo_adv import app
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.serve.older_clients import NEWEST
 from sumo_adv.serve.options import Mode, OnLoss, Options
 
 if TYPE_CHECKING:
@@ -58,6 +58,9 @@ def serve(
     patience: Annotated[
         float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
     ] = None,
+    traci_version: Annotated[
+        int, typer.Option(min=21, max=22, help="The newest that the client knows: 21 for Veins and the like.")
+    ] = 22,
     encounters: Annotated[
         int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
     ] = None,
@@ -103,7 +106,7 @@ def serve(
         settings = settings.model_copy(update={"search": LONG})
     options = Options(
         host, port, _words(allow), mode, on_loss, real_time, encounters, ego_type, _words(may_set), patience,
-        deadline,
+        deadline, traci_version < NEWEST,
     )  # fmt: skip
     target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
     _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
@@ -140,7 +143,6 @@ def _serve(
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        _end_on_sigterm(stack)
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)
@@ -177,12 +179,6 @@ def _serve(
     _finish(ending, summary, writer, options, as_json=as_json)
 
 
-def _end_on_sigterm(stack: ExitStack) -> None:
-    """While the stack is open SIGTERM, which services are sent, ends the server like Ctrl-C."""
-    before = signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
-    stack.callback(signal.signal, signal.SIGTERM, before)
-
-
 def _gate(options: Options, events: Events) -> Gate:
     from sumo_adv.serve.gate import Gate
     from sumo_adv.serve.policy import Rules
@@ -193,6 +189,7 @@ def _gate(options: Options, events: Events) -> Gate:
         allow=options.allow,
         deadline=options.turn,
         rules=Rules(frozenset(options.may_set)),
+        older=options.older,
         on_event=_teller(events),
     )
 

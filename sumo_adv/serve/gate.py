@@ -42,14 +42,17 @@ class Gate:
         allow: Sequence[str] = (),
         deadline: float = DEADLINE,
         rules: Rules = _NO_RULES,
+        older: bool = False,
         on_event: Callable[[GateEvent], None] | None = None,
     ) -> None:
         """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback.
+        ``older``: clients know TraCI only up to version 21.
 
         Raises:
             UsageError: an address is none, or the host is not loopback and nobody is allowed.
         """
         self._host, self._wanted_port, self._deadline, self._rules = host, port, deadline, rules
+        self._older = older
         self._allow = [_network(text) for text in allow]
         if not _is_loopback(host) and not self._allow:
             raise UsageError(f"TraCI has no log-in: with the host {host} say which addresses may connect (--allow).")
@@ -178,7 +181,13 @@ class Gate:
         line = Line(sumo.dial(PATIENCE), link.LONGEST)
         policy = Policy(self._rules, own, tuple(hidden), tuple(kept))
         turns = Turns(
-            lambda idle: Link(line, idle), policy, self._seat, self._deadline, lambda: self._stopping, sumo.why_ended
+            lambda idle: Link(line, idle),
+            policy,
+            self._seat,
+            self._deadline,
+            lambda: self._stopping,
+            sumo.why_ended,
+            self._older,
         )
         with self._changed:
             self._turns, self._running = turns, True

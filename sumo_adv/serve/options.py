@@ -38,6 +38,7 @@ class Options:
     may_set: tuple[str, ...] = ()  # domains, besides its own vehicle
     patience: float | None = None
     deadline: float | None = None
+    older: bool = False  # clients know TraCI only up to version 21
 
     @property
     def turn(self) -> float:

@@ -11,6 +11,7 @@ from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
+from sumo_adv.serve.older_clients import OlderClients
 from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
 from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
 from sumo_adv.serve.shapes import Misfit
@@ -33,14 +34,16 @@ class Turns:
         deadline: float,
         stopping: Callable[[], bool],
         why_ended: Callable[[], str],
+        older: bool = False,
     ) -> None:
-        """``connect`` makes the link to SUMO, given what to call while waiting for it."""
+        """``connect`` makes the link to SUMO, given what to call while waiting for it; ``older``: see OlderClients."""
         self.policy = policy
         self.stepped_by = Stepper.GATE
         self.client_steps = 0
         self._seat, self._deadline, self._stopping, self._why_ended = seat, deadline, stopping, why_ended
         self._parting = self._keep = False
         self._served: Client | None = None
+        self._translates = OlderClients() if older else None
         self._our_turn = False
         self._unheard = 0  # answers in a row that did not need SUMO
         self._turn_began = 0.0  # s, monotonic
@@ -188,7 +191,7 @@ class Turns:
                 if self._parting and answers:
                     answers.append(_stand_in_answer(command))
                     continue
-                answers.append(self._answer(client, command))
+                answers.append(self._translated(client, command))
                 if self._is_late():
                     raise Late
         except SumoGone:
@@ -197,6 +200,15 @@ class Turns:
                 client.send(_joined(answers), self._deadline)
             raise
         return answers[0] if len(answers) == 1 else _joined(answers)
+
+    def _translated(self, client: Client, command: Command) -> bytes:
+        """The answer to a command in the version of TraCI that clients are told."""
+        if self._translates is None:
+            return self._answer(client, command)
+        answer = self._answer(client, self._translates.asked(command))
+        if command.number == framing.GETVERSION:
+            return self._translates.version(answer)
+        return self._translates.answered(command.number, answer)
 
     def _answer(self, client: Client, command: Command) -> bytes:
         number = command.number

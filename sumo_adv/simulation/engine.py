@@ -103,8 +103,9 @@ class Engine:
 
 
 def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:
-    """The engine process: SUMO's words go into a file, Ctrl-C is the front's business."""
+    """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     words = os.open(log, os.O_WRONLY | os.O_APPEND)
     sys.stdout.flush()
     os.dup2(words, 1)

@@ -1,4 +1,4 @@
-"""A hundred clients killed at random times in one simulation: it goes on, and each is told."""
+"""A hundred clients killed at random times in one simulation, and two minutes of random messages: it goes on."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from gate_samples import Script, connected, needs_sumo, scene
+from soak.fuzz_gate import fuzz
 
 from sumo_adv.serve.gate import EventKind, Stepper
 
@@ -42,3 +43,8 @@ def test_a_hundred_kills(tmp_path: Path) -> None:
         assert one.kinds().count(EventKind.LOST) == KILLS
         assert one.ours.vehicle.getAllSubscriptionResults() == {}
         one.end()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_minute_of_random_messages(tmp_path: Path, seed: int) -> None:
+    assert fuzz(tmp_path, seed, 60.0)["answered"] > 500
