@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sumo_adv.batch.nouns import Input, Parts
+from sumo_adv.campaigns.nouns import Input, Parts
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.inputs import input_name, load_input
 
