@@ -8,6 +8,7 @@ name.
 from __future__ import annotations
 
 import atexit
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -345,12 +346,15 @@ def full_outcome(episode: Episode) -> dict[str, Any]:
     return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else None)
 
 
-def keep_run(target: Path, episode: Episode) -> None:
-    """Write the whole folder of a run. Raises UsageError."""
+def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:
+    """Write the whole folder of a run, with the file of a model's ``exchanges``. Raises UsageError."""
     from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.outcome import MODEL_FILE
 
     with staged(target, force=True) as folder:
         write_run(folder, episode)
+        if exchanges is not None and exchanges.exists():
+            shutil.copyfile(exchanges, folder.stage / MODEL_FILE)
         folder.keep(force=True)
 
 

@@ -105,6 +105,8 @@ class Settings(ModelSettings, BaseSettings):
     proposals: int = Field(80, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)
     modifications: int = Field(3, ge=0)
+    questions: int = Field(8, ge=1)  # to models in an encounter; repeated ones and samples do not count
+    questions_familiar: int = Field(3, ge=1)  # where the analysis has no new intent
     limits: LimitSettings = Field(default_factory=LimitSettings)
 
     @field_validator("metric")

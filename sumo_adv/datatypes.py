@@ -204,8 +204,19 @@ class VehicleState:
 
 
 @dataclass(frozen=True, slots=True)
+class Way:
+    """One way to carry an intent out, as an analyzer chose it: the planner's mode, some or all of its numbers, and the
+    start, ``delay`` [s] after the trigger."""
+
+    mode: str
+    parameters: Mapping[str, float]
+    delay: float
+
+
+@dataclass(frozen=True, slots=True)
 class Intent:
-    """What an adversary tries: the paper's phi with y_acc. ``acceleration``: see ``Acceleration``."""
+    """What an adversary tries: the paper's phi with y_acc. ``acceleration``: see ``Acceleration``. ``ways``: how, in
+    the order in which they are to be tried; empty where the analyzer leaves that open."""
 
     bv: str
     label: str
@@ -214,6 +225,7 @@ class Intent:
     acceleration: Acceleration
     reason: str = ""
     source: str = "memory"  # memory | generated
+    ways: tuple[Way, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,13 +40,15 @@ def intent(bv: str, label: str, acceleration: Any = 0.0, risk: str = "high", des
 @dataclass
 class Author:
     """Answers as a model that wants one behaviour. Planners it writes and rewrites come from ``texts`` in order; where
-    there are ``edits`` instead, a planner to be changed gets the first (old, new) replacement that fits it."""
+    there are ``edits`` instead, a planner to be changed gets the first (old, new) replacement that fits it.
+    ``ways``: how the behaviour is to be carried out."""
 
     label: str
     acceleration: Any = 0.0
     description: str = ""
     texts: Sequence[str] = ()
     edits: Sequence[tuple[str, str]] = ()
+    ways: Sequence[Mapping[str, Any]] = ()
     questions: list[str] = field(default_factory=list)
 
     def __call__(self, asked: Asked) -> Mapping[str, Any]:
@@ -54,7 +56,7 @@ class Author:
         self.questions.append(agent)
         if agent == "analyzer":
             wanted = intent(chosen(asked, self.label), self.label, self.acceleration, description=self.description)
-            return {"analysis": "As told.", "intents": [wanted]}
+            return {"analysis": "As told.", "intents": [wanted | {"ways": list(self.ways)}]}
         if agent == "confirm":
             return {"same_as": None, "reason": "It is another manoeuvre."}
         written = sum(q in ("generator", "modifier") for q in self.questions) - 1
@@ -62,7 +64,7 @@ class Author:
         return {"mode": "direct", "diagnosis": "As told.", "source": text}
 
     def _edited(self, asked: Asked, written: int) -> str:
-        found = re.search(r"PLANNER \(mode .*?\)\n(.*)\nWHAT ITS ATTEMPTS SHOWED", asked.last, re.DOTALL)
+        found = re.search(r"PLANNER \(mode .*?\)\n(.*)\n\nWHAT ITS ATTEMPTS SHOWED", asked.last, re.DOTALL)
         assert found is not None
         text = found.group(1)
         fitting = [(old, new) for old, new in self.edits if old in text]

@@ -93,8 +93,10 @@ def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(progr
     row = f"llm-a:scripted+samples={SAMPLES[1]}+learn=off"
     with ModelServer(Author("Aggressive Cut-in")) as server:
         program.variables = server.environment()
-        run(program, "table", "--row", row)
+        run(program, "table", "--row", row, "--keep-runs")
         asked = len(server.asked)
+    (recording,) = (program.folder / "out" / "runs").rglob("model.jsonl")
+    assert len(recording.read_text().splitlines()) == 1 + asked  # and what it is a recording of
     cost = {
         r["column"]: float(r["value"]) for r in lines(program, "table.csv") if (r["part"], r["row"]) == ("all", row)
     }

@@ -12,22 +12,27 @@ import pytest
 from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
-from sumo_adv.agents.evidence import evidence_words, opening_comment
+from sumo_adv.agents.evidence import evidence_words
+from sumo_adv.agents.feedback import AttemptReport, Row, report_words
 from sumo_adv.agents.generator import mode_name, without_fence
-from sumo_adv.agents.modifier import feedback
 from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.ways import opening_comment
 from sumo_adv.datatypes import (
     Attempt,
     Diagnosis,
+    Level,
     LibraryEntry,
     Limits,
+    Parameter,
     Planner,
     Prediction,
+    Preventability,
     Proposal,
     Role,
     Track,
     Verdict,
+    Way,
 )
 from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult
@@ -40,8 +45,11 @@ from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Snapshot
 
 LIMITS = Limits()
+TUNED = Planner(
+    "Straight Lane Shift", "tuned", "# Straight Lane Shift\nX = 1\n", (Parameter("gap", 2.0, 1.0, 8.0, "m"),), "seed"
+)
 PLANNER = Planner("Straight Lane Shift", "side", "# Straight Lane Shift\n# Drifts over.\nX = 1\n", (), "seed")
-SHIFT = LibraryEntry("Straight Lane Shift", "Drifts over.", ("neighbour",), (PLANNER,))
+SHIFT = LibraryEntry("Straight Lane Shift", "Drifts over.", ("neighbour",), (PLANNER, TUNED))
 BRAKE = LibraryEntry("Emergency Braking", "Brakes.", ("leader",), ())
 
 
@@ -147,11 +155,12 @@ def test_evidence_counts_what_can_be_avoided() -> None:
         proposal(2.1, hit=False, min_ttc=2.0, gap=3.0),
     ]
     words = evidence_words(pool, aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"})
-    assert "BV1, Straight Lane Shift: 75% of 4 candidates collide; 2 of these 3 could be avoided" in words
+    assert "BV1, Straight Lane Shift: 3 of 4 candidates collide; 2 of these could be avoided" in words
     assert "1 by a careful driver who only brakes; median warning 1.0 s." in words
-    assert "'side' Drifts over." in words and "2 times tried" in words
+    assert "mode side: 3 of 4 collide; the best one (level none, warning 2.0 s, delta-v 0.0 m/s) begins 0 s" in words
+    assert "2 times tried" in words
     nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], aliases, [SHIFT], {})
-    assert "none of 1 candidates collides properly; least TTC 2.0 s." in nothing
+    assert "none of 1 candidates collides in a way that counts; least TTC 2.0 s." in nothing
 
 
 def test_the_opening_comment_describes_a_planner() -> None:
@@ -161,9 +170,12 @@ def test_the_opening_comment_describes_a_planner() -> None:
 
 def test_the_prompt_with_and_without_evidence(prompts: Prompts) -> None:
     scene = situation([neighbour()])
-    without = analyzer_prompt(prompts, scene, [SHIFT, BRAKE], LIMITS)
-    with_it = analyzer_prompt(prompts, scene, [SHIFT, BRAKE], LIMITS, lambda aliases: f"EVIDENCE {len(aliases.bvs)}\n")
+    without = analyzer_prompt(prompts, {0.0: scene}, [SHIFT, BRAKE], LIMITS)
+    with_it = analyzer_prompt(
+        prompts, {0.0: scene}, [SHIFT, BRAKE], LIMITS, lambda aliases: f"EVIDENCE {len(aliases.bvs)}\n"
+    )
     assert "EVIDENCE 1" in with_it.user and "EVIDENCE" not in without.user
+    assert "Straight Lane Shift\n  mode side: Drifts over." in without.user
     assert "- Emergency Braking: Brakes." in without.system
     assert without.tokens == -(-(len(without.system) + len(without.user)) // 4)
 
@@ -204,6 +216,9 @@ def analyzer(prompts: Prompts, model: Answers, allowed: Sequence[str] = ()) -> M
         (choice("Straight Lane Shift", acceleration=[[float(k), 0.0] for k in range(5)]), "4"),
         (choice("Straight Lane Shift", novel=True, description="It is in the library after all."), "is not novel"),
         (choice("Wave", novel=True, description="Too short."), "needs a description"),
+        (choice("Straight Lane Shift", ways=[{"mode": "loop"}]), "has no mode 'loop'; it has side, tuned"),
+        (choice("Straight Lane Shift", ways=[{"mode": "tuned", "parameters": {"far": 1}}]), "no parameter 'far'"),
+        (choice("Straight Lane Shift", ways=[{"mode": "tuned", "parameters": {"gap": 9}}]), "within 1 and 8"),
     ],
 )
 def test_an_unusable_answer_is_sent_back_once_with_its_fault(prompts: Prompts, wrong: Choice, sentence: str) -> None:
@@ -231,6 +246,22 @@ def test_knots_and_new_intents_come_through(prompts: Prompts) -> None:
     (intent,) = analyzer(prompts, Answers(Analysis(intents=[new]))).analyze({0.0: situation([neighbour()])}, [SHIFT])
     assert (intent.label, intent.source, intent.risk) == ("Wave", "generated", "low")
     assert intent.acceleration == ((0.0, 1.0), (2.0, -3.0))
+
+
+def test_chosen_ways_begin_at_one_of_the_starts(prompts: Prompts) -> None:
+    """The neighbour is 15 m ahead and 3 m to the left at first (15.3 m away), then 5 m ahead (5.8 m away)."""
+    scenes = {0.0: situation([neighbour(15.0)]), 1.5: situation([neighbour(5.0)])}
+    near = {"quantity": "distance", "at_most": 8}
+    ways = [
+        {"mode": "tuned", "parameters": {"gap": 3}, "begin": 1.2}, {"mode": "side", "begin": near}, {"mode": "side"},
+    ]  # fmt: skip
+    model = Answers(Analysis(intents=[choice("Straight Lane Shift", ways=ways)]))
+    (intent,) = analyzer(prompts, model).analyze(scenes, [SHIFT])
+    assert intent.ways == (Way("tuned", {"gap": 3.0}, 1.5), Way("side", {}, 1.5), Way("side", {}, 0.0))
+
+
+def test_a_model_may_see_nothing_dangerous(prompts: Prompts) -> None:
+    assert analyzer(prompts, Answers(Analysis(intents=[]))).analyze({0.0: situation([neighbour()])}, [SHIFT]) == []
 
 
 def test_fences_are_removed_and_modes_become_one_word() -> None:
@@ -263,12 +294,35 @@ def test_a_near_miss_is_diagnosed() -> None:
     assert (diagnosis.ego_reaction, diagnosis.ego_braking, diagnosis.ego_shift, diagnosis.bound) == (None, 0.0, 0.0, ())
 
 
+def report(verdict: Verdict, ending: str = "passed") -> str:
+    d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
+    attempt = Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, ending, "", d)
+    return report_words(
+        AttemptReport(attempt, (Row(0.5, 20.0, 3.2, 0.0, 12.0, 14.0, 0.1),), ("lateral: 5 m/s2.",), 6.5)
+    )
+
+
 def test_the_feedback_describes_an_attempt() -> None:
     verdict = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ("lateral",), min_ttc_time=103.4)
-    d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
-    words = feedback(Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, "passed", "", d))
-    assert "Least time to collision 1.44 s, 3.4 s after its start; least distance of the boxes 2.3 m." in words
-    assert "4.0 m behind and 4.8 m to the right of the ego" in words
-    assert "The bv was 1.0 s too late" in words
-    assert "began to brake 2.5 s after its start, at most 3.2 m/s2" in words
-    assert "Limits that bound the bv: braking." in words and "Not feasible: lateral." in words
+    words = report(verdict)
+    assert "lasted 6.5 s; it ended because the two had passed each other" in words
+    assert "Level none: no contact; least time to collision 1.44 s, least distance of the boxes 2.3 m." in words
+    assert "Not feasible, lateral: 5 m/s2." in words and "needs: a motion that is feasible" in words
+    assert "4.0 m behind and 4.8 m to the right of EGO" in words and "the bv was 1.0 s after EGO" in words
+    assert "began to brake 2.5 s after the start, at most 3.2 m/s2" in words
+    assert "  0.5; 20.0, 3.2; 0; 12.0, 14.0; 0.1" in words
+
+
+def test_the_feedback_says_what_the_next_level_needs() -> None:
+    """The danger shows at 104.2 s, 0.8 s before the contact at 105.0; the attempt began at 100."""
+    by = Preventability({"cc_human": "collides", "manoeuvre": "avoids"}, {"cc_human": 104.2})
+    hit = Verdict(
+        0.0, 0.0, True, True, True, False, True, False, None, contact_time=105.0, level=Level.VALID, preventability=by,
+        delta_v=3.1, humanlike=True,
+    )  # fmt: skip
+    words = report(hit, "contact")
+    assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
+    assert "It showed 4.2 s after the start, 0.8 s before the contact; avoided by manoeuvre." in words
+    soft = replace(hit, level=Level.STRICT, delta_v=1.1)
+    assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
+    assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))

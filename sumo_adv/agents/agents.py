@@ -1,5 +1,8 @@
 """The three agents of a run: analyzer, generator and modifier, each played by a language model or the built-in expert.
 
+A run asks its models at most ``questions`` times, and ``questions_familiar`` times where no intent is new. ``bought``
+says what came of each question.
+
 If a model fails, the run ends with its ModelError. With the setting ``fallback = builtin`` the expert takes over that
 role for the rest of the run instead, and ``failed`` has the reason.
 """
@@ -7,17 +10,19 @@ role for the rest of the run instead, and ``failed`` has the reason.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
 from sumo_adv.agents.analyzer import Distribution, ExpertAnalyzer, ModelAnalyzer
 from sumo_adv.agents.evidence import evidence_words
+from sumo_adv.agents.feedback import AttemptReport, RepairScene
 from sumo_adv.agents.generator import ExpertGenerator, ModelGenerator, Trial
-from sumo_adv.agents.modifier import ModelModifier
+from sumo_adv.agents.modifier import Change, ModelModifier
 from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.protocols import Analyzer, Generator, Modifier
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner
+from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import ChatModel
@@ -32,6 +37,15 @@ ROLES = ("analyzer", "generator", "modifier")
 BUILT_IN = {"analyzer": NAME, "generator": NAME, "modifier": "none"}
 """Role -> what plays it without a model: nothing built in modifies planners."""
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Bought:
+    """What came of a question to a model: the agent, the answer in a few words, and the planner that was written."""
+
+    agent: str
+    what: str
+    planner: str | None = None
 
 
 class Agents:
@@ -56,6 +70,8 @@ class Agents:
         self._distribution: Distribution | None = None
         self.calls = dict.fromkeys(ROLES, 0)
         self.failed: dict[str, str] = {}  # role -> why the expert took over
+        self.bought: list[Bought] = []
+        self._novel = False  # whether the analysis has a new intent
 
     def player(self, role: str) -> str:
         """The name of the model that plays a role now, else that of ``BUILT_IN``."""
@@ -64,6 +80,13 @@ class Agents:
     def by_model(self, role: str) -> bool:
         """Whether a model plays a role now."""
         return role in self.models and role not in self.failed
+
+    @property
+    def may_ask(self) -> bool:
+        """Whether the encounter has questions left."""
+        settings = self.settings
+        most = settings.questions if self._novel else min(settings.questions, settings.questions_familiar)
+        return len(self.bought) < most
 
     @property
     def prompts(self) -> Prompts:
@@ -108,24 +131,34 @@ class Agents:
             )  # fmt: skip
             intents = ask(analyzer)
             self._distribution = analyzer.distribution
+            novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
+            self._novel = novel > 0
+            self.bought.append(Bought("analyzer", f"{len(intents)} intents, {novel} of them novel, {ways} ways"))
             return intents
 
         return self._played("analyzer", by_model, lambda: ask(ExpertAnalyzer(search)))
 
     def confirm(self, intent: Intent, nearest: Sequence[LibraryEntry]) -> str | None:
-        """The label among ``nearest`` that means the same behaviour as a new intent, None for a novel one.
+        """The label among ``nearest`` that means the same behaviour as a new intent of a model, None for a novel one.
 
-        Call this if the distance of a retrieval is near epsilon. The expert takes the nearest. Raises ModelError.
+        Without questions left the intent is as novel as its analyzer said. Raises ModelError.
         """
 
         def by_model() -> str | None:
             analyzer = ModelAnalyzer(self._metered("analyzer"), self.prompts, self._limits)
-            return analyzer.confirm(intent.label, intent.description, nearest)
+            same = analyzer.confirm(intent.label, intent.description, nearest)
+            self.bought.append(Bought("analyzer", f"'{intent.label}' is {'novel' if same is None else same}"))
+            return same
 
-        return self._played("analyzer", by_model, lambda: nearest[0].label)
+        return self._played("analyzer", by_model, lambda: None) if self.may_ask else None
 
     def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
-        """Planners for an intent that the bank lacks. ``examples``: nearest first. Raises ModelError."""
+        """Planners for an intent that the bank lacks, none without questions left. ``examples``: nearest first.
+
+        Raises ModelError.
+        """
+        if self.by_model("generator") and not self.may_ask:
+            return ()
 
         applies = situation.targets[intent.bv].applies()
 
@@ -134,28 +167,33 @@ class Agents:
 
         def by_model() -> tuple[Planner, ...]:
             settings = self.settings
-            return ask(
-                ModelGenerator(
-                    self._metered("generator"), self.prompts, self._limits, self._trial(applies),
-                    tries=settings.generations, instruction=settings.instruction,
-                )
+            generator = ModelGenerator(
+                self._metered("generator"), self.prompts, self._limits, self._trial(applies),
+                tries=settings.generations, instruction=settings.instruction,
             )  # fmt: skip
+            planners = ask(generator)
+            self.bought.append(Bought("generator", f"a planner for '{intent.label}'", planners[0].hash))
+            return planners
 
         return self._played("generator", by_model, lambda: ask(ExpertGenerator()))
 
-    def modify(self, planner: Planner, attempts: Sequence[Attempt], entry: LibraryEntry) -> Planner | None:
-        """A model's changed planner of an entry, None if it changes nothing. Raises ModelError.
+    def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change | None:
+        """A model's change after the attempts with a planner, None if it changes nothing. Raises ModelError.
 
-        None also if the expert plays the modifier: the search itself tries other parameters.
+        None also if the expert plays the modifier, since the search itself tries other parameters, and without
+        questions left.
         """
-        if not self.by_model("modifier"):
+        if not self.by_model("modifier") or not self.may_ask:
             return None
 
-        def by_model() -> Planner | None:
+        def by_model() -> Change | None:
             modifier: Modifier = ModelModifier(
-                self._metered("modifier"), self.prompts, self._limits, self._trial(entry.applies), ttc=self.settings.ttc
+                self._metered("modifier"), self.prompts, self._limits, self._trial(scene.entry.applies), self.settings
             )
-            return modifier.modify(planner, attempts, entry.description)
+            change = modifier.modify(planner, reports, scene)
+            if change is not None:
+                self.bought.append(Bought("modifier", change.words, change.planner.hash if change.planner else None))
+            return change
 
         return self._played("modifier", by_model, lambda: None)
 

@@ -1,6 +1,7 @@
 """The analyzer: the paper's g, played by a language model or by the built-in expert.
 
-A model sees the scene and the evidence of the predictions. Its answers to ``samples`` equal questions give a
+A model sees the scene and the evidence of the predictions. It chooses intents, and for each one the modes, their
+numbers and the start. Its answers to ``samples`` equal questions give a
 distribution over intents, which are ordered by expected risk. If the entropy of the distribution is high, the first
 intents are tried side by side (the paper's first future direction).
 """
@@ -16,7 +17,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
-from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
+from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
+from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.search.search import AttackSearch
@@ -27,7 +29,7 @@ UNDECIDED = 0.5  # share of the maximum entropy from which the first intents are
 MAX_NOVEL = 2  # novel intents in one answer
 Evidence = Callable[[Aliases], str]
 
-# The three classes below are sent to the model as a JSON schema, with their names and docstrings.
+# The classes below are sent to the model as a JSON schema, with their names and docstrings.
 
 
 class Choice(BaseModel):
@@ -38,7 +40,8 @@ class Choice(BaseModel):
     novel: bool = False
     description: str = Field(default="", max_length=600)
     risk: Literal["low", "medium", "high"]
-    acceleration: float | list[list[float]]
+    acceleration: float | list[list[float]] = 0.0
+    ways: list[HowTo] = Field(default_factory=list, max_length=MOST_WAYS)
     reason: str = Field(default="", max_length=2000)
 
 
@@ -46,7 +49,7 @@ class Analysis(BaseModel):
     """A model's whole answer."""
 
     analysis: str = Field(default="", max_length=8000)
-    intents: list[Choice] = Field(min_length=1, max_length=6)
+    intents: list[Choice] = Field(max_length=6)
 
 
 class Same(BaseModel):
@@ -117,11 +120,14 @@ class ModelAnalyzer:
         self.distribution: Distribution | None = None
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents for the earliest situation, most dangerous first. Raises ModelError, BudgetError."""
+        """Intents for the earliest situation, most dangerous first; none if the model sees nothing dangerous.
+
+        Raises ModelError, BudgetError.
+        """
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
-        prompt = analyzer_prompt(self._prompts, situation, entries, self._limits, self._evidence)
+        prompt = analyzer_prompt(self._prompts, situations, entries, self._limits, self._evidence)
 
         def check(answer: Analysis) -> str | None:
             return self._fault(answer, situation, aliases, entries)
@@ -130,11 +136,13 @@ class ModelAnalyzer:
             self._metered, "analyzer", prompt.system, prompt.user, Analysis, samples=self._samples, check=check
         )
         ranked, self.distribution = _ranking(answers, aliases)
-        return [_intent(choice, aliases, entries) for choice in ranked]
+        return [_intent(choice, aliases, entries, situations) for choice in ranked]
 
     def confirm(self, label: str, description: str, nearest: Sequence[LibraryEntry]) -> str | None:
         """The label among ``nearest`` that means the same behaviour, None for a novel one. Raises ModelError."""
-        listed = "\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in nearest)
+        listed = "\n".join(
+            line for e in nearest for line in (f"- {sanitize(e.label)}: {sanitize(e.description)}", *modes_words(e))
+        )
         prompt = self._prompts.render(
             "confirm", label=sanitize(label), description=sanitize(description), nearest=listed
         )
@@ -172,6 +180,8 @@ class ModelAnalyzer:
                 words = set(situation.targets[aliases.bvs[choice.bv]].applies())
                 if not words & set(entry.applies):
                     fault = f"'{entry.label}' does not apply to {choice.bv} from where it is."
+                else:
+                    fault = next((f for how in choice.ways if (f := way_fault(how, entry)) is not None), None)
             if fault is not None:
                 return fault
             key = (choice.bv, choice.label.lower())
@@ -201,13 +211,16 @@ class ModelAnalyzer:
 
 def analyzer_prompt(
     prompts: Prompts,
-    situation: Situation,
+    situations: Mapping[float, Situation],
     library: Sequence[LibraryEntry],
     limits: Limits,
     evidence: Evidence | None = None,
 ) -> Prompt:
-    """The analyzer's prompt for a situation. ``library``: the intents that the model may choose."""
+    """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose."""
+    situation = situations[min(situations)]
     aliases = Aliases.of(situation)
+    words = {word for target in situation.target_list() for word in target.applies()}
+    fitting = {e.label for e in library if words & set(e.applies)}
     return prompts.render(
         "analyzer",
         library="\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in library),
@@ -215,6 +228,8 @@ def analyzer_prompt(
         braking=f"{limits.braking:g}", acceleration=f"{limits.acceleration:g}", lateral=f"{limits.lateral:g}",
         road=road_words(situation, aliases), states=state_words(situation, aliases),
         relative=relative_words(situation, aliases, {e.label: e.applies for e in library}),
+        outlook=outlook_words(situation), modes=library_words(library, fitting) or "None of the library applies.",
+        starts=starts_words(situations),
         driver=driver_words(situation), evidence=f"\n{evidence(aliases)}" if evidence is not None else "",
     )  # fmt: skip
 
@@ -232,7 +247,8 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
             key = (choice.bv, choice.label)
             risk[key] += RISKS[choice.risk] / (1 + place) / len(answers)
             chosen.setdefault(key, choice)
-        first[(answer.intents[0].bv, answer.intents[0].label)] += 1
+        if answer.intents:
+            first[(answer.intents[0].bv, answer.intents[0].label)] += 1
     order = sorted(chosen, key=lambda key: -risk[key]) if len(answers) > 1 else list(chosen)
     shares = {(aliases.bvs[bv], label): count / len(answers) for (bv, label), count in first.items()}
     expected = {(aliases.bvs[bv], label): round(risk[bv, label], 4) for bv, label in order}
@@ -241,11 +257,14 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
     return [chosen[k] for k in order], Distribution(len(answers), shares, round(entropy / maximum, 4) + 0.0, expected)
 
 
-def _intent(choice: Choice, aliases: Aliases, library: Sequence[LibraryEntry]) -> Intent:
+def _intent(
+    choice: Choice, aliases: Aliases, library: Sequence[LibraryEntry], situations: Mapping[float, Situation]
+) -> Intent:
     entry = next((e for e in library if sanitize(e.label).lower() == sanitize(choice.label).lower()), None)
     label = entry.label if entry is not None else sanitize(choice.label)
     description = entry.description if entry is not None else sanitize(choice.description)
+    bv = aliases.bvs[choice.bv]
     return Intent(
-        aliases.bvs[choice.bv], label, description, choice.risk, acceleration_of(choice.acceleration),
-        sanitize(choice.reason), "memory" if entry is not None else "generated",
+        bv, label, description, choice.risk, acceleration_of(choice.acceleration), sanitize(choice.reason),
+        "memory" if entry is not None else "generated", tuple(way_of(how, situations, bv) for how in choice.ways),
     )  # fmt: skip

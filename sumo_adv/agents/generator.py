@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
-from sumo_adv.agents.scene_text import Aliases, relative_words, road_words
+from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.llm.asking import MeteredModel, ask
@@ -98,11 +98,12 @@ def generator_prompt(
 ) -> Prompt:
     """The generator's prompt; the arguments are those of ``ModelGenerator``."""
     scene, relation = "None in particular: it is written for the library.", "as the description says"
+    driver = "not known."
     if situation is not None:
         aliases = Aliases.of(situation)
         alias = aliases.by_id.get(intent.bv, "BV1")
         relation = situation.targets[intent.bv].relation
-        scene = f"The bv is {alias}.\n{road_words(situation, aliases)}\n{relative_words(situation, aliases, {})}"
+        scene, driver = scene_words(situation, aliases, alias), driver_words(situation)
     shown = [e for e in examples if e.planners][:MAX_EXAMPLES]
     texts = [f"--- {sanitize(e.label)}: {sanitize(e.description)}\n{e.planners[0].source}" for e in shown]
     psi = (
@@ -112,7 +113,7 @@ def generator_prompt(
     )
     return prompts.render(
         "generator", rules=planner_rules(prompts, limits), label=sanitize(intent.label),
-        description=sanitize(intent.description), relation=relation, scene=scene, instruction=psi,
+        description=sanitize(intent.description), relation=relation, scene=scene, driver=driver, instruction=psi,
         examples="\n\n".join(texts),
     )  # fmt: skip
 

@@ -1,131 +1,148 @@
-"""The modifier: a language model changes a planner's text after attempts that were not critical.
+"""The modifier: a language model changes how an intent is carried out, after attempts that did not reach the level.
 
-The built-in expert has no modifier. The search itself tries other parameters, modes, vehicles and start times.
+It may give a planner other numbers, rewrite its text, name another intent that is better here, or stop. The built-in
+expert has no modifier: the search itself tries other parameters, modes, vehicles and start times.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.feedback import AttemptReport, RepairScene, earlier_words, report_words
 from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
-from sumo_adv.datatypes import Attempt, Diagnosis, Limits, Planner
+from sumo_adv.agents.ways import HowTo, first_of_each_mode, way_fault
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.planners.source import make_planner
 
-MAX_ATTEMPTS = 4  # attempts of a planner in the prompt, the best ones
+MAX_ATTEMPTS = 3  # attempts of a planner in the prompt, the best ones
+TRIES = 2  # times that a fault is sent back
 
 
-class Changed(BaseModel):  # sent to the model as a JSON schema, with its name and docstring
-    """A changed planner as a model gives it."""
+# The two classes below are sent to the model as a JSON schema, with their names and docstrings.
+
+
+class Instead(HowTo):
+    """Another intent of the library, for a BV, with the way to carry it out."""
+
+    bv: str
+    label: str = Field(min_length=1, max_length=80)
+
+
+class Changed(BaseModel):
+    """A change as a model gives it."""
 
     diagnosis: str = Field(default="", max_length=8000)
-    source: str = Field(min_length=1, max_length=40_000)
+    action: Literal["numbers", "text", "another", "stop"] = "text"
+    parameters: dict[str, float] = Field(default_factory=dict)
+    source: str = Field(default="", max_length=40_000)
+    instead: Instead | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """What the modifier wants tried next: a planner with the numbers that differ from its defaults, or another intent.
+    With neither it says that nothing can work here. ``words``: what was decided, for reports."""
+
+    words: str
+    planner: Planner | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    instead: Instead | None = None
 
 
 class ModelModifier:
-    """Asks a model for a changed planner. The sandbox's fault is sent back at most ``tries`` times.
-
-    ttc: the criterion that the attempts missed [s].
-    """
+    """Asks a model for a change. The fault of an answer is sent back at most ``TRIES`` times."""
 
     def __init__(
-        self,
-        metered: MeteredModel,
-        prompts: Prompts,
-        limits: Limits,
-        trial: Trial,
-        *,
-        ttc: float,
-        tries: int = 2,
+        self, metered: MeteredModel, prompts: Prompts, limits: Limits, trial: Trial, settings: Settings
     ) -> None:
         self._metered, self._prompts, self._limits, self._trial = metered, prompts, limits, trial
-        self._ttc, self._tries = ttc, tries
+        self._settings = settings
 
-    def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
-        """A changed planner with the old planner's hash as ``parent``; None if no attempt used the planner.
+    def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change:
+        """The change after the attempts in ``reports``, which are the planner's own.
 
-        Raises ModelError, BudgetError.
+        A new text has the old planner's hash as ``parent``. Raises ModelError, BudgetError.
         """
-        own_attempts = [a for a in attempts if a.proposal.planner.hash == planner.hash]
-        if not own_attempts:
-            return None
-        prompt = modifier_prompt(self._prompts, planner, description, own_attempts, self._limits, self._ttc)
+        prompt = modifier_prompt(self._prompts, planner, reports, scene, self._limits, self._settings)
 
         def build(answer: Changed) -> Planner:
             source, author = without_fence(answer.source), self._metered.model.name
             return make_planner(planner.label, planner.mode, source, author, planner.hash)
 
         def check(answer: Changed) -> str | None:
-            if without_fence(answer.source) == planner.source:
-                return "This is the old text; change it."
-            return planner_fault(lambda: build(answer), self._trial)
+            match answer.action:
+                case "numbers":
+                    return _numbers_fault(answer, planner, reports)
+                case "another":
+                    return _instead_fault(answer.instead, scene)
+                case "text":
+                    if without_fence(answer.source) == planner.source:
+                        return "This is the old text; change it, or give other numbers."
+                    return planner_fault(lambda: build(answer), self._trial)
+                case _:
+                    return None
 
-        answer = ask(self._metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=self._tries)
-        return build(answer)
+        answer = ask(self._metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=TRIES)
+        match answer.action:
+            case "numbers":
+                return Change(f"other numbers for '{planner.mode}'", planner, dict(answer.parameters))
+            case "text":
+                return Change(f"a new text for '{planner.mode}'", build(answer))
+            case "another":
+                assert answer.instead is not None
+                return Change(f"'{sanitize(answer.instead.label)}' instead", instead=answer.instead)
+            case _:
+                return Change("nothing can work here")
+
+
+def _numbers_fault(answer: Changed, planner: Planner, reports: Sequence[AttemptReport]) -> str | None:
+    known = {p.name: p for p in planner.parameters}
+    for name, value in answer.parameters.items():
+        if name not in known:
+            return f"The planner has no parameter '{sanitize(name)}'; it has {', '.join(known) or 'none'}."
+        if not known[name].low <= value <= known[name].high:
+            return f"{name} = {value:g} is not within {known[name].low:g} and {known[name].high:g}."
+    wanted = planner.defaults() | answer.parameters
+    if any(dict(r.attempt.proposal.parameters) == wanted for r in reports):
+        return "These numbers were tried; give others, or change the text."
+    return None
+
+
+def _instead_fault(instead: Instead | None, scene: RepairScene) -> str | None:
+    if instead is None:
+        return "The action 'another' needs 'instead'."
+    if instead.bv not in scene.choices:
+        return f"There is no vehicle '{sanitize(instead.bv)}'; there are {', '.join(scene.choices)}."
+    entries = {e.label: e for e in scene.choices[instead.bv]}
+    if instead.label not in entries:
+        return f"'{sanitize(instead.label)}' does not apply to {instead.bv}; there are {', '.join(entries) or 'none'}."
+    return way_fault(instead, entries[instead.label])
 
 
 def modifier_prompt(
     prompts: Prompts,
     planner: Planner,
-    description: str,
-    attempts: Sequence[Attempt],
+    reports: Sequence[AttemptReport],
+    scene: RepairScene,
     limits: Limits,
-    ttc: float,
+    settings: Settings,
 ) -> Prompt:
-    """The modifier's prompt. ``attempts``: those of this planner; ``ttc`` [s]: the criterion that they missed."""
-    best = sorted(attempts, key=lambda a: (a.verdict.min_ttc, a.verdict.min_distance))[:MAX_ATTEMPTS]
+    """The modifier's prompt. ``reports``: of the attempts with this planner, the best ones first."""
+    others = [
+        f"- {alias}, {sanitize(e.label)}: {', '.join(p.mode for p in first_of_each_mode(e))}"
+        for alias, entries in scene.choices.items() for e in entries
+    ]  # fmt: skip
     return prompts.render(
-        "modifier", rules=planner_rules(prompts, limits), ttc=f"{ttc:g}", label=sanitize(planner.label),
-        description=sanitize(description), mode=sanitize(planner.mode), source=planner.source,
-        feedback="\n".join(feedback(a) for a in best),
+        "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.ttc:g}",
+        label=sanitize(planner.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
+        source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
+        feedback="\n".join(report_words(r) for r in reports[:MAX_ATTEMPTS]),
+        earlier="\n".join(earlier_words(a) for a in scene.earlier), others="\n".join(others) or "none",
     )  # fmt: skip
-
-
-def feedback(attempt: Attempt) -> str:
-    """The result of one attempt in words."""
-    v, p = attempt.verdict, attempt.proposal
-    numbers = ", ".join(f"{k} = {q:g}" for k, q in p.parameters.items())
-    lines = [f"Attempt {attempt.index + 1} ({numbers or 'no parameters'}; began {p.delay:g} s after the trigger):"]
-    if v.collided:
-        how = "rear-end, which does not count" if v.rear_end else str(v.avoidable or "").replace("_", " ")
-        lines.append(f"  They collided ({how}).")
-    elif v.min_ttc < 100:
-        when = f", {v.min_ttc_time - attempt.trigger_time:.1f} s after its start" if v.min_ttc_time is not None else ""
-        lines.append(
-            f"  Least time to collision {v.min_ttc:.2f} s{when}; least distance of the boxes {v.min_distance:.1f} m."
-        )
-    else:
-        lines.append(f"  They were never on a collision course; least distance of the boxes {v.min_distance:.1f} m.")
-    if attempt.diagnosis is not None:
-        lines += [f"  {line}" for line in diagnosis_words(attempt.diagnosis)]
-    if v.failed_gates:
-        lines.append(f"  Not feasible: {', '.join(v.failed_gates)}.")
-    if attempt.message:
-        lines.append(f"  {sanitize(attempt.message)}")
-    return "\n".join(lines)
-
-
-def diagnosis_words(d: Diagnosis) -> list[str]:
-    """A diagnosis as sentences."""
-    lines = [
-        f"Nearest {d.time:.1f} s after its start: the bv's centre was {_place(d.ego_frame, 'the ego')}; seen from the"
-        f" bv, the ego was {_place(d.bv_frame, 'it')}. Speeds then: ego {d.ego_speed:.1f}, bv {d.bv_speed:.1f} m/s.",
-    ]
-    if d.early is not None:
-        when = "early" if d.early > 0 else "late"
-        lines.append(f"The bv was {abs(d.early):.1f} s too {when} at the place where their paths come together.")
-    reaction = "did not react"
-    if d.ego_reaction is not None:
-        reaction = f"began to brake {d.ego_reaction:.1f} s after its start, at most {d.ego_braking:.1f} m/s2"
-    lines.append(f"The ego {reaction}; it moved {d.ego_shift:.1f} m sideways.")
-    lines.append(f"Limits that bound the bv: {', '.join(d.bound) or 'none'}.")
-    return lines
-
-
-def _place(frame: tuple[float, float], of: str) -> str:
-    ahead, left = frame
-    along = f"{abs(ahead):.1f} m {'ahead of' if ahead >= 0 else 'behind'}"
-    return f"{along} and {abs(left):.1f} m to the {'left' if left >= 0 else 'right'} of {of}"

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner
+from sumo_adv.agents.feedback import AttemptReport, RepairScene
+from sumo_adv.agents.modifier import Change
+from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.situation import Situation
 
 
@@ -35,14 +37,12 @@ class Generator(Protocol):
 
 
 class Modifier(Protocol):
-    """Changes a planner after attempts that were not critical. Implemented by ModelModifier alone.
+    """Changes how an intent is carried out, after attempts that did not reach the level. Implemented by ModelModifier
+    alone.
 
     The built-in expert has no modifier: the search itself tries other parameters, modes, vehicles and start times.
     """
 
-    def modify(self, planner: Planner, attempts: Sequence[Attempt], description: str = "") -> Planner | None:
-        """A changed planner with the old planner's hash as ``parent``; None to change nothing. Raises ModelError.
-
-        description: of the planner's intent.
-        """
+    def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change:
+        """What is to be tried next; ``reports``: of the attempts with this planner. Raises ModelError."""
         ...

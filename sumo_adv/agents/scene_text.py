@@ -26,7 +26,9 @@ DRIVERS = {
     "idm": "an IDM car-following driver",
     "eidm": "an extended IDM car-following driver",
     "careful": "a careful and competent driver (brakes only, reacts within about 1.2 s, up to 7.6 m/s2)",
-    "replay": "a recorded motion, played back: it does not react at all",
+    "replay": "a recorded motion, played back: EGO does not react to anything",
+    "blind": "a driver who keeps its speed and never reacts",
+    "lattice": "a planner that looks around, brakes and steers",
 }
 
 
@@ -88,22 +90,59 @@ def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str,
         target = situation.targets[name]
         relations = set(target.applies())
         fitting = [sanitize(label) for label, applies in library.items() if relations & set(applies)]
-        lines.append(f"{alias}: {_relation(target, situation)} Behaviours that apply: {', '.join(fitting) or 'none'}.")
+        lines.append(
+            f"{alias}: {_relation(target, situation)} Behaviours that apply: "
+            f"{', '.join(fitting) or 'none of the library'}."
+            if library
+            else f"{alias}: {_relation(target, situation)}"
+        )
     return "\n".join(lines)
+
+
+def scene_words(situation: Situation, aliases: Aliases, alias: str) -> str:
+    """The whole scene for whoever writes or repairs a planner of the BV ``alias``."""
+    return "\n".join(
+        (
+            f"The bv is {alias}.", road_words(situation, aliases), state_words(situation, aliases),
+            outlook_words(situation), relative_words(situation, aliases, {}),
+        )
+    )  # fmt: skip
+
+
+OUTLOOK = (2.0, 4.0, 6.0, 8.0)  # s from now
+
+
+def outlook_words(situation: Situation) -> str:
+    """Where the ego is predicted to be without an attack; where the prediction ends."""
+    path, b = situation.baseline.path, situation.baseline
+    parts = []
+    for t in OUTLOOK:
+        k = round(t / situation.dt)
+        if k >= len(b.s) or k > situation.left:
+            break
+        x, y, h = (float(v[0]) for v in path.at(b.s[k : k + 1]))
+        x, y, h = situation.frame.to_local(x, y, h)
+        parts.append(f"t={t:g}: x={x:.1f} y={y + 0.0:.1f} hdg={math.degrees(h):.0f} v={b.v[k]:.1f}")
+    end = (
+        f"; the recording ends {situation.left * situation.dt:.1f} s from now" if math.isfinite(situation.left) else ""
+    )
+    return f"EGO without an attack: {'; '.join(parts) or 'not known'}{end}."
 
 
 def driver_words(situation: Situation) -> str:
     """The driver model of the ego."""
-    model = situation.baseline.model
-    kind = DRIVERS.get(model.kind, "an unknown driver, thought of as an IDM car-following driver")
-    tendency = (
-        "braking" if situation.ego.acceleration < -0.3 else ("speeding up" if situation.ego.acceleration > 0.3 else "")
-    )
+    model, ego = situation.baseline.model, situation.ego
+    kind = DRIVERS.get(model.kind, "an unknown driver")
+    if not model.known:
+        kind = f"a driver that nobody here knows; predictions take it for {kind} and for others like it"
+    size = f"EGO is {ego.length:.1f} m long and {ego.width:.1f} m wide."
+    if model.kind in ("replay", "blind"):
+        return f"{kind[0].upper()}{kind[1:]}. {size}"
+    tendency = "; now braking" if ego.acceleration < -0.3 else ("; now speeding up" if ego.acceleration > 0.3 else "")
     return (
         f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
         f" {model.speed:.1f} m/s at most, headway {model.tau:.1f} s, comfortable braking"
-        f" {model.deceleration:.1f} m/s2{'; now ' + tendency if tendency else ''}. EGO is"
-        f" {situation.ego.length:.1f} m long and {situation.ego.width:.1f} m wide."
+        f" {model.deceleration:.1f} m/s2{tendency}. {size}"
     )
 
 
@@ -170,7 +209,7 @@ def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
         if abs(track.time[i] - situation.time - t) > 0.06:
             continue
         x, y, h = situation.frame.to_local(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
-        parts.append(f"t={t:.1f}: x={x:.1f} y={y:.1f} hdg={math.degrees(h):.0f} v={track.speed[i]:.1f}")
+        parts.append(f"t={t:.1f}: x={x:.1f} y={y + 0.0:.1f} hdg={math.degrees(h):.0f} v={track.speed[i]:.1f}")
     return (
         "; ".join(parts) + f"; acceleration now {track.acceleration[-1]:.1f}; {track.length:.1f} x {track.width:.1f} m"
     )

@@ -28,7 +28,7 @@ class Parts:
     load: Callable[[Path, str | None], RunInput]
     open_agents: Callable[..., AbstractContextManager[Any]]
     full_outcome: Callable[[Episode], dict[str, Any]]  # what outcome.json holds
-    keep_run: Callable[[Path, Episode], None]  # the folder of a run
+    keep_run: Callable[[Path, Episode, Path | None], None]  # the folder of a run, with the model's exchanges
     draw_example: Callable[[Path, Episode], None]  # a picture of the encounter without and with the attack
 
 

@@ -105,20 +105,21 @@ class Bencher:
         if arena.found is None:
             return self._filled(job, row, arena.fresh(), arena)
         settings = arena.episode.settings
+        exchanges = scratch / f"{slug(row)}.jsonl"
         with (
             bank_of(method, job, self._setup, bank, scratch) as own,
-            self._setup.parts.open_agents(settings, arena.sandbox, scratch / f"{slug(row)}.jsonl") as agents,
+            self._setup.parts.open_agents(settings, arena.sandbox, exchanges) as agents,
         ):
-            return self._filled(job, row, arena.by_program(own, agents), arena)
+            return self._filled(job, row, arena.by_program(own, agents), arena, exchanges)
 
-    def _filled(self, job: Job, row: str, episode: Episode, arena: Arena) -> Cell:
-        """The cell of a row that attacked, or could not."""
+    def _filled(self, job: Job, row: str, episode: Episode, arena: Arena, exchanges: Path | None = None) -> Cell:
+        """The cell of a row that attacked, or could not. ``exchanges``: with a model, as recorded until now."""
         outcome = self._setup.parts.full_outcome(episode)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
         timing = {k: round(v, 4) for k, v in episode.timing.items()}
         cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
         if self._setup.keep_runs and episode.found is not None:
-            self._setup.parts.keep_run(self._run_folder(job, row), episode)
+            self._setup.parts.keep_run(self._run_folder(job, row), episode, exchanges)
         if job.case.name in self._setup.examples and episode.best is not None:
             with suppress(UsageError):  # what cannot be drawn is no failure of the row
                 self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)

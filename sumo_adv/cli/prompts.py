@@ -63,7 +63,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=known)
     library = [e for e in planned.library if not allowed or e.label in allowed]
     return analyzer_prompt(
-        shipped_prompts(), planned.found.first, library, settings.limits.limits(),
+        shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
         evidence if settings.evidence == "on" else None,
     )  # fmt: skip
 
@@ -71,6 +71,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
 def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
+    from sumo_adv.episode.attempt_report import report_of, scene_of
     from sumo_adv.episode.attempt_runner import AttemptRunner
     from sumo_adv.episode.refinement import Refinement, Refiner
 
@@ -84,7 +85,8 @@ def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine:
     Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda _: None).run([intent], found)
     if not found.attempts:
         return [generator]
-    planner = found.attempts[0].proposal.planner
-    described = {e.label: e.description for e in planned.library}
-    modifier = modifier_prompt(prompts, planner, described.get(planner.label, ""), found.attempts, limits, settings.ttc)
-    return [generator, modifier]
+    tried = found.attempts[0].proposal
+    entry = next(e for e in planned.library if e.label == tried.label)
+    reports = [report_of(found.attempts[0], found.results[0], planned.found, settings)]
+    scene = scene_of(tried.bv, entry, found.attempts, planned.found, planned.library)
+    return [generator, modifier_prompt(prompts, tried.planner, reports, scene, limits, settings)]

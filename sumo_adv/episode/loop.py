@@ -86,6 +86,9 @@ def decide(
         episode.intents = [planned.known]
     else:
         entries = analyze(episode, planned, agents, bank)
+    if not episode.intents and episode.settings.tuner == "off":
+        episode.ending, episode.reason = Ending.NO_ENCOUNTER, "The analyzer sees nothing here that could be dangerous."
+        return None
     if planned.search.pool:
         return entries
     episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."

@@ -22,7 +22,7 @@ from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.situation import Situation
 
-CONFIRMED = 3  # the analyzer compares a new intent with this number of nearest intents
+CONFIRMED = 2  # the analyzer compares a new intent with this number of nearest intents
 
 
 def read_library(
@@ -84,8 +84,9 @@ def retrieve(
 ) -> list[LibraryEntry]:
     """The library with entries for the episode's intents.
 
-    An intent within epsilon of a library entry takes that entry's label. Any other gets a new entry, with generated
-    planners.
+    An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Where nobody
+    has judged it, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
+    entry, with generated planners.
 
     Raises:
         ModelError: a model plays the analyzer or the generator and failed.
@@ -98,9 +99,8 @@ def retrieve(
         retrieved = bank.retrieve(intent.label, intent.description)
         episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
         near = [by_label[label] for label, _ in retrieved.nearest if label in by_label]
-        hit = retrieved.hit
-        if retrieved.band and near and agents.by_model("analyzer"):
-            hit = agents.confirm(intent, near[:CONFIRMED])
+        judged = agents.by_model("analyzer")
+        hit = agents.confirm(intent, near[:CONFIRMED]) if judged and near else retrieved.hit
         words = situation.targets[intent.bv].applies()
         if hit is not None:  # a near intent's planners are used, also from where this vehicle stands
             entry = replace(by_label[hit], applies=tuple(dict.fromkeys((*by_label[hit].applies, *words))))

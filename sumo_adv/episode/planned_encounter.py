@@ -106,6 +106,9 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
             planned.search, situations, library, allowed=episode.source.intents,
             remembered=remembered(bank, library, planned.scene),
         )  # fmt: skip
+        if not episode.intents and episode.settings.tuner == "builtin":
+            episode.intents = planned.search.ranking(library)
+            episode.notes.append("The analyzer saw nothing dangerous, so the search's own ranking was taken.")
         entries = retrieve(episode, agents, planned.found.first, library, bank)
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began

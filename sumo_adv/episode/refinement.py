@@ -1,7 +1,7 @@
 """The refinement loop: candidates are tried until an attempt reaches the level or the budget is used up.
 
-The search proposes candidates and observes how the ego drove. Once a planner's share of attempts is used up, the
-modifier writes a new version of it. Every attempt records its proposer.
+The search proposes candidates and observes how the ego drove. Once a planner's share of attempts is used up, or
+without the search once nothing is left, the modifier is asked (``repairs.py``). Every attempt records its proposer.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from dataclasses import dataclass, field, replace
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank, succeeded
 from sumo_adv.episode.attempt_runner import Attempts
+from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.search.fixed_order import FixedOrder, as_written
+from sumo_adv.search.fixed_order import FixedOrder, as_written, chosen
 from sumo_adv.search.protocols import Optimizer
 from sumo_adv.search.search import AttackSearch
 
@@ -72,10 +73,8 @@ class Refiner:
     ) -> None:
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
-        self._versions: dict[str, int] = {}  # planner hash -> number of modifications that led to it
-        self._asked: set[str] = set()  # hashes of planners that the modifier was asked to change
-        self._planners: dict[str, Planner] = {}
-        self._of_model: list[Proposal] = []  # a model's own candidates, tried first
+        self._repairs = Repairs(agents, found, library, (), settings)
+        self._favourites: list[Proposal] = []  # of a model whose answers disagree: tried first, side by side
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
@@ -95,29 +94,31 @@ class Refiner:
         found.seconds = time.perf_counter() - began
 
     def _optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
-        """The search, or with ``tuner = off`` a fixed order. A model's ranking counts, and its first intents are tried
-        as it proposed them."""
+        """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
+        ranking counts; where its answers disagree, the best candidates of its first intents are tried first."""
         recalled = [p for p in self._search.pool if p.by == "memory"]
         modelled = self._agents.by_model("analyzer") and not recalled
         templates = self._search.follow(intents, self._library, in_their_order=modelled)
-        self._planners = {t.planner.hash: t.planner for t in templates}
+        self._repairs = Repairs(self._agents, self._found, self._library, templates, self._settings)
         if self._settings.tuner == "off":
             return FixedOrder(as_written(intents, templates, recalled))
-        for intent in intents[: AT_ONCE if self._agents.undecided else 1] if modelled else ():
-            proposal = self._search.propose_default(intent.bv, intent.label)
-            if proposal is not None:
-                self._of_model.append(replace(proposal, acceleration=intent.acceleration))
+        if modelled:
+            player = self._agents.player("analyzer")
+            self._search.add_chosen([replace(p, by=player) for i in intents for p in chosen(i, templates)])
+            favourites = intents[:AT_ONCE] if self._agents.undecided else ()
+            taken = [self._search.take_best(i.bv, i.label) for i in favourites]
+            self._favourites = [p for p in taken if p is not None]
         return self._search
 
     def _next(self, optimizer: AttackSearch | FixedOrder, found: Refinement) -> list[Proposal]:
         left = self._settings.attempts - len(found.attempts)
-        if not found.attempts and self._of_model:
-            return self._of_model[: min(AT_ONCE, left)]
+        if not found.attempts and self._favourites:
+            return self._favourites[:left]
         if isinstance(optimizer, AttackSearch):
             self._modify(optimizer, found)
         budget = min(AT_ONCE if found.attempts or self._agents.undecided else 1, left)
         plans = optimizer.propose(budget)
-        return plans or (self._rewritten(found) if isinstance(optimizer, FixedOrder) else [])
+        return plans or (self._repairs.next(_tried(found)) if isinstance(optimizer, FixedOrder) else [])
 
     def _try(self, plans: Sequence[Proposal], found: Refinement, began: float) -> bool:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
@@ -160,42 +161,26 @@ class Refiner:
         """The phase of an attempt and its proposer; the search's own candidates are never credited to a model."""
         if proposal.by == "memory":
             return "memory", "memory"
-        own = dict(proposal.parameters) == proposal.planner.defaults()
-        if self._versions.get(proposal.planner.hash, 0) > 0:
+        if self._repairs.made(proposal):
+            return "modifier", self._agents.player("modifier")
+        if proposal.planner.hash in self._repairs.versions:
+            own = dict(proposal.parameters) == proposal.planner.defaults()
             return "modifier", proposal.planner.origin if own else "tuner"
-        proposed = any(proposal is p for p in self._of_model)
+        player = self._agents.player("analyzer")
         by_expert = index == 0 and not self._agents.by_model("analyzer")
-        if proposed or by_expert or self._settings.tuner == "off":
-            return "analyzer", self._agents.player("analyzer")
+        if proposal.by == player or by_expert or self._settings.tuner == "off":
+            return "analyzer", player
         return "tuner", "tuner"
 
-    # -- the modifier -------------------------------------------------------------------------------------------
-
     def _modify(self, search: AttackSearch, found: Refinement) -> None:
-        """Have planners without attempts left changed, each at most ``modifications`` times in a row."""
+        """Have planners without attempts left changed; the changes are predicted and join the search's candidates."""
         for name in search.exhausted():
-            changed = self._changed(name, found)
-            if changed is not None:
-                search.add_version(changed)
+            for candidate in self._repairs.next(_tried(found), only=name):
+                if candidate.planner.hash in self._repairs.versions:
+                    search.add_version(candidate.planner)
+                else:
+                    search.add_chosen([candidate])
 
-    def _rewritten(self, found: Refinement) -> list[Proposal]:
-        """Without a search: the best attempt whose planner can be changed, repeated with the new version."""
-        for attempt in sorted(found.attempts, key=lambda a: (rank(a.verdict), a.verdict.min_distance)):
-            tried = attempt.proposal
-            changed = self._changed(tried.planner.hash, found)
-            if changed is not None:
-                return [replace(tried, planner=changed, parameters=changed.defaults(), by=changed.origin)]
-        return []
 
-    def _changed(self, name: str, found: Refinement) -> Planner | None:
-        """The modifier's new version of a planner, asked for once; None if there is none."""
-        depth = self._versions.get(name, 0)
-        if name in self._asked or depth >= self._settings.modifications or name not in self._planners:
-            return None
-        self._asked.add(name)
-        entry = next(e for e in self._library if e.label == self._planners[name].label)
-        changed = self._agents.modify(self._planners[name], found.attempts, entry)
-        if changed is not None:
-            self._versions[changed.hash] = depth + 1
-            self._planners[changed.hash] = changed
-        return changed
+def _tried(found: Refinement) -> list[tuple[Attempt, AttemptResult]]:
+    return list(zip(found.attempts, found.results, strict=True))

@@ -105,10 +105,26 @@ def _agents(episode: Episode) -> dict[str, Any]:
 
 
 def _llm(episode: Episode) -> dict[str, Any]:
-    """The ledger; ``model`` names those that took part, null for none."""
+    """The ledger, with what each question bought; ``model`` names those that took part, null for none."""
     agents = episode.agents
     names = sorted({m.name for m in agents.models.values()}) if agents is not None else []
-    return {"model": ", ".join(names) or None, **(Ledger() if agents is None else agents.ledger).as_dict()}
+    ledger = (Ledger() if agents is None else agents.ledger).as_dict()
+    return {"model": ", ".join(names) or None, **ledger, "bought": _bought(episode)}
+
+
+def _bought(episode: Episode) -> list[dict[str, Any]]:
+    """What came of each question to a model; of a planner's text, also the attempts with it and their best level."""
+    found = []
+    for each in [] if episode.agents is None else episode.agents.bought:
+        own = [a for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]
+        level = max((a.verdict.level for a in own), default=None)
+        found.append(
+            {
+                "agent": each.agent, "what": each.what, "planner": each.planner, "attempts": len(own),
+                "level": None if level is None else str(level),
+            }
+        )  # fmt: skip
+    return found
 
 
 def episode_ego(episode: Episode) -> str | None:

@@ -1,4 +1,4 @@
-"""Without the built-in search (``tuner = off``): each intent's planners with their authors' parameters, in order."""
+"""Without the built-in search (``tuner = off``): candidates in the order in which the analyzer chose them."""
 
 from __future__ import annotations
 
@@ -27,12 +27,25 @@ class FixedOrder:
 def as_written(
     intents: Sequence[Intent], templates: Sequence[AttackTemplate], recalled: Sequence[Proposal] = ()
 ) -> list[Proposal]:
-    """What was recalled, then each intent's planners with their authors' parameters at the earliest start, in the order
-    of the intents."""
+    """What was recalled, then the intents in their order: in the ways that the analyzer chose, or where it chose none,
+    all planners with their authors' parameters at the earliest start."""
     candidates = list(recalled)
     for intent in intents:
         applicable = [t for t in templates if (t.target.state.id, t.entry.label) == (intent.bv, intent.label)]
         earliest = min((t.delay for t in applicable), default=0.0)
         first = [t.proposal(None) for t in applicable if t.delay == earliest]
-        candidates += [replace(p, acceleration=intent.acceleration) for p in first]
+        candidates += chosen(intent, templates) or [replace(p, acceleration=intent.acceleration) for p in first]
+    return candidates
+
+
+def chosen(intent: Intent, templates: Sequence[AttackTemplate]) -> list[Proposal]:
+    """The ways that an analyzer chose for an intent, as candidates."""
+    candidates = []
+    for way in intent.ways:
+        wanted = (intent.bv, intent.label, way.mode, way.delay)
+        found = (t for t in templates if (t.target.state.id, t.entry.label, t.planner.mode, t.delay) == wanted)
+        template = next(found, None)
+        if template is not None:
+            numbers = template.planner.defaults() | dict(way.parameters)
+            candidates.append(replace(template.proposal(None), parameters=numbers, acceleration=intent.acceleration))
     return candidates

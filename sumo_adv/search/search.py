@@ -119,14 +119,23 @@ class AttackSearch:
     def follow(
         self, intents: Sequence[Intent], library: Sequence[LibraryEntry], *, in_their_order: bool = False
     ) -> list[AttackTemplate]:
-        """From now on draw only from these intents; ``in_their_order``: a place in the ranking has its price.
+        """From now on draw from these intents; ``in_their_order``: draw from all, but a place in the ranking has its
+        price, and what is not in it comes last.
 
-        Returns their templates.
+        Returns the templates.
         """
-        self._templates = templates_of(self._situations, library, [i.label for i in intents])
-        self._ranks = {(i.bv, i.label): k for k, i in enumerate(intents)} if in_their_order else {}
+        drawn_from = self._allowed if in_their_order else [i.label for i in intents]
+        self._templates = templates_of(self._situations, library, drawn_from)
+        self._ranks = {}
+        for i in intents if in_their_order else ():
+            self._ranks.setdefault((i.bv, i.label), len(self._ranks))
         self._redrawn = len(drawn(self.pool))
         return list(self._templates)
+
+    def add_chosen(self, chosen: Sequence[Proposal]) -> None:
+        """Predict candidates that a model chose, with variations of their numbers; they join the pool as any other."""
+        variations = self._sampler.variations(chosen, self._settings.sampling.around_chosen * len(chosen))
+        self.pool += self._scored([*chosen, *variations])
 
     def propose(self, budget: int) -> list[Proposal]:
         """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""
@@ -135,16 +144,10 @@ class AttackSearch:
             selected.append(proposal)
         return selected
 
-    def propose_default(self, bv: str, label: str) -> Proposal | None:
-        """The best candidate of an intent with its author's parameters, or None; it leaves the pool."""
-        templates = [t for t in self._templates if (t.target.state.id, t.entry.label) == (bv, label)]
+    def take_best(self, bv: str, label: str) -> Proposal | None:
+        """The best candidate of an intent, or None; it leaves the pool."""
         pool = [p for p in self.pool if (p.bv, p.label) == (bv, label)]
-        defaults = [p for p in pool if dict(p.parameters) == p.planner.defaults()]
-        there = {(p.delay, p.planner.hash) for p in defaults}
-        missing = [t for t in templates if (t.delay, t.planner.hash) not in there]
-        fresh = self._scored(self._sampler.each(missing, 0))
-        self.pool += fresh
-        return self._take(min(defaults + fresh, key=lambda p: p.score)) if defaults or fresh else None
+        return self._take(min(pool, key=lambda p: p.score)) if pool else None
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
         """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""

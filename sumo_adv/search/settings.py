@@ -45,7 +45,7 @@ class PriceSettings:
     at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
     spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
-    rank: float = 0.3  # for each place in a model's ranking
+    rank: float = 0.1  # for each place in a model's ranking
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,7 @@ class SamplingSettings:
     spread: float = 0.12  # of a parameter's range: standard deviation of a variation
     for_spare: int = 450  # drawn at most for a candidate that reaches the goal with something to spare
     most: int = 2000  # drawn at most where none reaches the goal
+    around_chosen: int = 5  # variations of each candidate that a model chose
     before_first_attempt: int = 14  # times ``proposals``: drawn at most before the first attempt
 
 

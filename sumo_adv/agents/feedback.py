@@ -1,0 +1,166 @@
+"""What attempts showed, in words for the modifier: the level, what the next one needs, and how both vehicles moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sumo_adv.agents.prompts import sanitize
+from sumo_adv.datatypes import Attempt, Diagnosis, Level, LibraryEntry, Verdict
+from sumo_adv.metrics.levels import SERIOUS_DELTA_V
+from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION
+
+NEEDED = PERCEPTION + REACTION  # s that the careful driver lets pass before it brakes
+ENDINGS = {
+    "contact": "it ended with the contact", "passed": "it ended because the two had passed each other",
+    "time_limit": "it ended at its time limit", "ego_left": "it ended because EGO left the network or its recording",
+    "planner_failed": "it ended because the planner failed", "ego_lost": "it ended because EGO was not driven any more",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Both vehicles ``time`` s after the start: the bv's centre ahead and left of the ego [m] in the ego's frame, its
+    heading against the ego's [deg], both speeds [m/s], the bv's offset from its way [m, left positive]."""
+
+    time: float
+    ahead: float
+    left: float
+    heading: float
+    ego_speed: float
+    bv_speed: float
+    offset: float
+
+
+@dataclass(frozen=True, slots=True)
+class AttemptReport:
+    """An attempt with its motion every half second, its failed gates in words, and how long it lasted [s]."""
+
+    attempt: Attempt
+    rows: tuple[Row, ...]
+    gates: tuple[str, ...]
+    lasted: float
+
+
+@dataclass(frozen=True, slots=True)
+class RepairScene:
+    """What the modifier is told besides the attempts with a planner.
+
+    entry: the planner's intent. scene: the adversary, the road, the states and the driver in words. earlier: all
+    attempts of the encounter. choices: the intents of the library that each BV could try instead, by its alias. starts:
+    in words, when attacks may begin.
+    """
+
+    entry: LibraryEntry
+    scene: str
+    earlier: tuple[Attempt, ...]
+    choices: Mapping[str, tuple[LibraryEntry, ...]]
+    starts: str
+
+
+def report_words(report: AttemptReport) -> str:
+    """One attempt for the modifier."""
+    attempt = report.attempt
+    v, p = attempt.verdict, attempt.proposal
+    numbers = ", ".join(f"{k} = {q:g}" for k, q in p.parameters.items()) or "no parameters"
+    lines = [
+        f"Attempt {attempt.index + 1} ({numbers}; it began {p.delay:g} s after the trigger and lasted "
+        f"{report.lasted:.1f} s; {ENDINGS.get(attempt.ending, attempt.ending)}):",
+        f"  Level {v.level}: {_came_to(v)}",
+        *(f"  Not feasible, {gate}" for gate in report.gates),
+        f"  What the next level needs: {next_level(v, attempt.trigger_time)}",
+    ]
+    if attempt.diagnosis is not None:
+        lines += [f"  {line}" for line in diagnosis_words(attempt.diagnosis)]
+    if attempt.message:
+        lines.append(f"  {sanitize(attempt.message)}")
+    lines.append("  t; bv ahead, left of EGO; heading; EGO's speed, bv's speed; bv's offset from its way")
+    lines += [
+        f"  {r.time:.1f}; {r.ahead:.1f}, {r.left:.1f}; {r.heading:.0f}; {r.ego_speed:.1f}, {r.bv_speed:.1f}; "
+        f"{r.offset:.1f}"
+        for r in report.rows
+    ]
+    return "\n".join(lines)
+
+
+def earlier_words(attempt: Attempt) -> str:
+    """One attempt as a line of the list of all."""
+    v, p = attempt.verdict, attempt.proposal
+    gates = f", not feasible ({', '.join(v.failed_gates)})" if v.failed_gates else ""
+    return f"{attempt.index + 1}: {sanitize(p.label)}/{sanitize(p.planner.mode)}, level {v.level}{gates}; {_came_to(v)}"
+
+
+def _came_to(v: Verdict) -> str:
+    if v.collided:
+        hard = "" if v.delta_v is None else f", delta-v of EGO {v.delta_v:.1f} m/s"
+        return f"they collided{' (the bv ran into the back of EGO)' if v.rear_end else ''}{hard}."
+    course = f"least time to collision {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no collision course"
+    return f"no contact; {course}, least distance of the boxes {v.min_distance:.1f} m."
+
+
+def next_level(v: Verdict, start: float) -> str:
+    """What is missing to the next level, in a sentence with numbers. ``start`` of the attempt [s]."""
+    if not v.feasible:
+        return "a motion that is feasible; see above."
+    if v.rear_end:
+        return "a contact in which the bv does not run into the back of EGO."
+    if not v.collided:
+        return "a contact."
+    if v.ego_stationary:
+        return "an EGO that moves in the last second before the contact."
+    if v.ego_blocking:
+        return "a contact in which EGO does not block a way that has priority over it."
+    p = v.preventability
+    if p is None or v.contact_time is None:
+        return "a collision that can be judged."
+    alarm = p.alarms.get("cc_human")
+    warning = None if alarm is None else v.contact_time - alarm
+    if p.inconclusive == "no_hazard" or (warning is None and v.level < Level.VALID):
+        return "a danger that shows before the contact; until then a careful driver saw none in what the bv did."
+    if p.inconclusive is not None:
+        return "a collision that also takes place if EGO keeps its recorded motion."
+    if v.level >= Level.STRICT:
+        missing = []
+        if v.delta_v is not None and v.delta_v < SERIOUS_DELTA_V:
+            missing.append(f"a harder contact (delta-v {v.delta_v:.1f}, wanted {SERIOUS_DELTA_V:.2f} m/s)")
+        if v.humanlike is False:
+            missing.append(f"gentler driving ({', '.join(v.beyond_human)} beyond what people do)")
+        return " and ".join(missing) + "." if missing else "nothing, it is the highest."
+    return _more_warning(v, warning, alarm, start)
+
+
+def _more_warning(v: Verdict, warning: float | None, alarm: float | None, start: float) -> str:
+    """For collisions that a careful driver cannot avoid: when the danger showed, and how much earlier it should."""
+    by = v.preventability.by if v.preventability is not None else ()
+    who = f"avoided by {', '.join(by)}" if by else "no reference driver avoids it"
+    if warning is None or alarm is None:
+        return f"a danger that shows earlier; it is {who}."
+    return (
+        f"the danger must show earlier. It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the "
+        f"contact; {who}. A careful driver who only brakes lets {NEEDED:.1f} s pass, then brakes with up to "
+        f"{FULL_BRAKING:.1f} m/s2; show it 1.5 to 2.5 s before the contact."
+    )
+
+
+def diagnosis_words(d: Diagnosis) -> list[str]:
+    """A diagnosis as sentences."""
+    lines = [
+        f"Nearest {d.time:.1f} s after its start: the bv's centre was {_place(d.ego_frame, 'EGO')}; seen from the"
+        f" bv, EGO was {_place(d.bv_frame, 'it')}. Speeds then: EGO {d.ego_speed:.1f}, bv {d.bv_speed:.1f} m/s.",
+    ]
+    if d.early is not None:
+        when = "before" if d.early > 0 else "after"
+        lines.append(f"At the place that both came through, the bv was {abs(d.early):.1f} s {when} EGO.")
+    reaction = "did not react"
+    if d.ego_reaction is not None:
+        reaction = f"began to brake {d.ego_reaction:.1f} s after the start, at most {d.ego_braking:.1f} m/s2"
+    lines.append(f"EGO {reaction}; it moved {d.ego_shift:.1f} m sideways.")
+    if d.bound:
+        lines.append(f"The bv drove at its limit of {', '.join(d.bound)}.")
+    return lines
+
+
+def _place(frame: tuple[float, float], of: str) -> str:
+    ahead, left = frame
+    along = f"{abs(ahead):.1f} m {'ahead of' if ahead >= 0 else 'behind'}"
+    return f"{along} and {abs(left):.1f} m to the {'left' if left >= 0 else 'right'} of {of}"

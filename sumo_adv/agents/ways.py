@@ -1,0 +1,124 @@
+"""How an intent is carried out: the modes that a model may choose from, its choices, and what they mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from pydantic import BaseModel, Field
+
+from sumo_adv.agents.prompts import sanitize
+from sumo_adv.datatypes import LibraryEntry, Planner, Way
+from sumo_adv.situation import Situation
+
+MOST_WAYS = 3  # of one intent
+
+# The two classes below are sent to the model as a JSON schema, with their names and docstrings.
+
+
+class Moment(BaseModel):
+    """A condition for the start: the first moment at which the quantity is at most this."""
+
+    quantity: Literal["distance", "ego_arrival"]
+    at_most: float
+
+
+class HowTo(BaseModel):
+    """One way to carry an intent out."""
+
+    mode: str = Field(min_length=1, max_length=40)
+    parameters: dict[str, float] = Field(default_factory=dict)
+    begin: float | Moment = 0.0
+
+
+def modes_words(entry: LibraryEntry) -> list[str]:
+    """The modes of an intent with their tables of parameters, a line each; of versions of a mode the first one."""
+    lines = []
+    for planner in first_of_each_mode(entry):
+        lines.append(f"  mode {sanitize(planner.mode)}: {opening_comment(planner.source)}")
+        lines += [
+            f"    {sanitize(p.name)}: {p.default:g} ({p.low:g} to {p.high:g}{' ' + p.unit if p.unit else ''})"
+            f"{', ' + sanitize(p.meaning) if p.meaning else ''}"
+            for p in planner.parameters
+        ]
+    return lines
+
+
+def first_of_each_mode(entry: LibraryEntry) -> list[Planner]:
+    """The planners that a mode's name stands for."""
+    first: dict[str, Planner] = {}
+    for planner in entry.planners:
+        first.setdefault(planner.mode, planner)
+    return list(first.values())
+
+
+def opening_comment(source: str) -> str:
+    """The comment that opens a planner's text, without its first line, which is the planner's name."""
+    lines = []
+    for line in source.splitlines()[1:]:
+        if not line.startswith("#"):
+            break
+        lines.append(line.lstrip("# "))
+    return sanitize(" ".join(lines)) or "without a word on it"
+
+
+def way_fault(how: HowTo, entry: LibraryEntry) -> str | None:
+    """What is wrong with a chosen way as a sentence for the model, None for a usable one."""
+    planners = {p.mode: p for p in first_of_each_mode(entry)}
+    if how.mode not in planners:
+        return f"'{entry.label}' has no mode '{sanitize(how.mode)}'; it has {', '.join(planners)}."
+    known = {p.name: p for p in planners[how.mode].parameters}
+    for name, value in how.parameters.items():
+        if name not in known:
+            return f"Mode '{how.mode}' has no parameter '{sanitize(name)}'; it has {', '.join(known) or 'none'}."
+        p = known[name]
+        if not p.low <= value <= p.high:
+            return f"{name} = {value:g} of mode '{how.mode}' is not within {p.low:g} and {p.high:g}."
+    return None
+
+
+def way_of(how: HowTo, situations: Mapping[float, Situation], bv: str) -> Way:
+    """A chosen way with its start as one of the delays for which there is a situation."""
+    return Way(how.mode, dict(how.parameters), begin_of(how.begin, situations, bv))
+
+
+def begin_of(begin: float | Moment, situations: Mapping[float, Situation], bv: str) -> float:
+    """The delay [s] nearest to ``begin``; of a condition, the first delay at which it holds without an attack, else
+    the last one."""
+    delays = sorted(d for d, s in situations.items() if bv in s.targets) or sorted(situations)
+    if not isinstance(begin, Moment):
+        now = min(situations)
+        return min(delays, key=lambda d: (abs(d - now - begin), d))
+    for delay in delays:
+        quantity = _quantity(begin.quantity, situations[delay], bv)
+        if quantity is not None and quantity <= begin.at_most:
+            return delay
+    return delays[-1]
+
+
+def _quantity(name: str, situation: Situation, bv: str) -> float | None:
+    """The distance of the centres [m], or the time until the ego reaches the BV's conflict [s]; None if it has none."""
+    if bv not in situation.targets:
+        return None
+    target, ego = situation.targets[bv], situation.ego
+    if name == "distance":
+        return math.hypot(target.state.x - ego.x, target.state.y - ego.y)
+    reached = [situation.baseline.s >= way.conflict.ego_s for way in target.ways if way.conflict is not None]
+    arrivals = [float(steps.argmax()) * situation.dt for steps in reached if steps.any()]
+    return min(arrivals, default=None)
+
+
+def starts_words(situations: Mapping[float, Situation]) -> str:
+    """The moments at which an attack may begin."""
+    now = min(situations)
+    return ", ".join(f"{d - now:g}" for d in sorted(situations))
+
+
+def library_words(library: Sequence[LibraryEntry], shown: frozenset[str] | set[str]) -> str:
+    """The modes of the intents with these labels."""
+    lines = []
+    for entry in library:
+        if entry.label in shown and entry.planners:
+            lines += [f"{sanitize(entry.label)}", *modes_words(entry)]
+    return "\n".join(lines)

@@ -1,0 +1,74 @@
+"""What an attempt showed, in numbers for the modifier: both motions every half second, and the failed gates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sumo_adv.agents.feedback import AttemptReport, RepairScene, Row
+from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
+from sumo_adv.agents.ways import starts_words
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, LibraryEntry, Track
+from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.geometry import Frame, wrap
+from sumo_adv.metrics.gate_details import explained_gates
+from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.situation import Target
+
+EVERY = 0.5  # s between rows
+NEAR_WAY = 30.0  # m along a way within which the next position is searched
+
+
+def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> AttemptReport:
+    """The report of an attempt; without rows if ego or adversary left at once."""
+    tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, settings.step_length)}
+    bv = attempt.proposal.bv
+    if found.ego not in tracks or bv not in tracks:
+        return AttemptReport(attempt, (), (), 0.0)
+    ego, adversary = tracks.pop(found.ego), tracks.pop(bv)
+    end = float(min(ego.time[-1], adversary.time[-1]))
+    contact = attempt.verdict.contact_time
+    gates = explained_gates(
+        adversary, list(tracks.values()), attempt.verdict.failed_gates, settings.limits.limits(), found.drivable,
+        result.start, end if contact is None else contact,
+    )  # fmt: skip
+    target = found.situations[attempt.proposal.delay].targets.get(bv)
+    rows = _rows(ego.between(result.start, end), adversary.between(result.start, end), result.start, target)
+    return AttemptReport(attempt, rows, tuple(gates), max(end - result.start, 0.0))
+
+
+def _rows(ego: Track, bv: Track, start: float, target: Target | None) -> tuple[Row, ...]:
+    count = min(len(ego.time), len(bv.time))
+    if count < 2:
+        return ()
+    every = max(1, round(EVERY / float(np.diff(ego.time).min())))
+    rows, station = list[Row](), 0.0
+    for k in sorted({*range(0, count, every), count - 1}):
+        frame = Frame(float(ego.x[k]), float(ego.y[k]), float(ego.heading[k]))
+        ahead, left, _ = frame.to_local(float(bv.x[k]), float(bv.y[k]), 0.0)
+        heading = math.degrees(float(wrap(bv.heading[k] - ego.heading[k])))
+        offset = 0.0
+        if target is not None and target.ways:
+            station, offset = target.ways[0].path.project(float(bv.x[k]), float(bv.y[k]), near=station, reach=NEAR_WAY)
+        rows.append(
+            Row(float(ego.time[k]) - start, ahead, left, heading, float(ego.speed[k]), float(bv.speed[k]), offset)
+        )
+    return tuple(rows)
+
+
+def scene_of(
+    bv: str, entry: LibraryEntry, attempts: Sequence[Attempt], found: FoundEncounter, library: Sequence[LibraryEntry]
+) -> RepairScene:
+    """What the modifier is told of the encounter."""
+    situation = found.first
+    aliases = Aliases.of(situation)
+    scene = scene_words(situation, aliases, aliases.by_id.get(bv, "BV1"))
+    choices: Mapping[str, tuple[LibraryEntry, ...]] = {
+        alias: tuple(e for e in library if set(e.applies) & set(situation.targets[name].applies()))
+        for alias, name in aliases.bvs.items()
+    }
+    text = f"{scene}\nEGO's driver: {driver_words(situation)}"
+    return RepairScene(entry, text, tuple(attempts), choices, starts_words(found.situations))
