@@ -263,6 +263,7 @@ def test_coverage_and_egos_are_shown(browser: Any, tmp_path: Path) -> None:
         assert page.locator("#matrix td.met").all_text_contents() == ["1/1"]
         assert "1 minor" in page.inner_text("#egos") and "100 % 21–100" in page.inner_text("#egos")
         assert "✕ failed: It broke." in page.inner_text("#rows")
+        assert page.locator("#rows tr").nth(1).locator("td").nth(4).inner_text() == "–"  # no min TTC was measured
         assert page.locator("img").count() == 0
         visit.clean()
 
