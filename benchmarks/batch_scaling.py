@@ -30,11 +30,11 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.app import batch_parts, open_agents
-from sumo_adv.batch.campaign import Orders, run_batch
-from sumo_adv.batch.local import Pace
-from sumo_adv.batch.nouns import Job, Learn, Row, Setup
-from sumo_adv.batch.plan import Plan, make_plan
-from sumo_adv.batch.worker import Runner
+from sumo_adv.campaigns.campaign import Orders, run_batch
+from sumo_adv.campaigns.local import Pace
+from sumo_adv.campaigns.nouns import Job, Learn, Row, Setup
+from sumo_adv.campaigns.plan import Plan, make_plan
+from sumo_adv.campaigns.worker import Runner
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task

@@ -14,7 +14,7 @@ from sumo_adv.api import Result, Table
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
-    from sumo_adv.batch.nouns import Job
+    from sumo_adv.campaigns.nouns import Job
     from sumo_adv.config_odd import Odd
     from sumo_adv.report.coverage import Coverage
 
@@ -38,7 +38,7 @@ class Campaign:
         Numbers are arrays of float (nan where nothing is said, as in ``min_ttc`` for never) or int; texts and truth
         values are arrays of objects (None where nothing is said).
         """
-        from sumo_adv.batch.results import NUMBERS, WHOLES, read_csv
+        from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv
 
         kinds = {**dict.fromkeys(NUMBERS, np.float64), **dict.fromkeys(WHOLES, np.int64)}
         columns = read_csv(self.folder / RESULTS)
@@ -51,7 +51,7 @@ class Campaign:
     def coverage(self) -> Coverage:
         """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
         from sumo_adv.app import shipped_bank
-        from sumo_adv.batch.pack import packed_texts
+        from sumo_adv.campaigns.pack import packed_texts
         from sumo_adv.report.campaign_coverage import OUTCOME, campaign_coverage
 
         runs = [self.folder / RUNS / str(name) for name in self.table["id"]]
@@ -98,9 +98,9 @@ def batch(
         BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
     """
     from sumo_adv.app import batch_parts, run_campaign
-    from sumo_adv.batch.campaign import Orders
-    from sumo_adv.batch.local import Pace
-    from sumo_adv.batch.plan import is_plan, make_plan, read_plan
+    from sumo_adv.campaigns.campaign import Orders
+    from sumo_adv.campaigns.local import Pace
+    from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
     from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.report.outcome import versions
 

@@ -23,10 +23,10 @@ from sumo_adv.errors import BankError, UsageError
 if TYPE_CHECKING:
     from sumo_adv.agents.agents import Agents
     from sumo_adv.agents.prompts import Prompts
-    from sumo_adv.batch.campaign import Orders, Summary, Watcher
-    from sumo_adv.batch.nouns import Parts as BatchParts
-    from sumo_adv.batch.plan import Plan
     from sumo_adv.benchmark.jobs import Parts as BenchParts
+    from sumo_adv.campaigns.campaign import Orders, Summary, Watcher
+    from sumo_adv.campaigns.nouns import Parts as BatchParts
+    from sumo_adv.campaigns.plan import Plan
     from sumo_adv.config import Settings
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.given import GivenEgo
@@ -287,7 +287,7 @@ def _without_main() -> Iterator[None]:
 
 def batch_parts() -> BatchParts:
     """The functions that a batch's workers need."""
-    from sumo_adv.batch.nouns import Parts
+    from sumo_adv.campaigns.nouns import Parts
     from sumo_adv.report.folder import staged, write_run
     from sumo_adv.report.outcome import MODEL_FILE
 
@@ -299,8 +299,8 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
 
     The workers do not run the user's script again. Raises UsageError, BankError or SumoAdvError.
     """
-    from sumo_adv.batch.campaign import run_batch
-    from sumo_adv.batch.results import check_parquet
+    from sumo_adv.campaigns.campaign import run_batch
+    from sumo_adv.campaigns.results import check_parquet
 
     if states or orders.parquet:
         check_parquet()
@@ -314,7 +314,7 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
 
 def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
-    from sumo_adv.batch.pack import unpack
+    from sumo_adv.campaigns.pack import unpack
     from sumo_adv.files import sentences
     from sumo_adv.report.folder import staged
     from sumo_adv.report.states_parquet import write_states_parquet

@@ -17,9 +17,8 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from sumo_adv.datatypes import Place, RoadClass
+from sumo_adv.datatypes import Place, Relation, RoadClass
 from sumo_adv.errors import UsageError
-from sumo_adv.situation import Relation
 
 
 def _ascending(given: tuple[float, float]) -> tuple[float, float]:

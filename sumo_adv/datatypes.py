@@ -35,29 +35,6 @@ class Role(StrEnum):
     OBSTACLE = "obstacle"
 
 
-class RoadClass(StrEnum):
-    """Where the ego is when an attack may begin; ``episode/encounter_place.py`` has the rules."""
-
-    MOTORWAY = "motorway"
-    RURAL = "rural"
-    URBAN = "urban"
-    JUNCTION = "junction"
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """What surrounds the ego when an attack may begin.
-
-    road: None off the network. limit: the speed limit [m/s], None off the network. speed: the ego's [m/s].
-    vehicles_near: how many vehicles are within 70 m of it.
-    """
-
-    road: RoadClass | None
-    limit: float | None
-    speed: float
-    vehicles_near: int
-
-
 class Relation(StrEnum):
     """How a background vehicle stands to the ego when an encounter begins."""
 
@@ -197,6 +174,29 @@ class Track:
             self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],
             self.acceleration[keep], self.length, self.width, lane,
         )  # fmt: skip
+
+
+class RoadClass(StrEnum):
+    """Where the ego is when an attack may begin; ``episode/encounter_place.py`` has the rules."""
+
+    MOTORWAY = "motorway"
+    RURAL = "rural"
+    URBAN = "urban"
+    JUNCTION = "junction"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """What surrounds the ego when an attack may begin.
+
+    road: None off the network. limit: the speed limit [m/s], None off the network. speed: the ego's [m/s].
+    vehicles_near: how many vehicles are within 70 m of it.
+    """
+
+    road: RoadClass | None
+    limit: float | None
+    speed: float
+    vehicles_near: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,11 +64,6 @@ def fastest_of(speed: float) -> float:
     return max(1.4 * speed, speed + 5.0)
 
 
-Relation = Literal["leader", "follower", "neighbour", "oncoming", "crossing", "merging"]
-"""Where a background vehicle can be relative to the ego."""
-
-RELATIONS: tuple[str, ...] = get_args(Relation)
-
 MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only where their paths meet
 
 
@@ -78,7 +72,7 @@ class Target:
     """A background vehicle that could be the adversary. Its ways begin where it is at the trigger."""
 
     state: VehicleState
-    relation: str  # one of ``RELATIONS``
+    relation: str  # leader | follower | neighbour | oncoming | crossing | merging
     ways: tuple[ReferencePath, ...]
     station: float  # m along its ways, about 0
     offset: float  # m from its way

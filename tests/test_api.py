@@ -53,7 +53,8 @@ def test_importing_is_light(tmp_path: Path) -> None:
 
 def test_the_names_are_few() -> None:
     drivers = {"LaneSpeed", "Observation", "Pose", "Steer"}
-    assert set(sumo_adv.__all__) == {"Result", "__version__", "judge", "load", "run"} | drivers == set(dir(sumo_adv))
+    names = {"Campaign", "Result", "__version__", "batch", "judge", "load", "run"}
+    assert set(sumo_adv.__all__) == names | drivers == set(dir(sumo_adv))
     assert all(getattr(sumo_adv, name) for name in sumo_adv.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'walk'"):
         _ = sumo_adv.walk

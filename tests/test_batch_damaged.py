@@ -12,10 +12,10 @@ import pytest
 from batch_samples import QUICK, clean, summary, table
 from cli_samples import Program
 
-from sumo_adv.batch.learning import lessons_of
-from sumo_adv.batch.pack import packed_rows, packed_texts, unpack
-from sumo_adv.batch.results import read_row
-from sumo_adv.batch.store import open_store
+from sumo_adv.campaigns.learning import lessons_of
+from sumo_adv.campaigns.pack import packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.results import read_row
+from sumo_adv.campaigns.store import open_store
 from sumo_adv.errors import UsageError
 from sumo_adv.report.folder import staged
 

@@ -12,13 +12,13 @@ import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
-from sumo_adv.batch.learning import Lesson, as_text, lessons_of, teach
-from sumo_adv.batch.nouns import Job
-from sumo_adv.batch.pack import pack, packed_rows, packed_texts, unpack
-from sumo_adv.batch.plan import Plan, differences, is_plan, make_plan, read_plan
-from sumo_adv.batch.results import COLUMNS, row_of, table_of, write_csv, write_failure
-from sumo_adv.batch.store import open_store
-from sumo_adv.batch.worker import share
+from sumo_adv.campaigns.learning import Lesson, as_text, lessons_of, teach
+from sumo_adv.campaigns.nouns import Job
+from sumo_adv.campaigns.pack import pack, packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.plan import Plan, differences, is_plan, make_plan, read_plan
+from sumo_adv.campaigns.results import COLUMNS, row_of, table_of, write_csv, write_failure
+from sumo_adv.campaigns.store import open_store
+from sumo_adv.campaigns.worker import share
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
@@ -210,7 +210,7 @@ def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> N
 
 
 def test_parquet_says_what_it_needs_or_holds_the_same(tmp_path: Path) -> None:
-    from sumo_adv.batch.results import write_parquet
+    from sumo_adv.campaigns.results import write_parquet
 
     table = table_of([job("a")], {"a": write_failure(tmp_path, job("a"), "x", "")}, [{"attempts": 3}])
     try:

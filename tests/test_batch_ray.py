@@ -21,7 +21,7 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo
 
 from ray.cluster_utils import Cluster  # noqa: E402
 
-from sumo_adv.batch.cluster import check_nodes, connect, wrong_content  # noqa: E402
+from sumo_adv.campaigns.cluster import check_nodes, connect, wrong_content  # noqa: E402
 from sumo_adv.errors import UsageError  # noqa: E402
 from sumo_adv.memory.bank import MemoryBank  # noqa: E402
 

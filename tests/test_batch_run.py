@@ -19,8 +19,8 @@ from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_o
 from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
-from sumo_adv.batch.local import _work
-from sumo_adv.batch.results import COLUMNS
+from sumo_adv.campaigns.local import _work
+from sumo_adv.campaigns.results import COLUMNS
 from sumo_adv.memory.bank import MemoryBank
 
 

@@ -11,7 +11,7 @@ import pytest
 from cli_samples import Program
 from regression_samples import attacked
 
-from sumo_adv.batch.results import row_of, write_csv
+from sumo_adv.campaigns.results import row_of, write_csv
 from sumo_adv.comparison.compare import Comparison, compare
 from sumo_adv.comparison.markdown import to_markdown
 from sumo_adv.comparison.page import html

@@ -18,7 +18,7 @@ from cli_samples import ROOT
 from docs_blocks import Block, blocks, inline_commands, pages, words
 from typer.main import get_command
 
-from sumo_adv.batch.plan import read_plan
+from sumo_adv.campaigns.plan import read_plan
 from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
 from sumo_adv.config_odd import Odd, read_odd

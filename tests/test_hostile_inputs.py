@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from cli_samples import ROOT
 
-from sumo_adv.batch.plan import read_plan
 from sumo_adv.benchmark.suites import load_suite
+from sumo_adv.campaigns.plan import read_plan
 from sumo_adv.config import load_settings
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.memory.calibrate import read_paraphrases

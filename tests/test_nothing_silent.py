@@ -9,8 +9,8 @@ import pytest
 from cli_samples import ROOT, Program
 
 from sumo_adv.app import batch_parts
-from sumo_adv.batch.plan import make_plan
 from sumo_adv.benchmark.methods import method_of
+from sumo_adv.campaigns.plan import make_plan
 from sumo_adv.cli.bench import ROWS
 from sumo_adv.config import load_settings
 from sumo_adv.episode.bank_view import BankView

@@ -14,8 +14,8 @@ from page_samples import ROOT, Visit, attempt, chromium, make_run, meeting, outc
 from test_coverage import CUT_IN_BESIDE
 from test_report_page import HOSTILE, data_of
 
-from sumo_adv.batch.pack import pack
-from sumo_adv.batch.results import read_row, write_csv
+from sumo_adv.campaigns.pack import pack
+from sumo_adv.campaigns.results import read_row, write_csv
 from sumo_adv.errors import UsageError
 from sumo_adv.report.coverage import make_coverage
 from sumo_adv.report.index.build import Packs, write_report
@@ -263,6 +263,7 @@ def test_coverage_and_egos_are_shown(browser: Any, tmp_path: Path) -> None:
         assert page.locator("#matrix td.met").all_text_contents() == ["1/1"]
         assert "1 minor" in page.inner_text("#egos") and "100 % 21–100" in page.inner_text("#egos")
         assert "✕ failed: It broke." in page.inner_text("#rows")
+        assert page.locator("#rows tr").nth(1).locator("td").nth(4).inner_text() == "–"  # no min TTC was measured
         assert page.locator("img").count() == 0
         visit.clean()
 

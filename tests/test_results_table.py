@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from page_samples import attempt, outcome
 
-from sumo_adv.batch.results import row_of, write_csv, write_parquet
+from sumo_adv.campaigns.results import row_of, write_csv, write_parquet
 
 HIT: dict[str, Any] = {
     "collided": True, "valid": True, "strict": True, "level": "serious", "preventable_by": ["cc_human", "fsm"],

@@ -19,7 +19,7 @@ LEVELS = (
     ("search",),
     ("agents",),
     ("episode",),
-    ("serve", "batch", "benchmark", "womd", "report", "driver_check"),
+    ("serve", "campaigns", "benchmark", "womd", "report", "driver_check"),
     ("regression",),
     ("comparison",),
     ("app",),

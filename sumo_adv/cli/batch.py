@@ -16,12 +16,12 @@ from sumo_adv.cli.set_option import set_values
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
-    from sumo_adv.batch.campaign import Orders, Summary
-    from sumo_adv.batch.local import Pace
-    from sumo_adv.batch.nouns import Learn
-    from sumo_adv.batch.plan import Plan
+    from sumo_adv.campaigns.campaign import Orders, Summary
+    from sumo_adv.campaigns.local import Pace
+    from sumo_adv.campaigns.nouns import Learn
+    from sumo_adv.campaigns.plan import Plan
 else:
-    from sumo_adv.batch.nouns import Learn
+    from sumo_adv.campaigns.nouns import Learn
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
 RUNNING = "Running"  # a panel of the help
@@ -93,11 +93,11 @@ def batch(
     Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
     """
     from sumo_adv.app import batch_parts, check_intents
-    from sumo_adv.batch.plan import is_plan, make_plan, read_plan
+    from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
     from sumo_adv.memory.paths import default_bank_path
 
     if parquet or states:
-        from sumo_adv.batch.results import check_parquet
+        from sumo_adv.campaigns.results import check_parquet
 
         check_parquet()
     first = Path(given[0])
@@ -115,7 +115,7 @@ def batch(
     if dry_run:
         _show(plan, target, as_json=as_json)
         return
-    from sumo_adv.batch.local import Pace
+    from sumo_adv.campaigns.local import Pace
 
     pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
     _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), states=states, as_json=as_json)
@@ -163,7 +163,7 @@ def _within(settings: dict[str, Any], odd: Path) -> dict[str, Any]:
 def _orders(
     plan: Plan, out: Path, pace: Pace, force: bool, retry_failed: bool, parquet: bool, ray: str | None
 ) -> Orders:
-    from sumo_adv.batch.campaign import Orders
+    from sumo_adv.campaigns.campaign import Orders
     from sumo_adv.memory.paths import default_bank_path
     from sumo_adv.report.outcome import versions
 
@@ -233,8 +233,8 @@ def pack(
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
     from dataclasses import asdict
 
-    from sumo_adv.batch.pack import pack as pack_runs
-    from sumo_adv.batch.store import open_store
+    from sumo_adv.campaigns.pack import pack as pack_runs
+    from sumo_adv.campaigns.store import open_store
     from sumo_adv.report.folder import staged
 
     _check(folder)
@@ -255,7 +255,7 @@ def unpack(
     as_json: shared.AsJson = False,
 ) -> None:
     """Put packed runs into folders again; the packs stay."""
-    from sumo_adv.batch.pack import unpack as unpack_runs
+    from sumo_adv.campaigns.pack import unpack as unpack_runs
     from sumo_adv.files import sentences
     from sumo_adv.report.folder import staged
 

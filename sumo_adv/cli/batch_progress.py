@@ -9,8 +9,8 @@ from typing import Any
 
 import typer
 
-from sumo_adv.batch.nouns import Job, Row
-from sumo_adv.batch.results import failed
+from sumo_adv.campaigns.nouns import Job, Row
+from sumo_adv.campaigns.results import failed
 from sumo_adv.cli.shown import Shown
 
 

@@ -103,7 +103,7 @@ def _loose(folder: Path) -> list[Path]:
 
 
 def _table(runs: Sequence[Path]) -> Table:
-    from sumo_adv.batch.results import read_row
+    from sumo_adv.campaigns.results import read_row
     from sumo_adv.report.index.rows import table_of
 
     return table_of(row for run in runs if (row := read_row(run)) is not None)
@@ -114,7 +114,7 @@ def _packs(folder: Path) -> Packs:
 
     if not (folder / "packs").is_dir():
         return Packs()
-    from sumo_adv.batch.pack import packed_texts, unpack
+    from sumo_adv.campaigns.pack import packed_texts, unpack
     from sumo_adv.report.folder import staged
 
     return Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from run_samples import run_folder  # isort: skip
 
-from sumo_adv.batch.results import read_row
+from sumo_adv.campaigns.results import read_row
 from sumo_adv.cli.main import app
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.report.manifest import read_manifest

@@ -15,8 +15,8 @@ from fuzz import main, one_of, wrong_bytes
 from cli_samples import ROOT  # isort: skip
 
 from sumo_adv.app import batch_parts
-from sumo_adv.batch.plan import make_plan, read_plan
 from sumo_adv.benchmark.suites import load_suite
+from sumo_adv.campaigns.plan import make_plan, read_plan
 from sumo_adv.config import load_settings
 from sumo_adv.episode.task import make_task
 from sumo_adv.simulation.inputs import load_input

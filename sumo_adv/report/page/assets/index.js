@@ -18,6 +18,7 @@ function textOf(head, i) {
     const kind = CLASSES.find((c) => c.key === classes[i]);
     return `${kind.sign} ${kind.words}${columns.failure[i] ? `: ${columns.failure[i]}` : ""}`;
   }
+  if (columns.failure[i] && head.show === SECONDS) return "–";  // a failed run measured nothing
   const value = columns[head.name][i];
   return head.show ? head.show(value) : value === null || value === "" ? "–" : String(value);
 }

@@ -44,7 +44,7 @@ function headline(outcome) {
     if (v.ego_stationary) badges.push(["the ego stood", "bad"]);
     if (v.avoidable && !v.level) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
     if (v.rear_end) badges.push(["rear-end", "bad"]);
-  } else badges.push([data.failed ? `failed: ${answer(outcome.ending)}` : answer(outcome.ending), "bad"]);
+  } else badges.push([data.failed ? "failed" : answer(outcome.ending), "bad"]);
   byId("badges").replaceChildren(...badges.map(([words, kind]) => el("li", { class: kind || null }, words)));
 }
 

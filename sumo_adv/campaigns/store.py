@@ -20,10 +20,10 @@ from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.nouns import Done, Job, Row
-from sumo_adv.batch.pack import packed_rows
-from sumo_adv.batch.plan import checked_plan, differences
-from sumo_adv.batch.results import OUTCOME, failed, read_row, write_failure
+from sumo_adv.campaigns.nouns import Done, Job, Row
+from sumo_adv.campaigns.pack import packed_rows
+from sumo_adv.campaigns.plan import checked_plan, differences
+from sumo_adv.campaigns.results import OUTCOME, failed, read_row, write_failure
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.store import connect

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.nouns import Job, Row
+from sumo_adv.campaigns.nouns import Job, Row
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole

@@ -13,13 +13,13 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.batch.learning import Lesson, lessons_of, teach
-from sumo_adv.batch.local import LocalWorkers, Pace, Stop
-from sumo_adv.batch.nouns import Done, Job, Learn, Parts, Row, Setup
-from sumo_adv.batch.pack import packed_texts
-from sumo_adv.batch.plan import Plan
-from sumo_adv.batch.results import LEARNT, failed, table_of, write_csv, write_parquet
-from sumo_adv.batch.store import TAUGHT, Store, open_store
+from sumo_adv.campaigns.learning import Lesson, lessons_of, teach
+from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.nouns import Done, Job, Learn, Parts, Row, Setup
+from sumo_adv.campaigns.pack import packed_texts
+from sumo_adv.campaigns.plan import Plan
+from sumo_adv.campaigns.results import LEARNT, failed, table_of, write_csv, write_parquet
+from sumo_adv.campaigns.store import TAUGHT, Store, open_store
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
@@ -163,7 +163,7 @@ def _prepare(
 def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
     if orders.ray is None:
         return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
-    from sumo_adv.batch.cluster import ClusterWorkers
+    from sumo_adv.campaigns.cluster import ClusterWorkers
 
     return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 

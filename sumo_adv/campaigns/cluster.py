@@ -24,13 +24,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.inputs import hash_of
-from sumo_adv.batch.learning import lessons_of, teach
-from sumo_adv.batch.local import LocalWorkers, Pace, Stop
-from sumo_adv.batch.nouns import Done, Job, Learn, Setup
-from sumo_adv.batch.results import LEARNT, OUTCOME, read_row, write_failure
-from sumo_adv.batch.store import Store
-from sumo_adv.batch.worker import share
+from sumo_adv.campaigns.inputs import hash_of
+from sumo_adv.campaigns.learning import lessons_of, teach
+from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.nouns import Done, Job, Learn, Setup
+from sumo_adv.campaigns.results import LEARNT, OUTCOME, read_row, write_failure
+from sumo_adv.campaigns.store import Store
+from sumo_adv.campaigns.worker import share
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from sumo_adv.batch.nouns import Input, Parts
+from sumo_adv.campaigns.nouns import Input, Parts
 from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.nouns import Done, Job
+from sumo_adv.campaigns.nouns import Done, Job
 from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
@@ -217,7 +217,7 @@ def _work(
     os.dup2(words, 1)
     os.dup2(words, 2)
     faulthandler.enable()
-    from sumo_adv.batch.worker import Runner
+    from sumo_adv.campaigns.worker import Runner
 
     try:
         with (make or Runner)(setup) as runner:

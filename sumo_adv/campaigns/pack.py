@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.batch.nouns import Row
-from sumo_adv.batch.results import OUTCOME, checked_row, read_row
+from sumo_adv.campaigns.nouns import Row
+from sumo_adv.campaigns.results import OUTCOME, checked_row, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text, write_whole
 from sumo_adv.parsing import parse_json

@@ -12,9 +12,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from sumo_adv.batch.learning import Collector, as_text
-from sumo_adv.batch.nouns import Done, Job, Learn, Row, Setup
-from sumo_adv.batch.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
+from sumo_adv.campaigns.learning import Collector, as_text
+from sumo_adv.campaigns.nouns import Done, Job, Learn, Row, Setup
+from sumo_adv.campaigns.results import LEARNT, OUTCOME, TRACEBACK, row_of, write_failure
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.drivers.registry import trusted_driver

@@ -27,8 +27,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sumo_adv.batch.inputs import find_inputs
-from sumo_adv.batch.nouns import Input, Job, Learn, Parts
+from sumo_adv.campaigns.inputs import find_inputs
+from sumo_adv.campaigns.nouns import Input, Job, Learn, Parts
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.drivers.registry import check_name
 from sumo_adv.errors import UsageError
