@@ -298,7 +298,7 @@ def report(verdict: Verdict, ending: str = "passed") -> str:
     d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
     attempt = Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, ending, "", d)
     return report_words(
-        AttemptReport(attempt, (Row(0.5, 20.0, 3.2, 0.0, 12.0, 14.0, 0.1),), ("lateral: 5 m/s2.",), 6.5)
+        AttemptReport(attempt, (Row(0.5, 20.0, 3.2, 0.0, 12.0, 14.0, 0.1),), ("lateral: 5 m/s2.",), 0.0, 6.5)
     )
 
 
@@ -322,7 +322,10 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
     )  # fmt: skip
     words = report(hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
-    assert "It showed 4.2 s after the start, 0.8 s before the contact; avoided by manoeuvre." in words
+    assert (
+        "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact; it is avoided by"
+        in words
+    )
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
     assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
     assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))

@@ -11,6 +11,7 @@ from sumo_adv.metrics.levels import SERIOUS_DELTA_V
 from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION
 
 NEEDED = PERCEPTION + REACTION  # s that the careful driver lets pass before it brakes
+ENOUGH = 2.5  # s of warning, from which on a collision that braking does not avoid is not a matter of time
 ENDINGS = {
     "contact": "it ended with the contact", "passed": "it ended because the two had passed each other",
     "time_limit": "it ended at its time limit", "ego_left": "it ended because EGO left the network or its recording",
@@ -34,11 +35,13 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class AttemptReport:
-    """An attempt with its motion every half second, its failed gates in words, and how long it lasted [s]."""
+    """An attempt with its motion every half second, its failed gates in words, when it began after the scene that the
+    modifier is shown, and how long it lasted [s]."""
 
     attempt: Attempt
     rows: tuple[Row, ...]
     gates: tuple[str, ...]
+    begun: float
     lasted: float
 
 
@@ -64,7 +67,7 @@ def report_words(report: AttemptReport) -> str:
     v, p = attempt.verdict, attempt.proposal
     numbers = ", ".join(f"{k} = {q:g}" for k, q in p.parameters.items()) or "no parameters"
     lines = [
-        f"Attempt {attempt.index + 1} ({numbers}; it began {p.delay:g} s after the trigger and lasted "
+        f"Attempt {attempt.index + 1} ({numbers}; it began at {report.begun:g} s and lasted "
         f"{report.lasted:.1f} s; {ENDINGS.get(attempt.ending, attempt.ending)}):",
         f"  Level {v.level}: {_came_to(v)}",
         *(f"  Not feasible, {gate}" for gate in report.gates),
@@ -84,16 +87,19 @@ def report_words(report: AttemptReport) -> str:
 
 
 def earlier_words(attempt: Attempt) -> str:
-    """One attempt as a line of the list of all."""
+    """One attempt as a line of the list of all; the text of a planner has a short name of its own."""
     v, p = attempt.verdict, attempt.proposal
     gates = f", not feasible ({', '.join(v.failed_gates)})" if v.failed_gates else ""
-    return f"{attempt.index + 1}: {sanitize(p.label)}/{sanitize(p.planner.mode)}, level {v.level}{gates}; {_came_to(v)}"
+    numbers = ", ".join(f"{k} {q:.4g}" for k, q in p.parameters.items()) or "no parameters"
+    planner = f"{sanitize(p.label)}/{sanitize(p.planner.mode)} (text {p.planner.hash[:4]}: {numbers})"
+    return f"{attempt.index + 1}: {planner}, level {v.level}{gates}; {_came_to(v)}"
 
 
 def _came_to(v: Verdict) -> str:
     if v.collided:
+        side = "" if v.contact_side is None else f" at EGO's {v.contact_side}"
         hard = "" if v.delta_v is None else f", delta-v of EGO {v.delta_v:.1f} m/s"
-        return f"they collided{' (the bv ran into the back of EGO)' if v.rear_end else ''}{hard}."
+        return f"they collided{side}{' (the bv ran into the back of EGO)' if v.rear_end else ''}{hard}."
     course = f"least time to collision {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no collision course"
     return f"no contact; {course}, least distance of the boxes {v.min_distance:.1f} m."
 
@@ -132,13 +138,18 @@ def next_level(v: Verdict, start: float) -> str:
 def _more_warning(v: Verdict, warning: float | None, alarm: float | None, start: float) -> str:
     """For collisions that a careful driver cannot avoid: when the danger showed, and how much earlier it should."""
     by = v.preventability.by if v.preventability is not None else ()
-    who = f"avoided by {', '.join(by)}" if by else "no reference driver avoids it"
+    who = f"it is avoided by {', '.join(by)}" if by else "no reference driver avoids it"
     if warning is None or alarm is None:
-        return f"a danger that shows earlier; it is {who}."
+        return f"a danger that shows earlier; {who}."
+    shown = f"It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the contact; {who}."
+    if warning >= ENOUGH:
+        return (
+            f"a contact that braking avoids. {shown} That is early enough, but EGO is hit also where it stops: the bv "
+            "must come into the way that EGO still has before it, not into EGO's own place."
+        )
     return (
-        f"the danger must show earlier. It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the "
-        f"contact; {who}. A careful driver who only brakes lets {NEEDED:.1f} s pass, then brakes with up to "
-        f"{FULL_BRAKING:.1f} m/s2; show it 1.5 to 2.5 s before the contact."
+        f"a danger that shows earlier. {shown} A careful driver who only brakes lets {NEEDED:.2f} s pass, then brakes "
+        f"with up to {FULL_BRAKING:.1f} m/s2; show it 1.5 to 2.5 s before the contact."
     )
 
 

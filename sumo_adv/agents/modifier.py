@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field
 from sumo_adv.agents.feedback import AttemptReport, RepairScene, earlier_words, report_words
 from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
-from sumo_adv.agents.ways import HowTo, first_of_each_mode, way_fault
+from sumo_adv.agents.ways import HowTo, library_words, way_fault
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.llm.asking import MeteredModel, ask
@@ -42,17 +42,20 @@ class Changed(BaseModel):
     action: Literal["numbers", "text", "another", "stop"] = "text"
     parameters: dict[str, float] = Field(default_factory=dict)
     source: str = Field(default="", max_length=40_000)
+    begin: float | None = None
     instead: Instead | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
     """What the modifier wants tried next: a planner with the numbers that differ from its defaults, or another intent.
-    With neither it says that nothing can work here. ``words``: what was decided, for reports."""
+    With neither it says that nothing can work here. ``begin``: the start [s] after the scene, None = as before.
+    ``words``: what was decided, for reports."""
 
     words: str
     planner: Planner | None = None
     parameters: dict[str, float] = field(default_factory=dict)
+    begin: float | None = None
     instead: Instead | None = None
 
 
@@ -92,9 +95,9 @@ class ModelModifier:
         answer = ask(self._metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=TRIES)
         match answer.action:
             case "numbers":
-                return Change(f"other numbers for '{planner.mode}'", planner, dict(answer.parameters))
+                return Change(f"other numbers for '{planner.mode}'", planner, dict(answer.parameters), answer.begin)
             case "text":
-                return Change(f"a new text for '{planner.mode}'", build(answer))
+                return Change(f"a new text for '{planner.mode}'", build(answer), begin=answer.begin)
             case "another":
                 assert answer.instead is not None
                 return Change(f"'{sanitize(answer.instead.label)}' instead", instead=answer.instead)
@@ -110,8 +113,8 @@ def _numbers_fault(answer: Changed, planner: Planner, reports: Sequence[AttemptR
         if not known[name].low <= value <= known[name].high:
             return f"{name} = {value:g} is not within {known[name].low:g} and {known[name].high:g}."
     wanted = planner.defaults() | answer.parameters
-    if any(dict(r.attempt.proposal.parameters) == wanted for r in reports):
-        return "These numbers were tried; give others, or change the text."
+    if answer.begin is None and any(dict(r.attempt.proposal.parameters) == wanted for r in reports):
+        return "These numbers were tried; give others or another begin, or change the text."
     return None
 
 
@@ -135,14 +138,13 @@ def modifier_prompt(
     settings: Settings,
 ) -> Prompt:
     """The modifier's prompt. ``reports``: of the attempts with this planner, the best ones first."""
-    others = [
-        f"- {alias}, {sanitize(e.label)}: {', '.join(p.mode for p in first_of_each_mode(e))}"
-        for alias, entries in scene.choices.items() for e in entries
-    ]  # fmt: skip
+    others = [f"- {alias}: {', '.join(sanitize(e.label) for e in es) or 'none'}" for alias, es in scene.choices.items()]
+    entries = {e.label: e for es in scene.choices.values() for e in es}
+    others.append(library_words(list(entries.values()), set(entries)))
     return prompts.render(
         "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
         label=sanitize(planner.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
         source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
         feedback="\n".join(report_words(r) for r in reports[:MAX_ATTEMPTS]),
-        earlier="\n".join(earlier_words(a) for a in scene.earlier), others="\n".join(others) or "none",
+        earlier="\n".join(earlier_words(a) for a in scene.earlier), others="\n".join(others),
     )  # fmt: skip

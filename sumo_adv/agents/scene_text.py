@@ -142,7 +142,19 @@ def driver_words(situation: Situation) -> str:
     return (
         f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
         f" {model.speed:.1f} m/s at most, headway {model.tau:.1f} s, comfortable braking"
-        f" {model.deceleration:.1f} m/s2{tendency}. {size}"
+        f" {model.deceleration:.1f} m/s2{tendency}. {_perception(model.kind)}{size}"
+    )
+
+
+def _perception(kind: str) -> str:
+    """What SUMO's drivers react to, which planners have to know."""
+    if kind not in ("krauss", "idm", "eidm", "careful"):
+        return ""
+    return (
+        "It takes a vehicle ahead for its leader as soon as that one's box comes into its lane, and brakes as hard as"
+        " it needs to, up to 9 m/s2; it does not react to a vehicle whose front is not ahead of its own front, nor to one"
+        " that is still in another lane. At a junction it gives way as SUMO's rules say, and brakes for one that is on"
+        " the junction across its path. "
     )
 
 

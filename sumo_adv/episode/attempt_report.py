@@ -25,9 +25,9 @@ NEAR_WAY = 30.0  # m along a way within which the next position is searched
 def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> AttemptReport:
     """The report of an attempt; without rows if ego or adversary left at once."""
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, settings.step_length)}
-    bv = attempt.proposal.bv
+    bv, begun = attempt.proposal.bv, attempt.proposal.delay - min(found.situations)
     if found.ego not in tracks or bv not in tracks:
-        return AttemptReport(attempt, (), (), 0.0)
+        return AttemptReport(attempt, (), (), begun, 0.0)
     ego, adversary = tracks.pop(found.ego), tracks.pop(bv)
     end = float(min(ego.time[-1], adversary.time[-1]))
     contact = attempt.verdict.contact_time
@@ -37,7 +37,7 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
     )  # fmt: skip
     target = found.situations[attempt.proposal.delay].targets.get(bv)
     rows = _rows(ego.between(result.start, end), adversary.between(result.start, end), result.start, target)
-    return AttemptReport(attempt, rows, tuple(gates), max(end - result.start, 0.0))
+    return AttemptReport(attempt, rows, tuple(gates), begun, max(end - result.start, 0.0))
 
 
 def _rows(ego: Track, bv: Track, start: float, target: Target | None) -> tuple[Row, ...]:

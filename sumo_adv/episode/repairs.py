@@ -12,7 +12,7 @@ from dataclasses import replace
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.modifier import Change, Instead
 from sumo_adv.agents.scene_text import Aliases
-from sumo_adv.agents.ways import way_of
+from sumo_adv.agents.ways import begin_of, way_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
 from sumo_adv.episode.assessment import rank
@@ -95,7 +95,8 @@ class Repairs:
             candidates = self._instead(change.instead)
         elif change.planner is not None:
             numbers = change.planner.defaults() | change.parameters
-            candidates = [replace(p.unscored(), planner=change.planner, parameters=numbers)]
+            delay = p.delay if change.begin is None else begin_of(change.begin, self._found.situations, p.bv)
+            candidates = [replace(p.unscored(), planner=change.planner, parameters=numbers, delay=delay)]
             if change.planner.hash != p.planner.hash:
                 self.versions[change.planner.hash] = change.planner
         else:  # nothing can work here

@@ -35,7 +35,7 @@ def as_written(
         earliest = min((t.delay for t in applicable), default=0.0)
         first = [t.proposal(None) for t in applicable if t.delay == earliest]
         candidates += chosen(intent, templates) or [replace(p, acceleration=intent.acceleration) for p in first]
-    return candidates
+    return [p for k, p in enumerate(candidates) if p not in candidates[:k]]
 
 
 def chosen(intent: Intent, templates: Sequence[AttackTemplate]) -> list[Proposal]:
