@@ -322,10 +322,8 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
     )  # fmt: skip
     words = report(hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
-    assert (
-        "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact; it is avoided by"
-        in words
-    )
+    assert "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact;" in words
+    assert "it is avoided by manoeuvre. A careful driver who only brakes lets 1.15 s pass" in words
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
     assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
     assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))
