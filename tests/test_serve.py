@@ -111,6 +111,28 @@ def test_a_client_that_is_killed_costs_one_encounter(program: Program, policy: s
         assert server.simulators() == []
 
 
+@pytest.mark.parametrize("ask", ["step(1e3)", "step(0.0) * 3000"], ids=["to a time", "one by one"])
+def test_a_client_that_asks_for_very_many_steps_and_vanishes_is_lost(program: Program, ask: str) -> None:
+    """In the middle of an attack: it never ends with a contact that the ego was steered into by nobody."""
+    flag, script = program.folder / "attack", program.folder / "vanishing.py"
+    script.write_text(
+        "import os, struct, sys, traci\n"
+        "client = traci.connect(int(sys.argv[1]), host='127.0.0.1')\n"
+        "step = lambda until: struct.pack('!BBd', 10, 2, until)\n"
+        f"while not os.path.exists({str(flag)!r}): client.simulationStep()\n"
+        f"steps = {ask}\n"
+        "client._socket.sendall(struct.pack('!i', 4 + len(steps)) + steps)\nos._exit(1)\n"
+    )
+    with serving(program, "straight_3lane", "--encounters", "1") as server:
+        server.client(script)
+        server.wait("attack")
+        flag.touch()
+        server.wait("client", after=lambda e: e["state"] == "lost")
+        assert server.end()[0] == 0
+        (outcome,) = server.outcomes()
+        assert outcome["ending"] == outcome["attempts"][0]["ending"] == "ego_lost" and not outcome["learnt"]
+
+
 def test_a_client_that_hangs_is_late(program: Program) -> None:
     with serving(program, "straight_3lane", "--encounters", "1", "--deadline", "0.5") as server:
         flag = program.folder / "hang"

@@ -8,6 +8,7 @@ OUT/runs/CASE/      the run of each case that came to its encounter
 from __future__ import annotations
 
 import json
+import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -97,7 +98,7 @@ def run_suite(
         setup, pace = Setup(runs.absolute(), ego), Pace(workers, DEADLINE, RECYCLE)
         with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
             pool.run(jobs, told)  # type: ignore[arg-type]
-        scratch.rmdir()
+        shutil.rmtree(scratch, ignore_errors=True)
         whole = SuiteRun(suite, ego, [found[case.name] for case in cases])
         _write(folder.stage, whole)
         folder.keep(force=force)
