@@ -156,7 +156,7 @@ def test_evidence_counts_what_can_be_avoided() -> None:
     ]
     words = evidence_words(pool, aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"})
     assert "BV1, Straight Lane Shift: 3 of 4 candidates collide; 2 of these could be avoided" in words
-    assert "1 by a careful driver who only brakes; median warning 1.0 s." in words
+    assert "1 by a careful driver that only brakes; median warning 1.0 s." in words
     assert "mode side: 3 of 4 collide; the best one (level none, warning 2.0 s, delta-v 0.0 m/s) begins 0 s" in words
     assert "2 times tried" in words
     nothing = evidence_words([proposal(2.1, hit=False, min_ttc=2.0, gap=3.0)], aliases, [SHIFT], {})
@@ -323,7 +323,7 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
     words = report(hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
     assert "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact;" in words
-    assert "it is avoided by manoeuvre. A careful driver who only brakes lets 1.15 s pass" in words
+    assert "it is avoided by manoeuvre. A careful driver that only brakes lets 1.15 s pass" in words
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
     assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
     assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))

@@ -1,7 +1,7 @@
 """The three agents of a run: analyzer, generator and modifier, each played by a language model or the built-in expert.
 
 A run asks its models at most ``questions`` times, and ``questions_familiar`` times where no intent is new. ``bought``
-says what came of each question.
+has the result of each question.
 
 If a model fails, the run ends with its ModelError. With the setting ``fallback = builtin`` the expert takes over that
 role for the rest of the run instead, and ``failed`` has the reason.
@@ -42,7 +42,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Bought:
-    """What came of a question to a model: the agent, the answer in a few words, and the planner that was written."""
+    """The result of a question to a model: the agent, the answer in a few words, and the planner that was written."""
 
     agent: str
     what: str

@@ -55,7 +55,7 @@ def _counts(members: Sequence[Proposal]) -> str:
     warning = sorted(prediction.warning for prediction in hits)[len(hits) // 2]
     return (
         f"{len(hits)} of {len(members)} candidates collide; {manoeuvre} of these could be avoided by braking or "
-        f"steering, {careful} by a careful driver who only brakes; median warning {warning:.1f} s{_spoilt(made)}."
+        f"steering, {careful} by a careful driver that only brakes; median warning {warning:.1f} s{_spoilt(made)}."
     )
 
 

@@ -138,17 +138,17 @@ def next_level(v: Verdict, start: float) -> str:
 def _more_warning(v: Verdict, warning: float | None, alarm: float | None, start: float) -> str:
     """For collisions that a careful driver cannot avoid: when the danger showed, and how much earlier it should."""
     by = v.preventability.by if v.preventability is not None else ()
-    who = f"it is avoided by {', '.join(by)}" if by else "no reference driver avoids it"
+    avoided = f"it is avoided by {', '.join(by)}" if by else "no reference driver avoids it"
     if warning is None or alarm is None:
-        return f"a danger that shows earlier; {who}."
-    shown = f"It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the contact; {who}."
+        return f"a danger that shows earlier; {avoided}."
+    shown = f"It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the contact; {avoided}."
     if warning >= ENOUGH:
         return (
             f"a contact that braking avoids. {shown} That is early enough, but EGO is hit also where it stops: the bv "
             "must come into the way that EGO still has before it, not into EGO's own place."
         )
     return (
-        f"a danger that shows earlier. {shown} A careful driver who only brakes lets {NEEDED:.2f} s pass, then brakes "
+        f"a danger that shows earlier. {shown} A careful driver that only brakes lets {NEEDED:.2f} s pass, then brakes "
         f"with up to {FULL_BRAKING:.1f} m/s2; show it 1.5 to 2.5 s before the contact."
     )
 

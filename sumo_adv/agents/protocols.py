@@ -44,5 +44,5 @@ class Modifier(Protocol):
     """
 
     def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change:
-        """What is to be tried next; ``reports``: of the attempts with this planner. Raises ModelError."""
+        """The change to try next; ``reports``: of the attempts with this planner. Raises ModelError."""
         ...

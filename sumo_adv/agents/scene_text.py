@@ -27,7 +27,7 @@ DRIVERS = {
     "eidm": "an extended IDM car-following driver",
     "careful": "a careful and competent driver (brakes only, reacts within about 1.2 s, up to 7.6 m/s2)",
     "replay": "a recorded motion, played back: EGO does not react to anything",
-    "blind": "a driver who keeps its speed and never reacts",
+    "blind": "a driver that keeps its speed and never reacts",
     "lattice": "a planner that looks around, brakes and steers",
 }
 
@@ -134,7 +134,7 @@ def driver_words(situation: Situation) -> str:
     model, ego = situation.baseline.model, situation.ego
     kind = DRIVERS.get(model.kind, "an unknown driver")
     if not model.known:
-        kind = f"a driver that nobody here knows; predictions take it for {kind} and for others like it"
+        kind = f"an unknown driver; predictions take it for {kind} and for others like it"
     size = f"EGO is {ego.length:.1f} m long and {ego.width:.1f} m wide."
     if model.kind in ("replay", "blind"):
         return f"{kind[0].upper()}{kind[1:]}. {size}"
@@ -152,7 +152,7 @@ def _perception(kind: str) -> str:
         return ""
     return (
         "It takes a vehicle ahead for its leader as soon as that one's box comes into its lane, and brakes as hard as"
-        " it needs to, up to 9 m/s2; it does not react to a vehicle whose front is not ahead of its own front, nor to one"
+        " it needs to, up to 9 m/s2; it does not react to a vehicle beside it that has its front behind EGO's, nor to a vehicle"
         " that is still in another lane. At a junction it gives way as SUMO's rules say, and brakes for one that is on"
         " the junction across its path. "
     )
