@@ -151,10 +151,10 @@ def _perception(kind: str) -> str:
     if kind not in ("krauss", "idm", "eidm", "careful"):
         return ""
     return (
-        "It takes a vehicle ahead for its leader as soon as that one's box comes into its lane, and brakes as hard as"
-        " it needs to, up to 9 m/s2; it does not react to a vehicle beside it that has its front behind EGO's, nor to a vehicle"
-        " that is still in another lane. At a junction it gives way as SUMO's rules say, and brakes for one that is on"
-        " the junction across its path. "
+        "It takes a vehicle ahead for its leader as soon as the box of that vehicle comes into its lane, and brakes as"
+        " hard as it needs to, up to 9 m/s2. It does not react to a vehicle beside it that has its front behind EGO's,"
+        " nor to a vehicle that is still in another lane. At a junction it gives way as SUMO's rules say, and brakes"
+        " for a vehicle on the junction across its path. "
     )
 
 
