@@ -12,7 +12,7 @@ from sumo_adv.benchmark.tables.league import Place
 from sumo_adv.metrics.statistics import Estimate
 
 WIDTH = 100  # characters
-NAME = 28  # characters of a name in front of its figures; a longer one has a line of its own
+NAME = 26  # characters of a name in front of its figures; a longer one has a line of its own
 NONE = "-"
 MAIN = {"collision": "collision", "valid": "valid", "strict": "strict", "serious": "serious"}
 INTERVALS = "Rates with Wilson's 95 % intervals."
