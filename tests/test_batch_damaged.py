@@ -106,7 +106,8 @@ def test_a_damaged_index_of_a_pack_is_a_sentence(tmp_path: Path, runs: object) -
 def test_a_pack_writes_nothing_outside_of_its_run(tmp_path: Path) -> None:
     outcome = {
         "outcome": None, "raw": None, "intent": None, "network": "n", "seed": 0, "ego": {"controller": "idm"},
-        "ending": "no_encounter", "attempts": [], "timing": {},
+        "ending": "no_encounter", "attempts": [], "timing": {}, "encounter": None,
+        "best": None, "adversaries": [],
     }  # fmt: skip
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")

@@ -156,7 +156,7 @@ def test_two_benches_do_not_write_into_one_folder_at_once(whole: tuple[Program, 
         (("--row", "expert+llm=some"), "a row with a model is called llm-a:NAME"),
         (("--row", "llm-f+learn=on"), "llm-f is the row with a bank that stays"),
         (("--row", "expert+shift=nan"), "no number of seconds"),
-        (("--row", "raw", "--reference", "expert"), "--reference 'expert' is none of the table's rows: raw."),
+        (("--reference", "oracle"), "--reference 'oracle' is none of the table's rows: "),
     ],
 )
 def test_what_there_is_not_is_refused_before_anything_runs(

@@ -208,7 +208,7 @@ def test_only_vehicles_of_the_kind_are_candidates(program: Program) -> None:
     result = sumo_adv.run(
         "oncoming_four_lanes", kind=["oncoming"], attempts=1, learn="off", memory=program.folder / "bank.sqlite"
     )
-    assert {r["relation"] for r in result.outcome["encounter"]["ranking"]} == {"oncoming"}
+    assert {r["relation"] for r in result.outcome.document["encounter"]["ranking"]} == {"oncoming"}
 
 
 def test_a_batch_takes_the_same_options(program: Program) -> None:

@@ -48,7 +48,7 @@ def campaign(folder: Path, episodes: Sequence[tuple[str, str, Sequence[str]]], a
         outcome = {
             "ending": "critical", "reason": "", "network": network, "seed": 0, "ego": {"controller": ego},
             "intent": None, "raw": None, "attempts": [attempt(level) for level in levels], "best": len(levels) - 1,
-            "outcome": verdict, "timing": {},
+            "outcome": verdict, "timing": {}, "encounter": None, "adversaries": [],
         }  # fmt: skip
         run = folder / "runs" / f"{k:016x}"
         run.mkdir(parents=True)
