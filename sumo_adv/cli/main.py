@@ -79,6 +79,9 @@ def main() -> None:
     except SumoAdvError as error:
         typer.echo(f"sumo-adv: {error}", err=True)
         sys.exit(error.exit_status)
+    except KeyboardInterrupt:  # before a command has begun; commands see to it themselves
+        typer.echo("sumo-adv: interrupted.", err=True)
+        _leave(1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
         sys.exit(1)

@@ -12,6 +12,7 @@ import pickle
 import signal
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
@@ -145,19 +146,28 @@ def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
 
 @contextmanager
 def deaf() -> Iterator[None]:
-    """Processes started within it do not hear Ctrl-C, from their first instruction on; ours gets one that came
-    meanwhile at the end."""
+    """Processes started within it do not hear Ctrl-C, from their first instruction on. Ours gets a Ctrl-C or SIGTERM
+    that came meanwhile at the end, so that no process is started half."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     from multiprocessing import resource_tracker
 
     resource_tracker.ensure_running()  # starting it would unblock them
+    came: list[int] = []  # a mask would be passed on to the processes, which are ended by SIGTERM
+    handler = signal.getsignal(signal.SIGTERM)
+    held = callable(handler) and threading.current_thread() is threading.main_thread()
+    if held:
+        signal.signal(signal.SIGTERM, lambda number, _: came.append(number))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
+        if held:
+            signal.signal(signal.SIGTERM, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def can_fork() -> bool:
