@@ -29,7 +29,7 @@ class First:
 
 
 class Second(First):
-    """Drives like the first, and brakes for every vehicle whose way crosses its own within three seconds."""
+    """Drives like the first, and brakes for every vehicle that crosses its way within three seconds."""
 
     name = "second"
 

@@ -22,17 +22,17 @@ from sumo_adv.search.fixed_order import chosen
 from sumo_adv.search.templates import AttackTemplate
 
 IN_VAIN = 2  # changes in a row that bring nothing
-Key = tuple[str, tuple[tuple[str, float], ...]]
+Key = tuple[str, float, tuple[tuple[str, float], ...]]
 Tried = Sequence[tuple[Attempt, AttemptResult]]
 
 
 def key_of(p: Proposal) -> Key:
-    """What a chain of changes goes by: the planner and its numbers."""
-    return p.planner.hash, tuple(sorted(p.parameters.items()))
+    """What identifies a link in a chain of changes: the planner (hash), the start [s] and the numbers."""
+    return p.planner.hash, p.delay, tuple(sorted(p.parameters.items()))
 
 
 class Repairs:
-    """What the modifier was asked, and what it made of it."""
+    """The questions to the modifier, and its changes as candidates."""
 
     def __init__(
         self, agents: Agents, found: FoundEncounter, library: Sequence[LibraryEntry],
