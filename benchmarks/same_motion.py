@@ -48,7 +48,7 @@ def course_of(episode: Episode) -> PrescribedMotion:
     result, bv = episode.refinement.results[0], episode.best.proposal.bv
     track = tracks_of(result.snapshots, result.sizes, {}, episode.settings.step_length, (bv,))[0]
     track = track.between(result.start + 1e-3, np.inf)
-    more = result.driven.beyond
+    more = result.driven.beyond.get(bv)
     parts = [track] if more is None else [track, more]
     x, y, heading, speed = (np.concatenate([getattr(t, n) for t in parts]) for n in ("x", "y", "heading", "speed"))
     return PrescribedMotion(x, y, heading, speed)

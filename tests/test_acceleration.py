@@ -15,7 +15,7 @@ from situation_samples import neighbour, situation
 from test_bank_build import parse
 
 from sumo_adv.datatypes import Limits, Proposal, acceleration_at, acceleration_of, plain_acceleration
-from sumo_adv.episode.attempt import PlannedAdversary
+from sumo_adv.episode.controllers import PlannedAdversary
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.evidence_csv import read_evidence, write_evidence
@@ -80,10 +80,10 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
     proposal = Proposal("bv", "Tells", planner, {}, KNOTS, 0.0)
     speeds: list[float] = []
     with Sandbox() as sandbox, Sessions(sandbox, Roads({0.0: sit}), [proposal], 0) as sessions:
-        adversary = PlannedAdversary(sit, "bv", Limits())
+        adversary = PlannedAdversary(sit, "bv", Limits(), lambda seen: sessions.answer(proposal, seen))
         alone = []
         for time in (0.0, 2.0, 4.0):
-            assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0), lambda seen: sessions.answer(proposal, seen)) is None
+            assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0)) is None
             alone.append(adversary.goal.v)
 
         def ask(rows: object, told: object) -> object:

@@ -19,8 +19,8 @@ from trajectory_samples import lane_change
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
-from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.episode.controllers import PlannedAdversary
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
@@ -201,10 +201,10 @@ def lead(
             except SandboxError as error:
                 return str(error)
 
-        adversary, rows, failure = PlannedAdversary(SIT, "bv", LIMITS), [], None
+        adversary, rows, failure = PlannedAdversary(SIT, "bv", LIMITS, ask), [], None
         for k in range(steps):
             if k % every == 0:
-                failure = adversary.replan(k * DT, (k * 1.0, 0.0, 10.0, 0.0), ask)
+                failure = adversary.replan(k * DT, (k * 1.0, 0.0, 10.0, 0.0))
                 if failure is not None:
                     break
             p = adversary.advance()
@@ -289,8 +289,8 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
     proposal = Proposal("bv", "x", planner, {**planner.defaults(), "beyond": -4.8}, 0.0, 0.0)
     for edge, refused in ((-0.97, True), (-9.0, False)):
         with Sessions(sandbox, HERE, [proposal], 0, drivable=Drivable(box(-50.0, edge, 500.0, 9.0))) as sessions:
-            adversary = PlannedAdversary(SIT, "bv", LIMITS)
-            assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0), partial(sessions.answer, proposal)) is None
+            adversary = PlannedAdversary(SIT, "bv", LIMITS, partial(sessions.answer, proposal))
+            assert adversary.replan(0.0, (0.0, 0.0, 10.0, 0.0)) is None
         assert ("trajectory() leaves the road 2.0 s later" in adversary.message) == refused
 
 

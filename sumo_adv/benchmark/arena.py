@@ -152,7 +152,7 @@ class Arena:
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise
-            failed = Driven("planner_failed", str(error), None)
+            failed = Driven("planner_failed", str(error))
             return AttemptResult(failed, None, found.situations[proposal.delay].time)
 
     def _brain(self, found: FoundEncounter) -> AttemptRunner:

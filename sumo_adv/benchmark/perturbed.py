@@ -47,8 +47,8 @@ def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> Presc
     """The adversary's motion from the takeover on, as recorded and as planned for after it."""
     track = tracks_of(result.snapshots, result.sizes, {}, dt, (attempt.proposal.bv,))[0]
     parts = [track.between(result.start + dt / 100, np.inf)]
-    if result.driven.beyond is not None:
-        parts.append(result.driven.beyond)
+    if attempt.proposal.bv in result.driven.beyond:
+        parts.append(result.driven.beyond[attempt.proposal.bv])
     x, y, heading, speed = (np.concatenate([getattr(t, n) for t in parts]) for n in ("x", "y", "heading", "speed"))
     return PrescribedMotion(x, y, heading, speed)
 

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.drivers import EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
+from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
 from sumo_adv.drivers.vehicle import Senses
 from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.ego_actions import ActionCount
@@ -119,14 +119,17 @@ class Drive:
         self.ego, self.steered, self.heeding = None, False, False
         self._takeovers.append((len(self.recording.snapshots), None))
 
-    def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
-        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded."""
+    def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
+        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded.
+
+        ego: what the ego does in this step; None: its driver decides.
+        """
         driven = dict(poses or {})
         if self.playback is not None:
             raw = self.snapshot.raw if self.recording.snapshots else {}
             self.playback.before_step(raw, self.now, driven)
         if self.ego is not None and self.recording.snapshots and self.ego in self.snapshot.raw:
-            self._let_ego_act(driven)
+            self._let_ego_act(driven, ego)
         if self.playback is not None:
             self.playback.injected(driven)
         if driven:
@@ -229,25 +232,27 @@ class Drive:
         """Whether a log moves the ego."""
         return self.playback is not None and self.ego is not None and self.playback.replays(self.ego)
 
-    def _let_ego_act(self, driven: dict[str, Pose]) -> None:
+    def _let_ego_act(self, driven: dict[str, Pose], action: Action) -> None:
         assert self.ego is not None
-        waits = isinstance(self.controller, ReplayEgo) and not self._playing
-        if waits or not self.controller.needs_observation:
-            return
-        me = self.state(self.ego)
-        observation = self._observation(me)
-        action = self.controller.act(observation)
+        heeds = False
         wishes = wishes_of(self.controller)
+        if action is None:
+            waits = isinstance(self.controller, ReplayEgo) and not self._playing
+            if waits or not self.controller.needs_observation:
+                return
+            observation = self._observation(self.state(self.ego))
+            action = self.controller.act(observation)
+            heeds = wishes.needs_road and observation.road is not None
         self.steered = isinstance(action, Steer | Pose)
-        self.heeding = isinstance(action, Steer) and wishes.needs_road and observation.road is not None
+        self.heeding = isinstance(action, Steer) and heeds
         reachable = math.inf
         if isinstance(action, Steer):
-            after = apply_steer(me, action, observation.dt, wishes.bicycle)
+            after = apply_steer(self.state(self.ego), action, self.recording.step_length, wishes.bicycle)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
         elif isinstance(action, Pose):
             driven[self.ego] = action
         elif isinstance(action, LaneSpeed):
-            reachable = self.simulation.reachable(self.ego, me.speed)
+            reachable = self.simulation.reachable(self.ego, self.state(self.ego).speed)
             self.simulation.set_speed(self.ego, action.speed)
             if action.lane is not None:
                 self.simulation.change_lane(self.ego, action.lane)

@@ -25,7 +25,7 @@ def gate_verdict(
     assert drive.ego is not None
     first = first_judged(found, settings, trigger_step, start)
     logged = settings.limits.limits() if drive.follows_log() else None
-    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond, logged)
+    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond.get(bv), logged)
     if case is None:
         return None
     half = found.first.road.lane_width / 2

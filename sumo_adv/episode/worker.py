@@ -18,7 +18,8 @@ from typing import Any
 
 from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
-from sumo_adv.episode.attempt import Driven, attack, leader
+from sumo_adv.episode.attempt import Driven, attack
+from sumo_adv.episode.controllers import PrescribedAdversary, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
@@ -157,7 +158,7 @@ class Worker:
         return results
 
     def _crashed(self, why: str) -> AttemptResult:
-        return AttemptResult(Driven("crashed", why, None), None, self._encounter.time)
+        return AttemptResult(Driven("crashed", why), None, self._encounter.time)
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """By reference driver, whether it avoids the collision of an attempt when it drives the ego.
@@ -194,7 +195,7 @@ class Worker:
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
         logged = settings.limits.limits() if drive.follows_log() else None
-        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond, logged)
+        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond.get(proposal.bv), logged)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
         """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
@@ -204,11 +205,11 @@ class Worker:
             drive.tick()
         first = max(0, len(drive.recording.snapshots) - settings.steps(settings.history))
         drive.controller = ReferenceEgo(order, driver, drive.tracks(order.proposal.bv, first))
+        course, bv = order.proposal.course, order.proposal.bv
+        assert course is not None
+        adversary = PrescribedAdversary(self._situation_for(order.proposal), bv, course)
         try:
-            attack(
-                drive, leader(self._situation_for(order.proposal), order.proposal, settings.limits.limits()),
-                lambda _: "a recorded motion has no planner", steps=drive.within(order.steps), replan=order.steps + 1,
-            )  # fmt: skip
+            attack(drive, {bv: adversary}, steps=drive.within(order.steps), replan=order.steps + 1)
         finally:
             drive.controller = tested
         return avoids(order, drive.tracks(order.proposal.bv, first))
@@ -294,9 +295,9 @@ class Worker:
         for _ in range(settings.steps(proposal.delay)):
             drive.tick()
         start = drive.now
-        limits = settings.limits.limits()
+        adversary = controller_of(situation, proposal, settings.limits.limits(), ask)
         driven = attack(
-            drive, leader(situation, proposal, limits), ask, steps=drive.within(settings.steps(settings.duration)),
+            drive, {proposal.bv: adversary}, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),
         )  # fmt: skip
         verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bv, start, driven)

@@ -162,7 +162,9 @@ def _first(target: Path, episode: Episode, sizes: Mapping[str, tuple[float, floa
 
 def _plan(target: Path, episode: Episode) -> None:
     """What the adversary was to do after the contact, as the verdict takes it."""
-    beyond = episode.refinement.results[episode.refinement.best or 0].driven.beyond
+    best = episode.refinement.best or 0
+    bv = episode.refinement.attempts[best].proposal.bv
+    beyond = episode.refinement.results[best].driven.beyond.get(bv)
     if beyond is not None:
         write_plan(target, beyond)
 

@@ -72,7 +72,8 @@ def judge_best(episode: Episode) -> Judged | None:
     tracks = _tracks(episode, best, found, prefix, result)
     played = episode.task.playback
     logged = episode.settings.limits.limits() if played is not None and played.follows_log else None
-    case = make_case(tracks, found.ego, best.proposal.bv, result.start, result.driven.beyond, logged)
+    bv = best.proposal.bv
+    case = make_case(tracks, found.ego, bv, result.start, result.driven.beyond.get(bv), logged)
     if case is None:
         return Judged(None, (), {}, ())
     recorded = {t.id: t for t in tracks}

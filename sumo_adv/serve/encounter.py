@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.attempt import Driven, attack, leader
+from sumo_adv.episode.attempt import Driven, attack
 from sumo_adv.episode.attempt_runner import answer_of
+from sumo_adv.episode.controllers import controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
@@ -78,7 +80,7 @@ class LiveAttempts:
                 self.session = self._again()
             self._count += 1
             if self.session is None:
-                nowhere = Driven("passed", "The encounter did not come back: the ego was elsewhere at its time.", None)
+                nowhere = Driven("passed", "The encounter did not come back: the ego was elsewhere at its time.")
                 self.prefixes.append(())
                 yield AttemptResult(nowhere, None, self._scene.found.time)
             else:
@@ -102,7 +104,7 @@ class LiveAttempts:
             driven = self._drive(session, proposal)
             verdict = gate_verdict(session, found, settings, trigger, bv, start, driven)
         except EgoLost:
-            driven, self.lost = Driven("ego_lost", LOST, None), True
+            driven, self.lost = Driven("ego_lost", LOST), True
         finally:
             session.attended, session.adversary = False, None
         result = AttemptResult(
@@ -114,15 +116,17 @@ class LiveAttempts:
     def _drive(self, session: Session, proposal: Proposal) -> Driven:
         situation = self._situation(session, proposal.bv)
         if situation is None:
-            return Driven("passed", f"{proposal.bv} or the ego was gone when the attack was to begin.", None)
+            return Driven("passed", f"{proposal.bv} or the ego was gone when the attack was to begin.")
         self._events.tell(
             "attack", time=session.now, adversary=proposal.bv, intent=proposal.label, mode=proposal.planner.mode,
         )  # fmt: skip
         settings, roads = self._settings, Roads({proposal.delay: situation})
         with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
+            adversary = controller_of(
+                situation, proposal, settings.limits.limits(), partial(answer_of, proposal, planners)
+            )
             return attack(
-                session, leader(situation, proposal, settings.limits.limits()),
-                lambda observation: answer_of(proposal, planners, observation), steps=settings.steps(settings.duration),
+                session, {proposal.bv: adversary}, steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan),
             )  # fmt: skip
 

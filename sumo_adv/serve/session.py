@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from sumo_adv.drivers import ExternalEgo
+from sumo_adv.drivers import Action, ExternalEgo
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import Pose
 from sumo_adv.serve.events import Events
@@ -113,7 +113,7 @@ class Session(Drive):
 
     # -- stepping -----------------------------------------------------------------------------------------------
 
-    def tick(self, poses: Mapping[str, Pose] | None = None) -> Snapshot:
+    def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
         """One step of everybody.
 
         Raises:
@@ -126,7 +126,7 @@ class Session(Drive):
         self._depart()
         if self.away:
             self._stand_in()
-        snapshot = self._with_true_speed(super().tick(poses))
+        snapshot = self._with_true_speed(super().tick(poses, ego))
         self.steps += 1
         self._look_for_ego(snapshot)
         if not self.attended:
