@@ -98,7 +98,7 @@ class OngoingAttempt:
                 return AttemptState(before.steps, before.apart, driven=Driven("planner_failed", failure))
         poses = {name: command.poses[name] if name in command.poses else self._led(name) for name in there}
         drive.tick(poses, command.ego)
-        apart = {name: _apart(drive, self._ego, name) for name in self._adversaries}
+        apart = {name: apart_of(drive, self._ego, name) for name in self._adversaries}
         steps, touching = before.steps + 1, self._touching(apart)
         return AttemptState(steps, apart, touching, self._outcome(steps, before.apart, apart))
 
@@ -121,7 +121,7 @@ class OngoingAttempt:
 
     def _touching(self, apart: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
         hit = [(self._ego, name) for name in apart if apart[name] == 0.0]
-        return (*hit, *((a, b) for a, b in combinations(apart, 2) if _apart(self._drive, a, b) == 0.0))
+        return (*hit, *((a, b) for a, b in combinations(apart, 2) if apart_of(self._drive, a, b) == 0.0))
 
     def _outcome(self, steps: int, before: Mapping[str, float], apart: Mapping[str, float]) -> Driven | None:
         if 0.0 in apart.values():
@@ -166,7 +166,7 @@ def _straight_on(v: VehicleState, seconds: float) -> Pose:
     return Pose(v.x + far * math.cos(v.heading), v.y + far * math.sin(v.heading), v.heading, v.speed)
 
 
-def _apart(drive: Drive, one: str, other: str) -> float:
+def apart_of(drive: Drive, one: str, other: str) -> float:
     """Distance of the two centres [m]; exactly 0 only if the boxes overlap, inf where one of them is gone."""
     raw = drive.snapshot.raw
     if one not in raw or other not in raw:

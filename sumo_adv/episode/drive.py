@@ -240,7 +240,7 @@ class Drive:
             waits = isinstance(self.controller, ReplayEgo) and not self._playing
             if waits or not self.controller.needs_observation:
                 return
-            observation = self._observation(self.state(self.ego))
+            observation = self.observation()
             action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
         self.steered = isinstance(action, Steer | Pose)
@@ -260,7 +260,10 @@ class Drive:
             self.simulation.set_speed(self.ego, None)
         self.actions.answered(action, reachable)
 
-    def _observation(self, me: VehicleState) -> Observation:
+    def observation(self) -> Observation:
+        """What the ego's driver sees now."""
+        assert self.ego is not None
+        me = self.state(self.ego)
         near = self.near(me, OBSERVED)
         if self.observe is not None:
             return self.observe(me, near)

@@ -86,7 +86,7 @@ class Refiner:
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
-        optimizer, self._intents = self._optimizer(intents), intents
+        optimizer, self._intents = self.optimizer(intents), intents
         while len(found.attempts) < self._settings.attempts:
             plans = self._next(optimizer, found)
             if not plans:
@@ -110,7 +110,7 @@ class Refiner:
         if found.why_first:
             self._tell("why_first", found.why_first)
 
-    def _optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
+    def optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
         ranking counts; where its answers disagree, the best candidates of its first intents are tried first."""
         recalled = [p for p in self._search.pool if p.by == "memory"]

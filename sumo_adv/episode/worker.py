@@ -25,6 +25,7 @@ from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.encounter_filter import LEAST
 from sumo_adv.episode.encounter_search import EncounterSearch
+from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
@@ -187,6 +188,22 @@ class Worker:
             return {}
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
+    def converse(self, talk: Callable[[OpenEncounter], None]) -> None:
+        """Have ``talk`` make an attempt from the trigger on, as the front asks for it in the first slot."""
+        dialogue, questions = self._slots[:2]
+
+        def ask_front(observation: PlannerObservation) -> Any:
+            questions.send(observation)
+            return questions.recv()
+
+        here = OpenEncounter(
+            self._drive, self._encounter, self._settings, self._map, self._trigger_step, dialogue, ask_front
+        )
+        if self._forks:
+            in_forks([partial(talk, here)])  # not repeated: the front has spoken already
+        else:
+            self._branch([partial(talk, here)])
+
     def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
         drive, settings = self._drive, self._settings
         assert drive.ego is not None
@@ -327,4 +344,5 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     return {
         "open": worker.open, "forks": worker.forks, "seek": worker.seek, "prefix": worker.prefix,
         "lanes": worker.lanes_near, "attempts": worker.attempts, "references": worker.references,
+        "converse": worker.converse,
     }  # fmt: skip

@@ -34,6 +34,7 @@ class Engine:
 
     def __init__(self, body: Body, slots: int = SLOTS) -> None:
         self.at_once = slots
+        self.lost = False  # its process has died
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
@@ -48,7 +49,8 @@ class Engine:
             self._process = context.Process(
                 target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log)), daemon=True
             )
-            self._process.start()
+            with _allowed_to_start():
+                self._process.start()
         finally:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
@@ -62,19 +64,37 @@ class Engine:
         Raises:
             SumoAdvError: what the engine raised, or SimulationError if its process died.
         """
-        try:
+        with self._alive():
             self._control.send((command, arguments))
             while True:
                 for ready in wait([self._control, *self._slots]):
                     assert isinstance(ready, Connection)
                     if ready is self._control:
-                        kind, value = self._control.recv()
-                        if kind == "error":
-                            raise value
-                        return value
+                        return self._reply()
                     question = ready.recv()
                     ready.send(answer(question) if answer is not None else None)
+
+    def converse(self, command: str, *arguments: Any, answer: Answer | None = None) -> Conversation:
+        """Begin a command that says something in the first slot, and answers what it is then asked there, until it is
+        told to end. Its questions come in the other slots; ``answer`` answers them.
+
+        Raises as ``request``.
+        """
+        return Conversation(self, (command, arguments), answer)
+
+    def _reply(self) -> Any:
+        kind, value = self._control.recv()
+        if kind == "error":
+            raise value
+        return value
+
+    @contextmanager
+    def _alive(self) -> Iterator[None]:
+        """Raises SimulationError where the process dies."""
+        try:
+            yield
         except (EOFError, BrokenPipeError, ConnectionResetError) as error:
+            self.lost = True
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
     def said(self) -> str:
@@ -101,6 +121,76 @@ class Engine:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class Conversation:
+    """A command of the engine that goes on until it is told to end. ``said``: what it said last."""
+
+    def __init__(self, engine: Engine, order: tuple[str, tuple[Any, ...]], answer: Answer | None) -> None:
+        self._engine, self._answer, self._over = engine, answer, False
+        with engine._alive():
+            engine._control.send(order)
+        self.said = self._listen()
+
+    def ask(self, message: Any) -> Any:
+        """What the command says to a message.
+
+        Raises:
+            SumoAdvError: what ended the command; SimulationError if its process died.
+        """
+        with self._engine._alive():
+            self._engine._slots[0].send(message)
+        self.said = self._listen()
+        return self.said
+
+    def _listen(self) -> Any:
+        engine = self._engine
+        first, *others = engine._slots
+        with engine._alive():
+            while True:
+                ready = wait([first, *others, engine._control])
+                if first in ready:
+                    return first.recv()
+                if engine._control in ready:
+                    self._over = True
+                    return engine._reply()
+                for slot in others:
+                    if slot in ready:
+                        question = slot.recv()
+                        slot.send(self._answer(question) if self._answer is not None else None)
+
+    def end(self) -> None:
+        """Tell the command to end; the engine is free for others then. May be called twice.
+
+        Raises as ``ask``.
+        """
+        if self._over:
+            return
+        self._over, engine = True, self._engine
+        with engine._alive():
+            engine._slots[0].send(None)
+            wait([engine._control])
+            while engine._slots[0].poll():  # an answer that nobody took: it was interrupted
+                engine._slots[0].recv()
+            engine._reply()
+
+
+@contextmanager
+def _allowed_to_start() -> Iterator[None]:
+    """Start a process from a daemonic one, such as a worker of a vectorised environment.
+
+    ``multiprocessing`` refuses that because such a child would outlive a worker that is killed. The engine does not: it
+    ends when its connection closes.
+    """
+    me = multiprocessing.current_process()
+    daemonic = me.daemon
+    if daemonic:
+        me.daemon = False
+    try:
+        yield
+    finally:
+        if daemonic:
+            me.daemon = True
 
 
 def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:

@@ -1,0 +1,93 @@
+"""What an agent's action means. All actions are numbers from -1 to 1; ``docs/gym.md`` has their table.
+
+The ego has ``controls`` (acceleration and steering) or ``lane`` (target speed and lane); the adversary has ``endpoint``
+(where it is to be, and when) or ``controls`` within the limits of an adversary's motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Endpoint, Limits, VehicleState
+from sumo_adv.drivers import Action, LaneSpeed, Steer
+from sumo_adv.drivers.bicycle import MAX_ACCELERATION, MAX_BRAKING, MAX_STEERING, WHEELBASE
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import Path, Pose, wrap
+
+Numbers = NDArray[Any]
+EGO_ACTIONS: Mapping[str, int] = {"controls": 2, "lane": 2}
+ADVERSARY_ACTIONS: Mapping[str, int] = {"endpoint": 4, "controls": 2}
+"""Kind -> how many numbers an action has."""
+
+LATERAL = 6.0  # m/s2: full steering of the ego; about what a car on a dry road can do
+FASTER = 1.3  # of the speed limit: the highest target speed
+GENTLE, HARD = 3.0, 8.0  # m/s2: how fast a target speed is approached, accelerating and braking
+CHANGES = 1 / 3  # beyond it the second number of ``lane`` asks for the lane beside
+REACH = (5.0, 65.0)  # m ahead: where an endpoint may be
+ASIDE = 8.0  # m to either side of the way
+TIME = (0.5, 5.0)  # s until it is there
+WITHIN = 0.95  # of a limit: what controls use, so that rounding does not break a gate
+
+
+def action_space(kinds: Mapping[str, int], kind: str) -> Any:
+    """The space of a kind of actions. Raises UsageError: there is no such kind."""
+    if kind not in kinds:
+        raise UsageError(f"There are no actions {kind!r}; choose {' or '.join(kinds)}.")
+    return spaces.Box(-1.0, 1.0, (kinds[kind],), np.float32)
+
+
+def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: float) -> Action:
+    """The ego's action for the next step; ``limit``: of its speed [m/s]."""
+    first, second = (float(v) for v in np.clip(numbers, -1.0, 1.0))
+    if kind == "controls":
+        acceleration = first * (MAX_ACCELERATION if first > 0 else MAX_BRAKING)
+        sharpest = min(MAX_STEERING, math.atan(LATERAL * WHEELBASE / max(me.speed, 1.0) ** 2))
+        return Steer(acceleration, second * sharpest)
+    wished = (first + 1.0) / 2.0 * FASTER * limit
+    speed = min(max(wished, me.speed - HARD * dt), me.speed + GENTLE * dt)
+    return LaneSpeed(_lane(me, second), max(speed, 0.0))
+
+
+def _lane(me: VehicleState, wish: float) -> int | None:
+    """The index of the lane beside that is wished for; None: stay, also on a junction."""
+    edge, _, index = me.lane.rpartition("_")
+    if abs(wish) < CHANGES or edge.startswith(":") or not index.isdecimal():
+        return None
+    return max(0, int(index) + (1 if wish > 0 else -1))
+
+
+def endpoint(numbers: Numbers, way: Path, station: float, fastest: float) -> Endpoint:
+    """Where an adversary at a ``station`` [m] of its way is to be; ``fastest``: its highest speed [m/s]."""
+    ahead, left, speed, time = (float(v) for v in np.clip(numbers, -1.0, 1.0))
+    far, seconds = _between(ahead, *REACH), _between(time, *TIME)
+    x, y, heading = (float(v) for v in way.at(np.asarray(station + far), left * ASIDE))
+    return Endpoint(x, y, wrap(heading), _between(speed, 0.0, fastest), seconds)
+
+
+def _between(share: float, low: float, high: float) -> float:
+    return low + (share + 1.0) / 2.0 * (high - low)
+
+
+def controlled(numbers: Numbers, me: VehicleState, limits: Limits, fastest: float, dt: float) -> Pose:
+    """The pose of an adversary after a step of acceleration and steering, within its limits.
+
+    It moves on an arc of constant curvature, with even acceleration that changes no faster than the jerk allows.
+    """
+    first, second = (float(v) for v in np.clip(numbers, -1.0, 1.0))
+    wished = WITHIN * first * (limits.acceleration if first > 0 else limits.braking)
+    change = WITHIN * limits.jerk * dt
+    acceleration = min(max(wished, me.acceleration - change), me.acceleration + change)
+    speed = min(max(0.0, me.speed + acceleration * dt), max(fastest, me.speed))
+    curvature = WITHIN * second * min(limits.curvature, limits.lateral / max(speed, me.speed, 1.0) ** 2)
+    travelled = (me.speed + speed) / 2.0 * dt
+    turned = curvature * travelled
+    direction = me.heading + turned / 2.0
+    return Pose(
+        me.x + travelled * math.cos(direction), me.y + travelled * math.sin(direction), wrap(me.heading + turned), speed
+    )

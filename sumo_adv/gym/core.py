@@ -1,0 +1,141 @@
+"""What all environments share: which encounter and attack come next, the steps, the rewinding, the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.gym.encounters import Attacker, Encounter, Plan, Played
+from sumo_adv.gym.play import DRAW, TERMINATED, Moment, Play
+from sumo_adv.gym.views import Viewing
+
+CRASHED = "crashed"
+Scenarios = str | Path | Sequence[str | Path]
+
+
+class Core:
+    """The episodes of one environment. Every scenario is opened once; each episode begins at its trigger again."""
+
+    def __init__(
+        self, scenarios: Scenarios, viewing: Viewing, interval: float, settings: Mapping[str, Any] | None, *,
+        ego: Any, attacker: Attacker, adapts: bool, ego_actions: str | None, adversary_actions: str | None,
+    ) -> None:  # fmt: skip
+        """``ego``: the driver, None = an agent. Raises UsageError."""
+        self._scenarios = [scenarios] if isinstance(scenarios, str | Path) else list(scenarios)
+        if not self._scenarios:
+            raise UsageError("An environment needs a scenario.")
+        if not 0.0 < interval <= 5.0:
+            raise UsageError(f"interval is {interval:g} s; it must be above 0 and at most 5.")
+        if viewing.vehicles < 1:
+            raise UsageError(f"vehicles is {viewing.vehicles}; it must be 1 or more.")
+        self._viewing, self._interval, self._settings = viewing, interval, dict(settings or {})
+        self._ego, self._attacker, self._adapts = ego, attacker, adapts
+        self._kinds = (ego_actions, adversary_actions)
+        self._opened: dict[int, Encounter] = {}
+        self._plans: dict[int, Plan] = {}
+        self._played: Played | None = None
+        self._last: Moment | None = None
+        self._at = 0
+        # at the end of a process, multiprocessing waits for the engines' processes, which wait for this
+        self._finalizer = Finalize(self, _close, args=(self._opened,), exitpriority=1)
+
+    def begin(self, draws: np.random.Generator, *, anew: bool) -> tuple[Moment, dict[str, Any]]:
+        """The first moment of the next episode; ``anew``: what attackers have learnt of the agent is forgotten.
+
+        Raises:
+            UsageError: a scenario that cannot be used. SimulationError: SUMO does not start.
+        """
+        self._end()
+        if anew and self._adapts:
+            self._plans.clear()
+        self._at = int(draws.integers(len(self._scenarios)))
+        encounter = self._encounter(self._at)
+        self._played = encounter.play(self._play(encounter, draws))
+        self._last = self._played.first
+        return self._last, self._told(self._last)
+
+    def _encounter(self, at: int) -> Encounter:
+        if at in self._opened and not self._opened[at].alive:
+            self._opened.pop(at).close()
+            self._plans.pop(at, None)
+        if at not in self._opened:
+            self._opened[at] = Encounter(self._scenarios[at], self._settings, self._ego, self._attacker)
+        return self._opened[at]
+
+    def _play(self, encounter: Encounter, draws: np.random.Generator) -> Play:
+        ego, adversary = self._kinds
+        every = max(1, encounter.settings.steps(self._interval))
+        found = encounter.found
+        delay = min(found.situations)
+        if adversary is not None:
+            bv = found.situations[delay].target_list()[0].state.id
+            return Play(self._viewing, every, ego, adversary, None, bv, delay)
+        if self._attacker is None:
+            return Play(self._viewing, every, ego)
+        if self._at not in self._plans:
+            self._plans[self._at] = encounter.plan(adapts=self._adapts)
+        attack = self._plans[self._at].next(draws)
+        if attack is None:
+            return Play(self._viewing, every, ego)
+        return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
+
+    def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[Moment, bool, bool, dict[str, Any]]:
+        """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.
+
+        An episode in which SUMO dies is truncated; the next one begins in a new simulation.
+        """
+        assert self._played is not None and self._last is not None, "reset comes before step"
+        try:
+            self._last = self._played.ask({name: np.asarray(values, float) for name, values in actions.items()})
+        except SimulationError as error:
+            info = {**self._told(self._last), "ending": CRASHED, "why": str(error)}
+            return self._last, False, True, info
+        moment: Moment = self._last
+        ending, proposal = moment.transition.ending, self._played.play.proposal
+        if moment.result is not None and proposal is not None:
+            self._plans[self._at].observe(proposal, moment.result)
+        return moment, ending in TERMINATED, bool(ending) and ending not in TERMINATED, self._told(moment)
+
+    def _told(self, moment: Moment) -> dict[str, Any]:
+        assert self._played is not None
+        t, play = moment.transition, self._played.play
+        told: dict[str, Any] = {
+            "time": moment.time, "scenario": self._played.encounter.name,
+            "attack": "" if play.proposal is None else play.proposal.label, "apart": t.apart,
+        }  # fmt: skip
+        if t.ending:
+            told |= {"ending": t.ending, "touched": t.touched or ""}
+            if t.verdict is not None:
+                told |= {"verdict": t.verdict, "level": str(t.verdict.level)}
+        return told
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The scene now."""
+        if self._played is None:
+            raise UsageError("There is nothing to show before the first reset.")
+        image: NDArray[np.uint8] = self._played.ask(DRAW)
+        return image
+
+    def _end(self) -> None:
+        if self._played is not None:
+            played, self._played = self._played, None
+            try:
+                played.end()
+            except SimulationError:  # it has been told where it happened
+                return
+
+    def close(self) -> None:
+        """End all processes. May be called twice."""
+        self._end()
+        self._finalizer()
+
+
+def _close(opened: dict[int, Encounter]) -> None:
+    while opened:
+        opened.popitem()[1].close()

@@ -1,0 +1,210 @@
+"""The front's side of an environment: scenarios open in engines, what attacks in them, and their episodes."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sumo_adv.app import load, new_engine, new_sandbox, open_agents, open_for_run
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import Proposal
+from sumo_adv.drivers import Action, Observation
+from sumo_adv.drivers.given import PREFIX, GivenEgo, pack
+from sumo_adv.drivers.sumo_driven import sumo_type
+from sumo_adv.episode.assessment import attempt_of, observed_motion
+from sumo_adv.episode.attempt_runner import AttemptRunner, answer_of
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import decide
+from sumo_adv.episode.planned_encounter import PlannedEncounter, find_attackable, seek, with_predictions
+from sumo_adv.episode.refinement import Refiner
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
+from sumo_adv.errors import UsageError
+from sumo_adv.gym.play import Play
+from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.search.protocols import Optimizer
+from sumo_adv.simulation.engine import Conversation
+
+Attacker = Literal["expert"] | str | None
+"""What attacks the ego: the built-in expert, a language model by its name, or nothing."""
+
+EXPERT = "expert"
+
+
+class AgentEgo:
+    """The ego that an agent drives: SUMO's IDM drives it until the encounter, and how the agent drives is unknown."""
+
+    name = "agent"
+    forkable = True
+    needs_observation = False
+    sumo_type: Mapping[str, str] = sumo_type("idm", {})
+
+    def reset(self, seed: int) -> None:
+        """Nothing to forget."""
+
+    def act(self, observation: Observation) -> Action:
+        """Never called."""
+        return None
+
+
+AGENT = PREFIX + AgentEgo.__name__
+
+
+def _silent(*_: object) -> None:
+    """Nobody looks on."""
+
+
+def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, horizon: float | None) -> Settings:
+    """The settings of an environment. Nothing is learnt from its episodes. ``ego``: None, where an agent drives it.
+
+    Raises UsageError.
+    """
+    for name in ("ego", "llm", "learn"):
+        if name in given:
+            raise UsageError(f"The setting {name!r} of an environment follows from its other arguments: leave it out.")
+    model = None if attacker in (None, EXPERT) else attacker
+    wanted = {"until": "serious"} if ego is None else {}  # what attacks of an agent are planned for
+    driver = AGENT if ego is None else ego
+    return load_settings(None, **{"horizon": horizon, **wanted, **given, "ego": driver, "llm": model, "learn": "off"})
+
+
+class Encounter:
+    """The encounter of one scenario, in an engine of its own, and the attacks that were planned in it."""
+
+    def __init__(self, scenario: str | Path, given: Mapping[str, Any], ego: Any, attacker: Attacker) -> None:
+        """``ego``: a driver by name, class or object; None: an agent drives. given: settings.
+
+        Raises:
+            UsageError: wrong use, or the scenario has no encounter. SimulationError: SUMO failed.
+        """
+        self.name, self._attacker = Path(scenario).stem, attacker
+        source = load(Path(scenario), None)
+        packed = None if isinstance(ego, str) else pack(AgentEgo if ego is None else ego)
+        driver = None if ego is None else ego if packed is None else packed.name
+        self.settings = settings_of(given, driver, attacker, source.horizon)
+        self._stack = ExitStack()
+        with self._stack.pop_all() as opening:
+            self._open(source, packed, opening)
+            self._stack = opening.pop_all()
+
+    def _open(self, source: Any, packed: GivenEgo | None, stack: ExitStack) -> None:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        task = replace(make_task(source, self.settings, scratch), ego_given=packed)
+        self._sandbox = stack.enter_context(new_sandbox(self.settings))
+        self._agents = stack.enter_context(open_agents(self.settings, self._sandbox))
+        self.engine = stack.enter_context(new_engine())
+        self._episode = Episode(source, self.settings, task)
+        if self._attacker is None or task.trigger is not None:
+            seek(self._episode, self.engine, _silent)
+        else:
+            with open_for_run(self.settings) as bank:
+                find_attackable(self._episode, self.engine, self._sandbox, bank, _silent)
+        if self._episode.found is None:
+            raise UsageError(f"The scenario {self.name!r} has no encounter for an environment: {self._episode.reason}")
+        self.found: FoundEncounter = self._episode.found
+        self.roads = Roads(self.found.situations)
+
+    def plan(self, *, adapts: bool) -> Plan:
+        """What the attacker does in this encounter, episode after episode. Takes a second or two.
+
+        adapts: the search goes on as it learns how the ego drives.
+
+        Raises:
+            ModelError: a language model plans and failed.
+        """
+        settings, episode = self.settings, replace(self._episode)
+        with open_for_run(settings) as bank:
+            planned = with_predictions(episode, self.found, self._sandbox, bank)
+            entries = decide(episode, planned, self._agents, bank)
+        if entries is None:
+            raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {episode.reason}")
+        runner = AttemptRunner(self.engine, self._sandbox, self.found, settings.seed)
+        refiner = Refiner(runner, self.found, planned.search, self._agents, entries, settings, _silent)
+        optimizer = refiner.optimizer(episode.intents)  # what a model chose joins the candidates
+        return Plan(planned, optimizer if adapts else None, settings)
+
+    def play(self, play: Play) -> Played:
+        """Begin an episode; the one before must have ended."""
+        return Played(self, play, self._sandbox)
+
+    @property
+    def alive(self) -> bool:
+        """Whether its engine runs."""
+        return not self.engine.lost
+
+    def close(self) -> None:
+        """End its processes. May be called twice."""
+        self._stack.close()
+
+
+class Plan:
+    """Attacks in one encounter, one for each episode: drawn among the best that are predicted to collide.
+
+    With an ``optimizer`` the search goes on before that, as in a run: it proposes attacks and observes how the ego
+    drove in them. That takes a second or two for each episode.
+    """
+
+    def __init__(self, planned: PlannedEncounter, optimizer: Optimizer | None, settings: Settings) -> None:
+        self._planned, self._optimizer, self._settings = planned, optimizer, settings
+        self._tried: list[Proposal] = []
+        self._known: list[Proposal] | None = None  # what is drawn from; None while the search goes on
+
+    def next(self, draws: np.random.Generator) -> Proposal | None:
+        """The next attack; None if there is none at all."""
+        if self._known is None:
+            if self._optimizer is not None and len(self._tried) < self._settings.attempts:
+                proposed = self._optimizer.propose(1)
+                if proposed:
+                    self._tried += proposed
+                    return self._tried[-1]
+            search = self._planned.search
+            colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
+            self._known = [*self._tried, *sorted(colliding, key=search.price)[: self._settings.attempts]]
+        return self._known[int(draws.integers(len(self._known)))] if self._known else None
+
+    def observe(self, proposal: Proposal, result: AttemptResult) -> None:
+        """Take note of how an attack went, as long as the search goes on."""
+        if self._known is not None or self._optimizer is None:
+            return
+        found = self._planned.found
+        attempt = attempt_of(len(self._tried), "tuner", proposal, result, found, self._settings)
+        motion = observed_motion(result, found, proposal.delay, self._settings)
+        self._optimizer.observe(proposal, motion, attempt.verdict)
+
+
+class Played:
+    """An episode that goes on in an encounter's engine."""
+
+    def __init__(self, encounter: Encounter, play: Play, sandbox: Any) -> None:
+        self.encounter, self.play, self._sandbox = encounter, play, sandbox
+        self._sessions: Sessions | None = None
+        self._talk: Conversation = encounter.engine.converse("converse", play, answer=self._answer)
+        self.first = self._talk.said
+
+    def ask(self, message: Any) -> Any:
+        """What the episode says to the agents' actions, or its picture."""
+        return self._talk.ask(message)
+
+    def _answer(self, observation: PlannerObservation) -> Answer | str:
+        """The answer of a planner that we do not ship."""
+        proposal, encounter = self.play.proposal, self.encounter
+        assert proposal is not None
+        if self._sessions is None:
+            sessions = Sessions(
+                self._sandbox, encounter.roads, [proposal], encounter.settings.seed, drivable=encounter.found.drivable
+            )
+            self._sessions = sessions.__enter__()
+        return answer_of(proposal, self._sessions, observation)
+
+    def end(self) -> None:
+        """Go back to the trigger. May be called twice."""
+        if self._sessions is not None:
+            self._sessions.__exit__(None, None, None)
+            self._sessions = None
+        self._talk.end()

@@ -1,0 +1,131 @@
+"""The environments with one agent: ``sumo_adv/Ego-v0`` and ``sumo_adv/Adversary-v0``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.errors import UsageError
+from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, action_space
+from sumo_adv.gym.core import Core, Scenarios
+from sumo_adv.gym.encounters import EXPERT, Attacker
+from sumo_adv.gym.play import Moment
+from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
+from sumo_adv.gym.views import Viewing
+from sumo_adv.gym.window import Window
+
+RENDER_MODES = ("rgb_array", "human")
+METADATA = {"render_modes": list(RENDER_MODES), "render_fps": 10}
+Observations = Literal["vector", "dict"]
+
+
+def viewing_of(observations: str, vehicles: int) -> Viewing:
+    """What observations hold. Raises UsageError."""
+    if observations not in ("vector", "dict"):
+        raise UsageError(f"There are no observations {observations!r}; choose vector or dict.")
+    return Viewing(vehicles, observations == "vector")
+
+
+class OneAgentEnv(gymnasium.Env[Any, NDArray[np.float32]]):
+    """What the two environments share."""
+
+    metadata: dict[str, Any] = METADATA
+
+    def __init__(self, agent: str, core: Core, viewing: Viewing, reward: Reward, render_mode: str | None) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
+        self._agent, self._core, self._viewing, self._reward = agent, core, viewing, reward
+        self.render_mode, self._window = render_mode, Window()
+        self.observation_space = viewing.space(adversary=agent == "adversary")
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode at the trigger of a scenario's encounter. With a ``seed``, attackers forget what they have
+        learnt, and the same episodes follow for the same actions. ``options`` are not used."""
+        super().reset(seed=seed)
+        moment, info = self._core.begin(self.np_random, anew=seed is not None)
+        self._show()
+        return self._observation(moment), info
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """One step of ``interval`` seconds."""
+        moment, terminated, truncated, info = self._core.step({self._agent: action})
+        self._show()
+        return self._observation(moment), float(self._reward(moment.transition)), terminated, truncated, info
+
+    def _observation(self, moment: Moment) -> Any:
+        return self._viewing.given(moment.views[self._agent])
+
+    def render(self) -> Any:
+        """The scene from above as an array; with ``human`` it is in the window already."""
+        return self._core.picture() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._window.show(self._core.picture())
+
+    def close(self) -> None:
+        """End the simulation's processes."""
+        self._window.close()
+        self._core.close()
+
+
+class EgoEnv(OneAgentEnv):
+    """The agent drives the ego; the expert, a language model or nothing attacks."""
+
+    def __init__(
+        self,
+        scenario: Scenarios = "motorway_cut_in_left",
+        *,
+        attacker: Attacker = EXPERT,
+        adapts: bool = False,
+        actions: str = "controls",
+        observations: Observations = "vector",
+        vehicles: int = 8,
+        interval: float = 0.1,
+        reward: Reward = ego_reward,
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """``docs/gym.md`` describes the arguments. Raises UsageError."""
+        viewing = viewing_of(observations, vehicles)
+        self.action_space = action_space(EGO_ACTIONS, actions)
+        core = Core(
+            scenario, viewing, interval, settings, ego=None, attacker=attacker, adapts=adapts, ego_actions=actions,
+            adversary_actions=None,
+        )  # fmt: skip
+        super().__init__("ego", core, viewing, reward, render_mode)
+
+
+class AdversaryEnv(OneAgentEnv):
+    """The agent drives the adversary against an ego with any driver."""
+
+    def __init__(
+        self,
+        scenario: Scenarios = "motorway_cut_in_left",
+        *,
+        ego: Any = "idm",
+        actions: str = "endpoint",
+        observations: Observations = "vector",
+        vehicles: int = 8,
+        interval: float | None = None,
+        reward: Reward = adversary_reward,
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """``docs/gym.md`` describes the arguments. Raises UsageError."""
+        viewing = viewing_of(observations, vehicles)
+        self.action_space = action_space(ADVERSARY_ACTIONS, actions)
+        seconds = interval if interval is not None else INTERVALS[actions]
+        core = Core(
+            scenario, viewing, seconds, settings, ego=ego, attacker=None, adapts=False, ego_actions=None,
+            adversary_actions=actions,
+        )  # fmt: skip
+        super().__init__("adversary", core, viewing, reward, render_mode)
+
+
+INTERVALS: Mapping[str, float] = {"endpoint": 0.5, "controls": 0.1}
+"""s: how often an adversary decides, by its kind of actions."""

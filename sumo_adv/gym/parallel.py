@@ -1,0 +1,118 @@
+"""The PettingZoo environment in which one agent drives the ego and another the adversary."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from sumo_adv.errors import UsageError
+from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, action_space
+from sumo_adv.gym.core import Core, Scenarios
+from sumo_adv.gym.environments import METADATA, RENDER_MODES, Observations, viewing_of
+from sumo_adv.gym.play import Moment
+from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
+from sumo_adv.gym.window import Window
+
+EGO, ADVERSARY = "ego", "adversary"
+PARALLEL_METADATA = {**METADATA, "name": "sumo_adv_v0"}
+Box = NDArray[np.float32]
+
+
+class BothEnv(ParallelEnv[str, Any, Box]):
+    """Two agents, ``ego`` and ``adversary``. Both are there from the first step to the end of an episode."""
+
+    metadata: dict[str, Any] = PARALLEL_METADATA
+
+    def __init__(
+        self,
+        scenario: Scenarios = "motorway_cut_in_left",
+        *,
+        ego_actions: str = "controls",
+        adversary_actions: str = "controls",
+        observations: Observations = "vector",
+        vehicles: int = 8,
+        interval: float = 0.1,
+        rewards: Mapping[str, Reward] | None = None,
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+    ) -> None:
+        """``docs/gym.md`` describes the arguments. Raises UsageError."""
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
+        self._viewing = viewing_of(observations, vehicles)
+        self._rewards: dict[str, Reward] = {EGO: ego_reward, ADVERSARY: adversary_reward, **(rewards or {})}
+        self.possible_agents = [EGO, ADVERSARY]
+        self.agents: list[str] = []
+        self.observation_spaces = {
+            name: self._viewing.space(adversary=name == ADVERSARY) for name in self.possible_agents
+        }
+        self.action_spaces = {
+            EGO: action_space(EGO_ACTIONS, ego_actions), ADVERSARY: action_space(ADVERSARY_ACTIONS, adversary_actions)
+        }  # fmt: skip
+        self._core = Core(
+            scenario, self._viewing, interval, settings, ego=None, attacker=None, adapts=False,
+            ego_actions=ego_actions, adversary_actions=adversary_actions,
+        )  # fmt: skip
+        self.render_mode, self._window = render_mode, Window()
+        self._draws: np.random.Generator | None = None
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's actions."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Begin an episode at the trigger of a scenario's encounter. ``options`` are not used."""
+        if seed is not None or self._draws is None:
+            self._draws, _ = seeding.np_random(seed)
+        moment, info = self._core.begin(self._draws, anew=seed is not None)
+        self.agents = list(self.possible_agents)
+        self._show()
+        return self._observations(moment), {name: dict(info) for name in self.agents}
+
+    def step(
+        self, actions: dict[str, Box]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """One step of ``interval`` seconds."""
+        moment, terminated, truncated, info = self._core.step(actions)
+        agents = list(self.agents)
+        rewards = {name: float(self._rewards[name](moment.transition)) for name in agents}
+        if terminated or truncated:
+            self.agents = []
+        self._show()
+        return (
+            self._observations(moment), rewards, dict.fromkeys(agents, terminated), dict.fromkeys(agents, truncated),
+            {name: dict(info) for name in agents},
+        )  # fmt: skip
+
+    def _observations(self, moment: Moment) -> dict[str, Any]:
+        return {name: self._viewing.given(moment.views[name]) for name in self.possible_agents}
+
+    def render(self) -> Any:
+        """The scene from above as an array; with ``human`` it is in the window already."""
+        return self._core.picture() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._window.show(self._core.picture())
+
+    def close(self) -> None:
+        """End the simulation's processes."""
+        self._window.close()
+        self._core.close()
+
+
+def parallel_env(*args: Any, **options: Any) -> BothEnv:
+    """The environment, under the name that PettingZoo's modules give it; the arguments are those of ``BothEnv``."""
+    return BothEnv(*args, **options)

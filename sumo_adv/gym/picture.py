@@ -1,0 +1,41 @@
+"""A picture of an episode: the lanes and the vehicles around the ego, from above, north up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.episode.drive import Drive
+from sumo_adv.simulation.network import RoadMap
+
+SIZE = 480  # pixels
+SHOWN = 60.0  # m from the middle to each side
+GROUND, ASPHALT = (236, 238, 232), (150, 152, 156)
+COLOURS = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245, 245, 245)}
+
+
+def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: VehicleState) -> NDArray[np.uint8]:
+    """An image ``(SIZE, SIZE, 3)`` around the pose ``middle``."""
+    from PIL import Image, ImageDraw
+
+    image = Image.new("RGB", (SIZE, SIZE), GROUND)
+    pen, scale = ImageDraw.Draw(image), SIZE / (2 * SHOWN)
+
+    def pixel(x: float, y: float) -> tuple[float, float]:
+        return SIZE / 2 + (x - middle.x) * scale, SIZE / 2 - (y - middle.y) * scale
+
+    for shape, width, _ in road.strips(middle.x, middle.y, 2 * SHOWN):
+        pen.line([pixel(x, y) for x, y in shape.tolist()], fill=ASPHALT, width=round(width * scale), joint="curve")
+    for name in drive.snapshot.raw:
+        v = drive.state(name)
+        if math.hypot(v.x - middle.x, v.y - middle.y) > 2 * SHOWN:
+            continue
+        kind = "ego" if name == ego else "adversary" if name == adversary else "other"
+        c, s, ahead, left = math.cos(v.heading), math.sin(v.heading), v.length / 2, v.width / 2
+        corners = [(ahead, left), (ahead, -left), (-ahead, -left), (-ahead, left)]
+        outline = [pixel(v.x + c * a - s * b, v.y + s * a + c * b) for a, b in corners]
+        pen.polygon(outline, fill=COLOURS[kind], outline=(40, 40, 40))
+    return np.asarray(image)

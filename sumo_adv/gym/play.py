@@ -1,0 +1,244 @@
+"""An episode of an environment in the engine's process: the steps that the front asks for, from the trigger on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import Proposal, VehicleState
+from sumo_adv.drivers import Action, LaneSpeed, Observation
+from sumo_adv.episode.attempt import Command, Driven, OngoingAttempt, apart_of
+from sumo_adv.episode.controllers import AdversaryController, PlannedAdversary, controller_of
+from sumo_adv.episode.open_encounter import OpenEncounter
+from sumo_adv.episode.task import AttemptResult
+from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.gym.actions import controlled, ego_action, endpoint
+from sumo_adv.gym.picture import draw
+from sumo_adv.gym.rewards import Transition
+from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, view_of_ego
+from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.trusted import ask_trusted
+from sumo_adv.situation import Target
+
+Numbers = NDArray[Any]
+DRAW = "draw"  # what the front sends for a picture
+CONTACT, THIRD_PARTY, OFF_ROAD = "contact", "third_party", "off_road"
+REACH = 25.0  # m between centres: vehicles further apart do not touch, long ones included
+TERMINATED = frozenset({CONTACT, THIRD_PARTY, OFF_ROAD})
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """Where an episode stands after a step. views: by agent. result: at the end, of an episode with an attack."""
+
+    time: float
+    views: Mapping[str, View]
+    transition: Transition
+    result: AttemptResult | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Play:
+    """One episode. The engine calls it.
+
+    ego, adversary: the kind of actions of these agents, None = no agent. proposal: what else attacks, None = nothing
+    does. bv: the adversary, None without an attack. delay: from the trigger to the attack [s]. every: simulation steps
+    in a step of the environment.
+    """
+
+    viewing: Viewing
+    every: int
+    ego: str | None = None
+    adversary: str | None = None
+    proposal: Proposal | None = None
+    bv: str | None = None
+    delay: float = 0.0
+
+    def __call__(self, here: OpenEncounter) -> None:
+        """Make the steps that the front asks for until it sends None."""
+        playing = Playing(self, here)
+        here.dialogue.send(playing.moment())
+        while (message := here.dialogue.recv()) is not None:
+            here.dialogue.send(playing.picture() if message == DRAW else playing.step(message))
+
+
+class Playing:
+    """An episode that goes on."""
+
+    def __init__(self, play: Play, here: OpenEncounter) -> None:
+        assert here.drive.ego is not None
+        self._play, self._here, self._drive = play, here, here.drive
+        self._ego, self._dt = here.drive.ego, here.settings.step_length
+        self._waits = here.settings.steps(play.delay)  # steps until the attack begins
+        self._left = here.drive.within(self._waits + here.settings.steps(here.settings.duration))
+        self._attempt: OngoingAttempt | None = None
+        self._start = here.drive.now
+        self._seen: Observation = here.drive.observation()
+        self._actions: Mapping[str, Numbers] = {}
+        self._ending = ""
+        self._touched: str | None = None
+        self._off_road: str | None = None
+        self._view = None if play.adversary is None else ViewOfAdversary(self._target(), play.viewing.vehicles)
+        self._views: dict[str, View] = {}
+        self._apart = self._distance()
+        self._transition = Transition(
+            0.0, self._seen.ego, self._seen.ego, self._there(play.bv), self._limit(), self._apart, self._apart, None,
+            None,
+        )  # fmt: skip
+
+    def _target(self) -> Target:
+        assert self._play.bv is not None
+        return self._here.found.situations[self._play.delay].targets[self._play.bv]
+
+    # -- what the front asks for --------------------------------------------------------------------------------
+
+    def step(self, actions: Mapping[str, Numbers]) -> Moment:
+        """One step of the environment: ``every`` steps of the simulation, fewer if the episode ends in them."""
+        self._actions, before, apart, began = actions, self._seen.ego, self._apart, self._drive.now
+        for _ in range(self._play.every):
+            if self._ending:
+                break
+            self._advance()
+        self._apart = self._distance()
+        verdict = None
+        result = self._result() if self._ending and self._attempt is not None else None
+        if result is not None:
+            verdict = result.verdict
+        self._transition = Transition(
+            self._drive.now - began, self._there(self._ego), before, self._there(self._play.bv), self._limit(),
+            self._apart, apart, self._touched, self._off_road, self._ending, verdict,
+        )  # fmt: skip
+        return self.moment(result)
+
+    def moment(self, result: AttemptResult | None = None) -> Moment:
+        """Where the episode stands. A vehicle that is gone has its last view."""
+        ego, bv = self._there(self._ego), self._there(self._play.bv)
+        if self._play.ego is not None and ego is not None:
+            self._views["ego"] = view_of_ego(self._seen, self._play.viewing.vehicles)
+        if self._view is not None and bv is not None and ego is not None:
+            near = self._drive.near(bv, FAR)
+            others = [self._drive.state(name) for name in near if name != self._ego]
+            self._views["adversary"] = self._view(bv, ego, others)
+        return Moment(self._drive.now, dict(self._views), self._transition, result)
+
+    def picture(self) -> NDArray[np.uint8]:
+        """The road and the vehicles around the ego, from above."""
+        return draw(self._here.road, self._drive, self._ego, self._play.bv, self._seen.ego)
+
+    # -- a step of the simulation -------------------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        if self._play.bv is None or self._waits > 0:
+            self._waits -= 1
+            self._drive.tick(None, self._ego_action())
+        else:
+            self._attack()
+        self._left -= 1
+        if self._ego in self._drive.snapshot.raw:
+            self._seen = self._drive.observation()
+        self._end()
+
+    def _attack(self) -> None:
+        if self._attempt is None:
+            self._start = self._drive.now
+            assert self._play.bv is not None
+            self._attempt = OngoingAttempt(
+                self._drive, {self._play.bv: self._controller()}, steps=max(self._left, 1), replan=self._replan(),
+            )  # fmt: skip
+        poses = {}
+        me = self._there(self._play.bv)
+        if self._play.adversary == "controls" and self._play.bv is not None and me is not None:
+            limits = self._here.settings.limits.limits()
+            poses[self._play.bv] = controlled(self._actions["adversary"], me, limits, self._target().fastest, self._dt)
+        self._attempt.step(Command(poses, self._ego_action()))
+
+    def _replan(self) -> int:
+        settings = self._here.settings
+        return self._play.every if self._play.proposal is None else settings.steps(settings.replan)
+
+    def _controller(self) -> AdversaryController | None:
+        """What drives the adversary; None: the agent's controls do."""
+        play, here = self._play, self._here
+        situation, limits = here.found.situations[play.delay], here.settings.limits.limits()
+        if play.proposal is not None:
+            ask = ask_trusted(play.proposal, situation, here.ask_front)
+            return controller_of(situation, play.proposal, limits, ask)
+        assert play.bv is not None
+        return PlannedAdversary(situation, play.bv, limits, self._endpoint) if play.adversary == "endpoint" else None
+
+    def _endpoint(self, _: PlannerObservation) -> Answer:
+        """Where the agent wants the adversary to be."""
+        assert self._view is not None and self._play.bv is not None
+        me = self._drive.state(self._play.bv)
+        station, _ = self._view.way.project(me.x, me.y, near=self._view.station)
+        return Answer(endpoint(self._actions["adversary"], self._view.way, station, self._target().fastest))
+
+    def _ego_action(self) -> Action:
+        if self._play.ego is None or self._ego not in self._drive.snapshot.raw:
+            return None
+        me = self._drive.state(self._ego)
+        action = ego_action(self._play.ego, self._actions["ego"], me, self._limit(), self._dt)
+        if isinstance(action, LaneSpeed) and action.lane is not None:
+            lanes = self._here.road.lanes
+            edge = me.lane.rpartition("_")[0]
+            if f"{edge}_{action.lane}" not in lanes:
+                return LaneSpeed(None, action.speed)
+        return action
+
+    def _end(self) -> None:
+        """Say how the episode has ended, if it has."""
+        driven = None if self._attempt is None else self._attempt.state.driven
+        ego, bv = self._there(self._ego), self._there(self._play.bv)
+        self._touched = self._touching(ego)
+        led = ((self._play.ego, ego), (self._play.adversary, bv))
+        agents = [v for kind, v in led if kind is not None and v is not None]
+        off = [v for v in agents if not self._here.found.drivable(np.array([v.x]), np.array([v.y]))[0]]
+        if self._touched is not None:
+            self._ending = CONTACT
+        elif self._play.adversary is not None and bv is not None and self._touching(bv) is not None:
+            self._ending = THIRD_PARTY
+        elif off:
+            self._ending, self._off_road = OFF_ROAD, off[0].id
+        elif driven is not None:
+            self._ending = driven.ending
+        elif ego is None:
+            self._ending = "ego_left"
+        elif self._left <= 0:
+            self._ending = "time_limit"
+
+    def _touching(self, me: VehicleState | None) -> str | None:
+        """A vehicle that ``me`` touches."""
+        near = () if me is None else self._drive.near(me, REACH)
+        return next((name for name in near if me is not None and apart_of(self._drive, me.id, name) == 0.0), None)
+
+    # -- facts --------------------------------------------------------------------------------------------------
+
+    def _there(self, name: str | None) -> VehicleState | None:
+        return self._drive.state(name) if name is not None and name in self._drive.snapshot.raw else None
+
+    def _distance(self) -> float:
+        if self._attempt is not None and self._play.bv is not None:
+            return self._attempt.state.apart[self._play.bv]
+        ego, bv = self._there(self._ego), self._there(self._play.bv)
+        return math.inf if ego is None or bv is None else math.hypot(ego.x - bv.x, ego.y - bv.y)
+
+    def _limit(self) -> float:
+        if self._ego not in self._drive.snapshot.raw:
+            return self._transition.limit
+        return self._drive.simulation.limit(self._ego)
+
+    def _result(self) -> AttemptResult:
+        """What the attack came to, as of any attempt."""
+        here, drive = self._here, self._drive
+        assert self._attempt is not None and self._play.bv is not None
+        driven = self._attempt.state.driven or Driven("time_limit")
+        verdict = gate_verdict(
+            drive, here.found, here.settings, here.trigger_step, self._play.bv, self._start, driven
+        )  # fmt: skip
+        snapshots = drive.recording.snapshots[here.trigger_step :]
+        return AttemptResult(driven, verdict, self._start, snapshots, dict(drive.simulation.fleet.sizes))

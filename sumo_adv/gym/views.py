@@ -1,0 +1,164 @@
+"""What an agent observes: numbers of its own vehicle, its way, and the vehicles near it, in its vehicle's frame.
+
+``docs/gym.md`` has the table of all numbers. A dictionary has them in SI units; a vector has the same numbers, one
+after the other, each divided by the largest value that it may have.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from sumo_adv.datatypes import VehicleState
+from sumo_adv.drivers import Observation
+from sumo_adv.geometry import Path, wrap
+from sumo_adv.situation import Target
+
+Numbers = NDArray[np.float32]
+View = dict[str, Numbers]
+"""``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 8), and for an adversary ``ego`` (8,)."""
+
+FAR = 120.0  # m: how far a driver sees
+FAST = 60.0  # m/s
+OWN = (FAST, 15.0, 10.0, 1.0, 1.0, FAST, 1.0, 1.0, FAR)
+"""Largest values of speed, acceleration, offset from the way, sine and cosine of the heading against it, speed limit,
+lane to the left, lane to the right, metres to the next line at which it must wait (``FAR``: none)."""
+OTHER = (1.0, FAR, FAR, 1.0, 1.0, FAST, 30.0, 5.0)
+"""Largest values of there or not, metres ahead, metres to the left, cosine and sine of the heading, speed, length,
+width."""
+SIGNED_OWN, SIGNED_OTHER = (1, 2, 3, 4), (1, 2, 3, 4)  # columns that may be negative
+AHEAD = tuple(5.0 * k for k in range(1, 11))  # m: the points of the way
+
+
+@dataclass(frozen=True, slots=True)
+class Viewing:
+    """What views hold. vehicles: how many others; vector: one vector instead of a dictionary."""
+
+    vehicles: int = 8
+    vector: bool = True
+
+    def space(self, *, adversary: bool) -> spaces.Space[Any]:
+        """The space of an agent's observations."""
+        highs: dict[str, Numbers] = {"own": _highs(OWN, ()), "path": np.full((len(AHEAD), 2), FAR, np.float32)}
+        lows: dict[str, Numbers] = {"own": _lows(OWN, SIGNED_OWN), "path": -highs["path"]}
+        if adversary:
+            highs["ego"], lows["ego"] = _highs(OTHER, ()), _lows(OTHER, SIGNED_OTHER)
+        highs["vehicles"] = _highs(OTHER, (self.vehicles, len(OTHER)))
+        lows["vehicles"] = np.broadcast_to(_lows(OTHER, SIGNED_OTHER), highs["vehicles"].shape).copy()
+        if not self.vector:
+            return spaces.Dict({name: spaces.Box(lows[name], highs[name], dtype=np.float32) for name in highs})
+        low = np.concatenate([(lows[name] / highs[name]).ravel() for name in highs])
+        return spaces.Box(low, np.ones_like(low), dtype=np.float32)
+
+    def given(self, view: View) -> View | Numbers:
+        """A view as the agent gets it."""
+        if not self.vector:
+            return {name: values.copy() for name, values in view.items()}
+        return np.concatenate([(values / _LARGEST[name]).ravel() for name, values in view.items()])
+
+
+def _highs(values: Sequence[float], shape: tuple[int, ...]) -> Numbers:
+    row = np.asarray(values, np.float32)
+    return np.broadcast_to(row, shape or row.shape).copy()
+
+
+def _lows(values: Sequence[float], signed: Sequence[int]) -> Numbers:
+    return np.array([-v if k in signed else 0.0 for k, v in enumerate(values)], np.float32)
+
+
+_POINT = np.full(2, FAR, np.float32)
+_LARGEST: Mapping[str, Numbers] = {
+    "own": _highs(OWN, ()), "path": _POINT, "ego": _highs(OTHER, ()), "vehicles": _highs(OTHER, ()),
+}  # fmt: skip
+_SMALLEST: Mapping[str, Numbers] = {
+    "own": _lows(OWN, SIGNED_OWN), "path": -_POINT, "ego": _lows(OTHER, SIGNED_OTHER),
+    "vehicles": _lows(OTHER, SIGNED_OTHER),
+}  # fmt: skip
+
+
+def view_of_ego(seen: Observation, vehicles: int) -> View:
+    """What the ego observes, from what its driver sees."""
+    me, road = seen.ego, seen.road
+    turned = 0.0 if seen.lane_heading is None else me.heading - seen.lane_heading
+    offset = 0.0 if seen.lane_offset is None else seen.lane_offset
+    limit, left, right, stop = FAST, False, False, FAR
+    if road is not None:
+        limit = road.limit
+        left, right = any(side > 0 for side in road.sides), any(side < 0 for side in road.sides)
+        stop = next((line.ahead for line in road.stop_lines if line.must_wait), FAR)
+    own = (me.speed, me.acceleration, offset, math.sin(turned), math.cos(turned), limit, left, right, stop)
+    points = None if seen.path is None else np.asarray(seen.path)
+    return _bounded({
+        "own": own, "path": _in_frame(me, _onward(me, points)), "vehicles": _nearest(me, seen.others, vehicles)
+    })  # fmt: skip
+
+
+class ViewOfAdversary:
+    """What the adversary observes: its way is the first of the ways that it may take. It knows the ego from others."""
+
+    def __init__(self, target: Target, vehicles: int) -> None:
+        self._target, self._vehicles = target, vehicles
+        self.way: Path = target.ways[target.unattacked or 0].path
+        self.station, self.offset = target.station, target.offset
+
+    def __call__(self, me: VehicleState, ego: VehicleState, others: Sequence[VehicleState]) -> View:
+        """The view of now."""
+        self.station, self.offset = self.way.project(me.x, me.y, near=self.station)
+        x, y, heading = self.way.at(self.station + np.array([0.0, *AHEAD]))
+        turned = me.heading - float(heading[0])
+        sides = [side for side, way in self._target.sides if way == "same"]
+        left, right = any(side > 0 for side in sides), any(side < 0 for side in sides)
+        own = (
+            me.speed, me.acceleration, self.offset, math.sin(turned), math.cos(turned), self._target.fastest, left,
+            right, FAR,
+        )  # fmt: skip
+        return _bounded({
+            "own": own, "path": _in_frame(me, np.column_stack([x, y])[1:]), "ego": _row(me, ego),
+            "vehicles": _nearest(me, others, self._vehicles),
+        })  # fmt: skip
+
+
+def _bounded(view: dict[str, Any]) -> View:
+    """Numbers beyond the bounds of their space are cut."""
+    return {
+        name: np.clip(np.asarray(values, np.float32), _SMALLEST[name], _LARGEST[name]) for name, values in view.items()
+    }
+
+
+def _onward(me: VehicleState, points: NDArray[Any] | None) -> NDArray[Any]:
+    """The points of the ego's path ``AHEAD`` of it; straight on where there is no path."""
+    ahead = np.array(AHEAD)
+    straight = np.column_stack([me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)])
+    if points is None or len(points) < 2:
+        return straight
+    here = int(np.argmin((points[:, 0] - me.x) ** 2 + (points[:, 1] - me.y) ** 2))
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[here:], axis=0).T))])
+    if len(station) < 2:
+        return straight
+    return np.column_stack([np.interp(ahead, station, points[here:, k]) for k in (0, 1)])
+
+
+def _in_frame(me: VehicleState, points: NDArray[Any]) -> NDArray[Any]:
+    dx, dy, c, s = points[:, 0] - me.x, points[:, 1] - me.y, math.cos(me.heading), math.sin(me.heading)
+    return np.column_stack([c * dx + s * dy, c * dy - s * dx])
+
+
+def _row(me: VehicleState, v: VehicleState) -> tuple[float, ...]:
+    dx, dy, c, s = v.x - me.x, v.y - me.y, math.cos(me.heading), math.sin(me.heading)
+    turn = wrap(v.heading - me.heading)
+    return (1.0, c * dx + s * dy, c * dy - s * dx, math.cos(turn), math.sin(turn), v.speed, v.length, v.width)
+
+
+def _nearest(me: VehicleState, others: Sequence[VehicleState], count: int) -> NDArray[Any]:
+    """The rows of the nearest vehicles; rows of zeros where there are fewer."""
+    near = sorted(others, key=lambda v: (v.x - me.x) ** 2 + (v.y - me.y) ** 2)[:count]
+    rows = np.zeros((count, len(OTHER)))
+    for k, v in enumerate(near):
+        rows[k] = _row(me, v)
+    return rows

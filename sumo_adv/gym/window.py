@@ -1,0 +1,39 @@
+"""A window that shows pictures one after the other, by matplotlib."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PAUSE = 0.001  # s: for the window to draw itself
+
+
+class Window:
+    """Opens with the first picture. Without a display matplotlib draws into nothing."""
+
+    def __init__(self) -> None:
+        self._figure: Any = None
+        self._image: Any = None
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Show a picture ``(height, width, 3)``."""
+        import matplotlib.pyplot as plt
+
+        if self._figure is None:
+            self._figure = plt.figure("sumo_adv", figsize=(5, 5))
+            axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+            axes.set_axis_off()
+            self._image = axes.imshow(picture)
+        self._image.set_data(picture)
+        self._figure.canvas.draw_idle()
+        self._figure.canvas.start_event_loop(PAUSE)
+
+    def close(self) -> None:
+        """Close it, if it is open."""
+        if self._figure is not None:
+            import matplotlib.pyplot as plt
+
+            plt.close(self._figure)
+            self._figure = self._image = None
