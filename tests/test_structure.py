@@ -23,7 +23,7 @@ LEVELS = (
     ("regression",),
     ("comparison",),
     ("app",),
-    ("cli", "api", "api_batch", "world", "__main__"),
+    ("cli", "api", "api_batch", "gym", "world", "__main__"),
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),

@@ -16,6 +16,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
+
 from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.attempt import Driven, attack

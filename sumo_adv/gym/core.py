@@ -83,7 +83,7 @@ class Core:
         attack = self._plans[self._at].next(draws)
         if attack is None:
             return Play(self._viewing, every, ego)
-        return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
+        return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay, recorded=self._adapts)
 
     def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[Moment, bool, bool, dict[str, Any]]:
         """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.

@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.simulation.network import RoadMap
 
 SIZE = 480  # pixels
 SHOWN = 60.0  # m from the middle to each side
-GROUND, ASPHALT = (236, 238, 232), (150, 152, 156)
+GROUND, ASPHALT, PAINT = (236, 238, 232), (150, 152, 156), (214, 216, 218)
 COLOURS = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245, 245, 245)}
 
 
@@ -27,8 +27,13 @@ def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: V
     def pixel(x: float, y: float) -> tuple[float, float]:
         return SIZE / 2 + (x - middle.x) * scale, SIZE / 2 - (y - middle.y) * scale
 
-    for shape, width, _ in road.strips(middle.x, middle.y, 2 * SHOWN):
-        pen.line([pixel(x, y) for x, y in shape.tolist()], fill=ASPHALT, width=round(width * scale), joint="curve")
+    strips = road.strips(middle.x, middle.y, 2 * SHOWN)
+    for shape, width, _ in strips:
+        line = [pixel(x, y) for x, y in shape.tolist()]
+        pen.line(line, fill=ASPHALT, width=math.ceil(width * scale) + 1, joint="curve")
+    for shape, width, internal in strips:
+        for side in () if internal else (-width / 2, width / 2):
+            pen.line([pixel(x, y) for x, y in beside(shape, side)], fill=PAINT)
     for name in drive.snapshot.raw:
         v = drive.state(name)
         if math.hypot(v.x - middle.x, v.y - middle.y) > 2 * SHOWN:
@@ -39,3 +44,12 @@ def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: V
         outline = [pixel(v.x + c * a - s * b, v.y + s * a + c * b) for a, b in corners]
         pen.polygon(outline, fill=COLOURS[kind], outline=(40, 40, 40))
     return np.asarray(image)
+
+
+def beside(line: Floats, offset: float) -> list[list[float]]:
+    """The points of a line ``(n, 2)``, each moved ``offset`` [m] to the left of its direction."""
+    along = np.gradient(line, axis=0)
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    left = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
+    moved: list[list[float]] = (line + offset * left).tolist()
+    return moved

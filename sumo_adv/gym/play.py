@@ -34,7 +34,7 @@ TERMINATED = frozenset({CONTACT, THIRD_PARTY, OFF_ROAD})
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Where an episode stands after a step. views: by agent. result: at the end, of an episode with an attack."""
+    """Where an episode stands after a step. views: by agent. result: at the end of an episode that wants it."""
 
     time: float
     views: Mapping[str, View]
@@ -48,7 +48,7 @@ class Play:
 
     ego, adversary: the kind of actions of these agents, None = no agent. proposal: what else attacks, None = nothing
     does. bv: the adversary, None without an attack. delay: from the trigger to the attack [s]. every: simulation steps
-    in a step of the environment.
+    in a step of the environment. recorded: whether the result of the attack is wanted.
     """
 
     viewing: Viewing
@@ -58,6 +58,7 @@ class Play:
     proposal: Proposal | None = None
     bv: str | None = None
     delay: float = 0.0
+    recorded: bool = False
 
     def __call__(self, here: OpenEncounter) -> None:
         """Make the steps that the front asks for until it sends None."""
@@ -105,15 +106,13 @@ class Playing:
                 break
             self._advance()
         self._apart = self._distance()
-        verdict = None
         result = self._result() if self._ending and self._attempt is not None else None
-        if result is not None:
-            verdict = result.verdict
+        verdict = None if result is None else result.verdict
         self._transition = Transition(
             self._drive.now - began, self._there(self._ego), before, self._there(self._play.bv), self._limit(),
             self._apart, apart, self._touched, self._off_road, self._ending, verdict,
         )  # fmt: skip
-        return self.moment(result)
+        return self.moment(result if self._play.recorded else None)
 
     def moment(self, result: AttemptResult | None = None) -> Moment:
         """Where the episode stands. A vehicle that is gone has its last view."""

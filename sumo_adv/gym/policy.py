@@ -24,20 +24,32 @@ class PolicyDriver:
     forkable = False
 
     def __init__(
-        self, policy: Policy, *, actions: str = "controls", observations: Observations = "vector", vehicles: int = 8
+        self,
+        policy: Policy,
+        *,
+        actions: str = "controls",
+        observations: Observations = "vector",
+        vehicles: int = 8,
+        interval: float = 0.1,
     ) -> None:
         """Raises UsageError."""
         action_space(EGO_ACTIONS, actions)
-        self._policy, self._actions = policy, actions
+        self._policy, self._actions, self._interval = policy, actions, interval
         self._viewing = viewing_of(observations, vehicles)
+        self._numbers: NDArray[Any] | None = None
+        self._due = 0.0
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget."""
+        """Forget the last action."""
+        self._numbers = None
 
     def act(self, observation: Observation) -> Action:
-        """What the policy does."""
-        view = view_of_ego(observation, self._viewing.vehicles)
-        numbers = self._policy(self._viewing.given(view))
+        """What the policy does; it decides every ``interval`` seconds."""
+        if self._numbers is None or observation.time > self._due - observation.dt / 2:
+            view = view_of_ego(observation, self._viewing.vehicles)
+            self._numbers = self._policy(self._viewing.given(view))
+            self._due = observation.time + self._interval
+        numbers = self._numbers
         road: Road | None = observation.road
         limit = FAST if road is None else road.limit
         return ego_action(self._actions, numbers, observation.ego, limit, observation.dt)
