@@ -20,7 +20,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from trained_ego import ENVIRONMENT, FILE
 
-import sumo_adv.gym  # noqa: F401 - registers the environments
+import sumo_adv.gym
 from sumo_adv.metrics.statistics import wilson
 
 SCENARIOS = ("motorway_cut_in_left", "neighbour_ahead_left", "neighbour_behind_right", "leader_two_lanes")
@@ -29,7 +29,7 @@ VALID = ("valid", "strict", "serious")
 
 
 def environment(scenarios: list[str], seed: int) -> gymnasium.Env[Any, Any]:
-    """The environment with the attacks that the expert plans with a seed."""
+    """The environment, which importing ``sumo_adv.gym`` has registered, with the attacks that are planned with a seed."""
     return gymnasium.make("sumo_adv/Ego-v0", scenario=scenarios, settings={"seed": seed}, **ENVIRONMENT)
 
 

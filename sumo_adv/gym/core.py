@@ -43,7 +43,7 @@ class Core:
         self._last: Moment | None = None
         self._at = 0
         # at the end of a process, multiprocessing waits for the engines' processes, which wait for this
-        self._finalizer = Finalize(self, _close, args=(self._opened,), exitpriority=1)
+        Finalize(self, _close, args=(self._opened,), exitpriority=1)
 
     def begin(self, draws: np.random.Generator, *, anew: bool) -> tuple[Moment, dict[str, Any]]:
         """The first moment of the next episode; ``anew``: what attackers have learnt of the agent is forgotten.
@@ -133,7 +133,7 @@ class Core:
     def close(self) -> None:
         """End all processes. May be called twice."""
         self._end()
-        self._finalizer()
+        _close(self._opened)
 
 
 def _close(opened: dict[int, Encounter]) -> None:

@@ -88,8 +88,7 @@ class Encounter:
         packed = None if isinstance(ego, str) else pack(AgentEgo if ego is None else ego)
         driver = None if ego is None else ego if packed is None else packed.name
         self.settings = settings_of(given, driver, attacker, source.horizon)
-        self._stack = ExitStack()
-        with self._stack.pop_all() as opening:
+        with ExitStack() as opening:
             self._open(source, packed, opening)
             self._stack = opening.pop_all()
 

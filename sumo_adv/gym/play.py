@@ -17,6 +17,7 @@ from sumo_adv.episode.controllers import AdversaryController, PlannedAdversary, 
 from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.geometry import Pose
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
@@ -149,7 +150,7 @@ class Playing:
             self._attempt = OngoingAttempt(
                 self._drive, {self._play.bv: self._controller()}, steps=max(self._left, 1), replan=self._replan(),
             )  # fmt: skip
-        poses = {}
+        poses: dict[str, Pose] = {}
         me = self._there(self._play.bv)
         if self._play.adversary == "controls" and self._play.bv is not None and me is not None:
             limits = self._here.settings.limits.limits()
@@ -170,7 +171,7 @@ class Playing:
         assert play.bv is not None
         return PlannedAdversary(situation, play.bv, limits, self._endpoint) if play.adversary == "endpoint" else None
 
-    def _endpoint(self, _: PlannerObservation) -> Answer:
+    def _endpoint(self, observation: PlannerObservation) -> Answer:
         """Where the agent wants the adversary to be."""
         assert self._view is not None and self._play.bv is not None
         me = self._drive.state(self._play.bv)
