@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from cli_samples import ROOT
 from gymnasium.utils.env_checker import check_env
+from model_server import ModelServer
 from pettingzoo.test import parallel_api_test
+from scripted_models import Author
 
 import sumo_adv.gym
 from sumo_adv.datatypes import Verdict
@@ -100,6 +102,17 @@ def test_the_expert_hits_an_ego_that_goes_straight_on() -> None:
     assert isinstance(info["verdict"], Verdict)
     assert info["verdict"].collided
     assert info["level"] in ("collision", "valid", "strict", "serious")
+
+
+def test_a_language_model_attacks_as_it_chose(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ModelServer(Author("Aggressive Cut-in")) as server:
+        for name, value in server.environment().items():
+            monkeypatch.setenv(name, value)
+        env = made("Ego-v0", attacker="scripted", settings=QUICK)
+        attacks = [env.reset(seed=0)[1]["attack"], env.reset()[1]["attack"]]
+        env.close()
+    assert attacks == ["Aggressive Cut-in"] * 2
+    assert len(server.asked) == 1  # once an encounter
 
 
 @pytest.mark.parametrize("name", ["Ego-v0", "Adversary-v0"])

@@ -29,7 +29,7 @@ VALID = ("valid", "strict", "serious")
 
 
 def environment(scenarios: list[str], seed: int) -> gymnasium.Env[Any, Any]:
-    """The environment, which importing ``sumo_adv.gym`` has registered, with the attacks that are planned with a seed."""
+    """The environment, known since ``sumo_adv.gym`` was imported, with the attacks that are planned with a seed."""
     return gymnasium.make("sumo_adv/Ego-v0", scenario=scenarios, settings={"seed": seed}, **ENVIRONMENT)
 
 

@@ -69,9 +69,12 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
         if name in given:
             raise UsageError(f"The setting {name!r} of an environment follows from its other arguments: leave it out.")
     model = None if attacker in (None, EXPERT) else attacker
-    wanted = {"until": "serious"} if ego is None else {}  # what attacks of an agent are planned for
-    driver = AGENT if ego is None else ego
-    return load_settings(None, **{"horizon": horizon, **wanted, **given, "ego": driver, "llm": model, "learn": "off"})
+    wanted: dict[str, Any] = {"horizon": horizon}
+    if ego is None:
+        wanted["until"] = "serious"  # what attacks on an agent are planned for
+    if model is not None:
+        wanted["tuner"] = "off"  # its attacks, and none of the search
+    return load_settings(None, **{**wanted, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
 
 
 class Encounter:
@@ -125,8 +128,7 @@ class Encounter:
             raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {episode.reason}")
         runner = AttemptRunner(self.engine, self._sandbox, self.found, settings.seed)
         refiner = Refiner(runner, self.found, planned.search, self._agents, entries, settings, _silent)
-        optimizer = refiner.optimizer(episode.intents)  # what a model chose joins the candidates
-        return Plan(planned, optimizer if adapts else None, settings)
+        return Plan(planned, refiner.optimizer(episode.intents), settings, adapts=adapts)
 
     def play(self, play: Play) -> Played:
         """Begin an episode; the one before must have ended."""
@@ -143,33 +145,38 @@ class Encounter:
 
 
 class Plan:
-    """Attacks in one encounter, one for each episode: drawn among the best that are predicted to collide.
+    """Attacks in one encounter, one for each episode.
 
-    With an ``optimizer`` the search goes on before that, as in a run: it proposes attacks and observes how the ego
-    drove in them. That takes a second or two for each episode.
+    They are drawn among the best that are predicted to collide, or with ``tuner = off`` among those that the analyzer
+    chose. Where the attacker ``adapts``, the search goes on before that, as in a run: it proposes attacks and observes
+    how the ego drove in them. That takes a second or two for each episode.
     """
 
-    def __init__(self, planned: PlannedEncounter, optimizer: Optimizer | None, settings: Settings) -> None:
+    def __init__(self, planned: PlannedEncounter, optimizer: Optimizer, settings: Settings, *, adapts: bool) -> None:
         self._planned, self._optimizer, self._settings = planned, optimizer, settings
         self._tried: list[Proposal] = []
-        self._known: list[Proposal] | None = None  # what is drawn from; None while the search goes on
+        self._known = None if adapts else self._best()  # what is drawn from; None while the search goes on
+
+    def _best(self) -> list[Proposal]:
+        most, search = self._settings.attempts, self._planned.search
+        if self._settings.tuner == "off":
+            return self._optimizer.propose(most)
+        colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
+        return sorted(colliding, key=search.price)[:most]
 
     def next(self, draws: np.random.Generator) -> Proposal | None:
         """The next attack; None if there is none at all."""
         if self._known is None:
-            if self._optimizer is not None and len(self._tried) < self._settings.attempts:
-                proposed = self._optimizer.propose(1)
-                if proposed:
-                    self._tried += proposed
-                    return self._tried[-1]
-            search = self._planned.search
-            colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
-            self._known = [*self._tried, *sorted(colliding, key=search.price)[: self._settings.attempts]]
+            proposed = self._optimizer.propose(1) if len(self._tried) < self._settings.attempts else []
+            if proposed:
+                self._tried += proposed
+                return self._tried[-1]
+            self._known = [*self._tried, *self._best()]
         return self._known[int(draws.integers(len(self._known)))] if self._known else None
 
     def observe(self, proposal: Proposal, result: AttemptResult) -> None:
         """Take note of how an attack went, as long as the search goes on."""
-        if self._known is not None or self._optimizer is None:
+        if self._known is not None:
             return
         found = self._planned.found
         attempt = attempt_of(len(self._tried), "tuner", proposal, result, found, self._settings)
