@@ -35,7 +35,7 @@ begin = 0.0
 end = 60.0
 
 [ego]
-id = "v10"
+id = "v{ego}"
 
 [window]
 warm_up = 0.0
@@ -52,7 +52,7 @@ def write_scenario(folder: Path, vehicles: int) -> Path:
     ]
     (folder / "traffic.rou.xml").write_text(f"<routes>{''.join(rows)}</routes>")
     target = folder / "traffic.toml"
-    target.write_text(SCENARIO)
+    target.write_text(SCENARIO.format(ego=vehicles // 2))
     return target
 
 
@@ -89,7 +89,7 @@ def cost(row: str, scenario: Path, episodes: int) -> tuple[int, float]:
     """Steps, and CPU seconds of a process that makes them and of its engine."""
     command = [sys.executable, __file__, "--row", row, "--scenario", str(scenario), "--episodes", str(episodes)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    steps = int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    steps = int(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return steps, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

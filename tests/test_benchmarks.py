@@ -42,6 +42,16 @@ def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
         assert 1.0 < float(low) <= float(middle) <= float(high)
 
 
+def test_environment_speed_has_a_row_for_an_environment(program: Program) -> None:
+    """Below its bound (status 1) is allowed: one episode is too short to measure."""
+    said = printed(
+        program, "environment_speed.py", "--vehicles", "6", "--episodes", "1", "--only", "Ego-v0, nothing attacks",
+        statuses=(0, 1),
+    )  # fmt: skip
+    found = re.search(r"^Ego-v0, nothing attacks +120 steps +(-?\d+) steps per CPU second$", said, re.MULTILINE)
+    assert found is not None, said
+
+
 def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     said = printed(program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8")
     assert "same states and verdict both ways: yes" in said
