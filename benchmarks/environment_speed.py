@@ -44,7 +44,7 @@ trigger = 1.0
 
 
 def write_scenario(folder: Path, vehicles: int) -> Path:
-    """So many vehicles at 20 m/s, 30 m apart in each of three lanes; the ego drives among them."""
+    """A scenario with vehicles at 20 m/s, 30 m apart in each of three lanes; the ego drives among them."""
     rows = [
         f'<vehicle id="v{k}" depart="0" departLane="{k % 3}" departPos="{40 + 30 * (k // 3) + 10 * (k % 3)}" '
         'departSpeed="20"><route edges="eastbound"/></vehicle>'
@@ -57,7 +57,7 @@ def write_scenario(folder: Path, vehicles: int) -> Path:
 
 
 def run(row: str, scenario: str, episodes: int) -> int:
-    """Steps of so many episodes, in this process."""
+    """Run a number of episodes in this process and return how many steps they had."""
     import gymnasium
     import numpy as np
 

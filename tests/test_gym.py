@@ -267,7 +267,7 @@ def test_a_picture_shows_ego_and_adversary_in_their_colours() -> None:
         ("Ego-v0", {"scenario": "no_such_place"}, "no_such_place"),
         ("Ego-v0", {"settings": {"ego": "idm"}}, "The setting 'ego' of an environment follows from"),
         ("Ego-v0", {"settings": {"durration": 3}}, "durration"),
-        ("Adversary-v0", {"ego": "nobody"}, "There is no ego 'nobody'"),
+        ("Adversary-v0", {"ego": "fangio"}, "There is no ego 'fangio'"),
     ],
 )
 def test_wrong_use_is_refused_in_a_sentence(name: str, options: dict[str, Any], sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""An attempt made step by step: who moves each adversary, what is told of it, and how it ends."""
+"""An attempt made step by step: what moves each adversary, what each step reports, and how the attempt ends."""
 
 from __future__ import annotations
 

@@ -53,8 +53,8 @@ class AttemptState:
     """Where an attempt stands after a step.
 
     steps: made so far. apart: by adversary the distance [m] of its centre from the ego's; 0 only if their boxes
-    overlap, inf where one of the two is gone. touching: the pairs of the ego and adversaries whose boxes overlap, by
-    id. driven: how the attempt went; None while it goes on.
+    overlap, inf where one of the two is gone. touching: pairs of ids, of the ego and adversaries, with overlapping
+    boxes. driven: how the attempt went; None while it goes on.
     """
 
     steps: int

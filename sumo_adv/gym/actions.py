@@ -1,7 +1,7 @@
 """What an agent's action means. All actions are numbers from -1 to 1; ``docs/gym.md`` has their table.
 
 The ego has ``controls`` (acceleration and steering) or ``lane`` (target speed and lane); the adversary has ``endpoint``
-(where it is to be, and when) or ``controls`` within the limits of an adversary's motion.
+(a place on its way with a speed and a time) or ``controls`` within the limits of an adversary's motion.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _lane(me: VehicleState, wish: float) -> int | None:
 
 
 def endpoint(numbers: Numbers, way: Path, station: float, fastest: float) -> Endpoint:
-    """Where an adversary at a ``station`` [m] of its way is to be; ``fastest``: its highest speed [m/s]."""
+    """The endpoint of an adversary that is at a ``station`` [m] of its way; ``fastest``: its highest speed [m/s]."""
     ahead, left, speed, time = (float(v) for v in np.clip(numbers, -1.0, 1.0))
     far, seconds = _between(ahead, *REACH), _between(time, *TIME)
     x, y, heading = (float(v) for v in way.at(np.asarray(station + far), left * ASIDE))

@@ -57,7 +57,7 @@ AGENT = PREFIX + AgentEgo.__name__
 
 
 def _silent(*_: object) -> None:
-    """Nobody looks on."""
+    """An environment shows no progress."""
 
 
 def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, horizon: float | None) -> Settings:

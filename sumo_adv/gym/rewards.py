@@ -15,7 +15,7 @@ class Transition:
     seconds: that it lasted. ego, adversary: their states after it, None where it is gone or there is none. before: the
     ego's state before it. limit: the speed limit at the ego [m/s]. apart: from the ego's centre to the adversary's [m],
     0 only if their boxes overlap, inf without an adversary; apart_before: before the step. touched: the vehicle that
-    the ego touches. off_road: the vehicle of an agent whose centre is off the road. ending: how the episode ended,
+    the ego touches. off_road: an agent's vehicle, if its centre is off the road. ending: how the episode ended,
     empty while it goes on; see ``docs/gym.md``. verdict: on the attack, at the end of an episode with one.
     """
 

@@ -75,8 +75,9 @@ class Engine:
                     ready.send(answer(question) if answer is not None else None)
 
     def converse(self, command: str, *arguments: Any, answer: Answer | None = None) -> Conversation:
-        """Begin a command that says something in the first slot, and answers what it is then asked there, until it is
-        told to end. Its questions come in the other slots; ``answer`` answers them.
+        """Begin a command that sends a first message in the first slot, and then a reply to each message there.
+
+        It goes on until it is told to end. Its own questions come in the other slots; ``answer`` answers them.
 
         Raises as ``request``.
         """
@@ -170,7 +171,7 @@ class Conversation:
         with engine._alive():
             engine._slots[0].send(None)
             wait([engine._control])
-            while engine._slots[0].poll():  # an answer that nobody took: it was interrupted
+            while engine._slots[0].poll():  # a reply that was not read: asking was interrupted
                 engine._slots[0].recv()
             engine._reply()
 
