@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Proposal, VehicleState
-from sumo_adv.drivers import Action, LaneSpeed, Observation
+from sumo_adv.drivers import Action, LaneSpeed
 from sumo_adv.episode.attempt import Command, Driven, OngoingAttempt, apart_of
 from sumo_adv.episode.controllers import AdversaryController, PlannedAdversary, controller_of
 from sumo_adv.episode.open_encounter import OpenEncounter
@@ -80,7 +80,8 @@ class Playing:
         self._left = here.drive.within(self._waits + here.settings.steps(here.settings.duration))
         self._attempt: OngoingAttempt | None = None
         self._start = here.drive.now
-        self._seen: Observation = here.drive.observation()
+        self._me = here.drive.state(self._ego)  # where it is, or was last
+        self._seen = here.drive.observation() if play.ego is not None else None
         self._actions: Mapping[str, Numbers] = {}
         self._ending = ""
         self._touched: str | None = None
@@ -89,8 +90,7 @@ class Playing:
         self._views: dict[str, View] = {}
         self._apart = self._distance()
         self._transition = Transition(
-            0.0, self._seen.ego, self._seen.ego, self._there(play.bv), self._limit(), self._apart, self._apart, None,
-            None,
+            0.0, self._me, self._me, self._there(play.bv), self._limit(), self._apart, self._apart, None, None
         )  # fmt: skip
 
     def _target(self) -> Target:
@@ -101,7 +101,7 @@ class Playing:
 
     def step(self, actions: Mapping[str, Numbers]) -> Moment:
         """One step of the environment: ``every`` steps of the simulation, fewer if the episode ends in them."""
-        self._actions, before, apart, began = actions, self._seen.ego, self._apart, self._drive.now
+        self._actions, before, apart, began = actions, self._me, self._apart, self._drive.now
         for _ in range(self._play.every):
             if self._ending:
                 break
@@ -118,7 +118,7 @@ class Playing:
     def moment(self, result: AttemptResult | None = None) -> Moment:
         """Where the episode stands. A vehicle that is gone has its last view."""
         ego, bv = self._there(self._ego), self._there(self._play.bv)
-        if self._play.ego is not None and ego is not None:
+        if self._seen is not None and ego is not None:
             self._views["ego"] = view_of_ego(self._seen, self._play.viewing.vehicles)
         if self._view is not None and bv is not None and ego is not None:
             near = self._drive.near(bv, FAR)
@@ -128,7 +128,7 @@ class Playing:
 
     def picture(self) -> NDArray[np.uint8]:
         """The road and the vehicles around the ego, from above."""
-        return draw(self._here.road, self._drive, self._ego, self._play.bv, self._seen.ego)
+        return draw(self._here.road, self._drive, self._ego, self._play.bv, self._me)
 
     # -- a step of the simulation -------------------------------------------------------------------------------
 
@@ -140,7 +140,9 @@ class Playing:
             self._attack()
         self._left -= 1
         if self._ego in self._drive.snapshot.raw:
-            self._seen = self._drive.observation()
+            self._me = self._drive.state(self._ego)
+            if self._play.ego is not None:  # in every step: it keeps the route of an ego that leaves its lane
+                self._seen = self._drive.observation()
         self._end()
 
     def _attack(self) -> None:
@@ -197,7 +199,7 @@ class Playing:
         self._touched = self._touching(ego)
         led = ((self._play.ego, ego), (self._play.adversary, bv))
         agents = [v for kind, v in led if kind is not None and v is not None]
-        off = [v for v in agents if not self._here.found.drivable(np.array([v.x]), np.array([v.y]))[0]]
+        off = [v for v in agents if self._is_off_road(v)]
         if self._touched is not None:
             self._ending = CONTACT
         elif self._play.adversary is not None and bv is not None and self._touching(bv) is not None:
@@ -210,6 +212,14 @@ class Playing:
             self._ending = "ego_left"
         elif self._left <= 0:
             self._ending = "time_limit"
+
+    def _is_off_road(self, v: VehicleState) -> bool:
+        """Whether the centre is off the road; where the road's area is not known, whether no lane is there."""
+        found = self._here.found
+        x, y, radius = found.area
+        if math.hypot(v.x - x, v.y - y) > radius:
+            return v.lane == ""
+        return not found.drivable(np.array([v.x]), np.array([v.y]))[0]
 
     def _touching(self, me: VehicleState | None) -> str | None:
         """A vehicle that ``me`` touches."""
