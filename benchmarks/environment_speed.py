@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 BOUND = 500.0  # steps a second
+FEW = {"proposals": 4, "delays": (0.0,)}  # little to plan: what happens once is uncertain by a tenth of itself
 ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "Ego-v0, nothing attacks": ("Ego-v0", {"attacker": None}),
-    "Ego-v0, the expert attacks": ("Ego-v0", {}),
-    "Ego-v0, speed and lane": ("Ego-v0", {"actions": "lane"}),
+    "Ego-v0, the expert attacks": ("Ego-v0", {"settings": FEW}),
+    "Ego-v0, speed and lane": ("Ego-v0", {"settings": FEW, "actions": "lane"}),
     "Adversary-v0, endpoints": ("Adversary-v0", {"interval": 0.1}),
     "Adversary-v0, controls": ("Adversary-v0", {"actions": "controls"}),
     "parallel": ("parallel", {}),

@@ -190,8 +190,11 @@ class Worker:
             return {}
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
-    def converse(self, talk: Callable[[OpenEncounter], None]) -> None:
-        """Have ``talk`` make an attempt from the trigger on, as the front asks for it in the first slot."""
+    def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
+        """Make an attempt from the trigger on, as the front asks for it in the first slot.
+
+        prepare: returns what does so; it is called before the fork.
+        """
         dialogue, questions = self._slots[:2]
 
         def ask_front(observation: PlannerObservation) -> Any:
@@ -202,9 +205,9 @@ class Worker:
             self._drive, self._encounter, self._settings, self._map, self._trigger_step, dialogue, ask_front
         )
         if self._forks:
-            in_forks([partial(talk, here)])  # not repeated: the front has spoken already
+            in_forks([prepare(here)])  # not repeated: the front has spoken already
         else:
-            self._branch([partial(talk, here)])
+            self._branch([prepare(here)])
 
     def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
         drive, settings = self._drive, self._settings

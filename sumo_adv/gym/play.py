@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
 from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, view_of_ego
-from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
 from sumo_adv.situation import Target
 
@@ -45,7 +46,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """One episode. The engine calls it.
+    """One episode. The engine calls it before it forks.
 
     ego, adversary: the kind of actions of these agents, None = no agent. proposal: what else attacks, None = nothing
     does. bv: the adversary, None without an attack. delay: from the trigger to the attack [s]. every: simulation steps
@@ -61,9 +62,15 @@ class Play:
     delay: float = 0.0
     recorded: bool = False
 
-    def __call__(self, here: OpenEncounter) -> None:
-        """Make the steps that the front asks for until it sends None."""
-        playing = Playing(self, here)
+    def __call__(self, here: OpenEncounter) -> Callable[[], None]:
+        """What makes the steps that the front asks for until it sends None. A planner's text is read already here."""
+        ask = None
+        if self.proposal is not None:
+            ask = ask_trusted(self.proposal, here.found.situations[self.delay], here.ask_front)
+        return partial(self._talk, here, ask)
+
+    def _talk(self, here: OpenEncounter, ask: AskOne | None) -> None:
+        playing = Playing(self, here, ask)
         here.dialogue.send(playing.moment())
         while (message := here.dialogue.recv()) is not None:
             here.dialogue.send(playing.picture() if message == DRAW else playing.step(message))
@@ -72,8 +79,10 @@ class Play:
 class Playing:
     """An episode that goes on."""
 
-    def __init__(self, play: Play, here: OpenEncounter) -> None:
+    def __init__(self, play: Play, here: OpenEncounter, ask: AskOne | None) -> None:
+        """``ask``: asks the planner of the proposal, if there is one."""
         assert here.drive.ego is not None
+        self._ask = ask
         self._play, self._here, self._drive = play, here, here.drive
         self._ego, self._dt = here.drive.ego, here.settings.step_length
         self._waits = here.settings.steps(play.delay)  # steps until the attack begins
@@ -167,9 +176,8 @@ class Playing:
         """What drives the adversary; None: the agent's controls do."""
         play, here = self._play, self._here
         situation, limits = here.found.situations[play.delay], here.settings.limits.limits()
-        if play.proposal is not None:
-            ask = ask_trusted(play.proposal, situation, here.ask_front)
-            return controller_of(situation, play.proposal, limits, ask)
+        if play.proposal is not None and self._ask is not None:
+            return controller_of(situation, play.proposal, limits, self._ask)
         assert play.bv is not None
         return PlannedAdversary(situation, play.bv, limits, self._endpoint) if play.adversary == "endpoint" else None
 
