@@ -140,13 +140,14 @@ def test_both_agents_are_there_to_the_end() -> None:
 
 
 def test_an_ego_that_fails_truncates_the_episode_and_the_next_one_begins() -> None:
-    env = made("Adversary-v0", ego=FailsWhenOvertaken, actions="controls")
+    env = made("Adversary-v0", ego=FailsWhenOvertaken, actions="controls", render_mode="rgb_array")
     env.reset(seed=0)
     truncated = False
     while not truncated:
-        *_, terminated, truncated, info = env.step(np.array([1.0, 0.0], np.float32))
-    assert (terminated, truncated, info["ending"]) == (False, True, "crashed")
+        _, reward, terminated, truncated, info = env.step(np.array([1.0, 0.0], np.float32))
+    assert (reward, terminated, truncated, info["ending"]) == (0.0, False, True, "crashed")
     assert "No idea what to do" in info["why"]
+    assert np.unique(env.render()).size <= 3  # a picture of one colour
     assert "ending" not in env.reset()[1]
     env.close()
 

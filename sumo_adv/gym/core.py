@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.gym.encounters import Attacker, Encounter, Plan, Played
+from sumo_adv.gym.picture import EMPTY
 from sumo_adv.gym.play import DRAW, TERMINATED, Moment, Play
 from sumo_adv.gym.views import Viewing
 
@@ -94,8 +96,10 @@ class Core:
         try:
             self._last = self._played.ask({name: np.asarray(values, float) for name, values in actions.items()})
         except SimulationError as error:
-            info = {**self._told(self._last), "ending": CRASHED, "why": str(error)}
-            return self._last, False, True, info
+            t = self._last.transition
+            over = replace(t, seconds=0.0, before=t.ego or t.before, apart_before=t.apart, ending=CRASHED, verdict=None)
+            self._last = replace(self._last, transition=over, result=None)
+            return self._last, False, True, {**self._told(self._last), "why": str(error)}
         moment: Moment = self._last
         ending, proposal = moment.transition.ending, self._played.play.proposal
         if moment.result is not None and proposal is not None:
@@ -116,9 +120,11 @@ class Core:
         return told
 
     def picture(self) -> NDArray[np.uint8]:
-        """The scene now."""
-        if self._played is None:
+        """The scene now; empty where the simulation has crashed."""
+        if self._played is None or self._last is None:
             raise UsageError("There is nothing to show before the first reset.")
+        if self._last.transition.ending == CRASHED:
+            return EMPTY.copy()
         image: NDArray[np.uint8] = self._played.ask(DRAW)
         return image
 

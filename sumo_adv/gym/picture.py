@@ -14,6 +14,7 @@ from sumo_adv.simulation.network import RoadMap
 SIZE = 480  # pixels
 SHOWN = 60.0  # m from the middle to each side
 GROUND, ASPHALT, PAINT = (236, 238, 232), (150, 152, 156), (214, 216, 218)
+EMPTY: NDArray[np.uint8] = np.full((SIZE, SIZE, 3), GROUND, np.uint8)
 COLOURS = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245, 245, 245)}
 
 

@@ -137,8 +137,10 @@ class Conversation:
         """What the command says to a message.
 
         Raises:
-            SumoAdvError: what ended the command; SimulationError if its process died.
+            SumoAdvError: what ended the command; SimulationError if its process died, or the command has ended before.
         """
+        if self._over:
+            raise SimulationError("The command has ended, so it answers no more: begin another.")
         with self._engine._alive():
             self._engine._slots[0].send(message)
         self.said = self._listen()
