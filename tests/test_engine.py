@@ -55,6 +55,23 @@ def test_the_front_answers_while_it_waits(engine: Engine) -> None:
     assert engine.request("ask", [3]) == [None]  # nobody to ask
 
 
+def test_a_command_may_be_a_conversation(engine: Engine) -> None:
+    talk = engine.converse("talk", 1, answer=lambda number: number * number)
+    assert (talk.said, talk.ask(2), talk.ask(3)) == (1, 5, 14)
+    talk.end()
+    talk.end()
+    assert engine.request("add", 2, 3) == 5
+
+
+def test_a_conversation_that_fails_is_over(engine: Engine) -> None:
+    talk = engine.converse("talk", 1)
+    for sentence in ("Nothing was added", "begin another"):
+        with pytest.raises(SimulationError, match=sentence):
+            talk.ask(0)
+    talk.end()
+    assert engine.request("add", 2, 3) == 5
+
+
 @needs_fork
 def test_two_forks_ask_through_slots_of_their_own(engine: Engine) -> None:
     asked: list[int] = []
