@@ -20,6 +20,7 @@ from sumo_adv.rate.estimator import SECONDS_PER_HOUR
 from sumo_adv.rate.model import KINDS, NEAR, SLOT
 from sumo_adv.rate.proposal import LEVELS, Counts, Decisions, Proposal
 from sumo_adv.simulation.human_errors import HumanErrors
+from sumo_adv.simulation.remote import RawState
 
 GOES_ON = 4.0  # s after a contact, which show what the other vehicle would have done
 BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle made no error
@@ -142,20 +143,15 @@ class Run:
         ego = drive.ego
         assert ego is not None
         now, before = drive.snapshot, drive.recording.snapshots[-2]
-        me, sizes = now.raw[ego], drive.simulation.fleet.sizes
         if ego not in before.raw:
             return None
+        me, sizes = now.raw[ego], drive.simulation.fleet.sizes
+        times = np.array([before.time, now.time])
         found: list[tuple[float, str]] = []
-        x, y, reach = me[0], me[1], sum(sizes[ego])
         for name, raw in now.raw.items():
-            apart = math.hypot(raw[0] - x, raw[1] - y) - (me[3] + raw[3]) * dt
-            if name == ego or apart > reach + sum(sizes[name]) or name not in before.raw:
+            if name == ego or name not in before.raw or _clear(me, raw, sizes[ego], sizes[name], dt):
                 continue
-            one, two = drive.state(ego), drive.state(name)
-            if _clear(one, two, dt):
-                continue
-            pairs = [_rows(drive, vehicle) for vehicle in (ego, name)]
-            when = float(first_contact(*pairs, np.array([before.time, now.time])))
+            when = float(first_contact(*(_rows(drive, vehicle) for vehicle in (ego, name)), times))
             if math.isfinite(when):
                 found.append((when, name))
         return (min(found)[1], min(found)[0]) if found else None
@@ -206,13 +202,17 @@ def _rows(drive: Drive, vehicle: str) -> Boxes:
     return boxes_of(states)
 
 
-def _clear(a: VehicleState, b: VehicleState, dt: float) -> bool:
-    """Whether an axis of ``a`` separates the boxes by more than they can have come nearer in a step."""
-    dx, dy, c, s = b.x - a.x, b.y - a.y, math.cos(a.heading), math.sin(a.heading)
-    turn = b.heading - a.heading
-    along, across = abs(math.cos(turn)), abs(math.sin(turn))
-    vx, vy = b.speed * math.cos(turn) - a.speed, b.speed * math.sin(turn)
+def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[float, float], dt: float) -> bool:
+    """Whether an axis of ``a`` separates the boxes by more than they can have come nearer in a step.
+
+    SUMO's states: positions are those of the front bumpers, angles are in degrees clockwise from north.
+    """
+    heading, turn = math.radians(90.0 - a[2]), math.radians(a[2] - b[2])
+    c, s, ct, st = math.cos(heading), math.sin(heading), math.cos(turn), math.sin(turn)
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    along = abs(c * dx + s * dy + (size_a[0] - size_b[0] * ct) / 2)
+    across = abs(c * dy - s * dx - size_b[0] * st / 2)
     return (
-        abs(c * dx + s * dy) - (a.length + b.length * along + b.width * across) / 2 > abs(vx) * dt + CLEAR
-        or abs(c * dy - s * dx) - (a.width + b.length * across + b.width * along) / 2 > abs(vy) * dt + CLEAR
+        along - (size_a[0] + size_b[0] * abs(ct) + size_b[1] * abs(st)) / 2 > abs(b[3] * ct - a[3]) * dt + CLEAR
+        or across - (size_a[1] + size_b[0] * abs(st) + size_b[1] * abs(ct)) / 2 > abs(b[3] * st) * dt + CLEAR
     )
