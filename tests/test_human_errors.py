@@ -56,7 +56,7 @@ def test_what_is_possible_depends_on_lanes_and_speed() -> None:
 
 
 def test_inattention_lets_a_driver_run_into_a_slower_one() -> None:
-    """17.5 m ahead the leader brakes with 4.5 m/s2: it drives 21.7 m in 2.9 s, a car that keeps 14 m/s drives 40.6 m."""
+    """The leader, 17.5 m ahead, brakes with 4.5 m/s2: 21.7 m in 2.9 s. A car that keeps 14 m/s drives 40.6 m."""
     cars = {"leader": (EAST, 130.0, 0, 14.0), "car": (EAST, 107.5, 0, 14.0)}
     gaps = []
     for err in (False, True):

@@ -27,7 +27,7 @@ def test_a_vehicle_beside_the_ego() -> None:
 
 
 def test_a_leader_that_brakes_late_and_hard() -> None:
-    """It stops after 22.5 + 18.75 m; the ego after 15 + 25 m if it brakes: 20 m ahead is enough for that, 4 m is not."""
+    """It stops after 22.5 + 18.75 m, the ego after 15 + 25 m if it brakes: 20 m between them are enough for that."""
     assert levels(24.8, 0.0, 15.0)[ErrorKind.LATE_BRAKING] == 2
     assert levels(24.8, 0.0, 15.0)[ErrorKind.INATTENTION] == 0
     far = levels(150.0, 0.0, 15.0)
@@ -35,7 +35,7 @@ def test_a_leader_that_brakes_late_and_hard() -> None:
 
 
 def test_a_vehicle_that_comes_from_the_side() -> None:
-    """Both are 3 s from the crossing. A driver at 8 m/s that goes on is there when the ego is; 100 m later it is not."""
+    """Both are 3 s from the crossing: a driver at 8 m/s that goes on is there when the ego is; from 80 m it is not."""
     crossing = levels(45.0, -24.0, 8.0, np.pi / 2)
     assert crossing[ErrorKind.PRIORITY] >= 2 and crossing[ErrorKind.RED_LIGHT] >= 2
     assert levels(45.0, -80.0, 8.0, np.pi / 2)[ErrorKind.PRIORITY] == 0

@@ -5,7 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sumo_adv.rate.proposal import BUDGET, MOST, MOST_WEIGHT, STARTS, Counts, Decisions, Proposal, learnt, pilot_proposal
+from sumo_adv.rate.proposal import (
+    BUDGET,
+    MOST,
+    MOST_WEIGHT,
+    STARTS,
+    Counts,
+    Decisions,
+    Proposal,
+    learnt,
+    pilot_proposal,
+)  # fmt: skip
 
 RAISED = Proposal(np.array([[0.0, 0.0, 0.0, 0.2]]))  # one kind of error, raised to 0.2 at level 3
 MODEL, HIGH, LOW = np.array([[0.01]]), np.array([[3]]), np.array([[0]])
@@ -79,10 +89,10 @@ def test_a_pilot_run_raises_to_its_end() -> None:
 
 
 def test_what_pilot_runs_teach() -> None:
-    """Level 3: 37 of 97 errors collide, with the guess of 0.3 for 3 more c = 37.9/100; level 0: 0.006/103."""
-    counts = Counts(np.array([[80.0, 0, 0, 20.0]]), np.array([[100.0, 0, 0, 97.0]]), np.array([[0.0, 0, 0, 37.0]]))
+    """Level 3: 37 of 99 errors collide, with the guess of 0.3 for one more c = 37.3/100; level 0: 0.002/101."""
+    counts = Counts(np.array([[80.0, 0, 0, 20.0]]), np.array([[100.0, 0, 0, 99.0]]), np.array([[0.0, 0, 0, 37.0]]))
     none = Counts(*(np.zeros((1, 4)) for _ in range(3)))
-    low, high = 1e-4 * np.sqrt(0.006 / 103), 1e-4 * np.sqrt(0.379)
+    low, high = 1e-4 * np.sqrt(0.002 / 101), 1e-4 * np.sqrt(0.373)
     in_a_run = (80 * low + 20 * high) / 2  # two pilot runs
     starts = learnt([counts, none], np.array([1e-4])).starts[0]
     assert starts[0] == pytest.approx(low * STARTS / in_a_run)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, option
+from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, option
 
 if TYPE_CHECKING:
     from sumo_adv.rate.estimate import Estimate
@@ -19,22 +19,32 @@ if TYPE_CHECKING:
 EXAMPLE = "Example: sumo-adv rate straight_2lane --ego idm --runs 1000"
 
 
+Source = Annotated[Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a name.")]
+Ego = Annotated[
+    str | None, option(EGO, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm")
+]
+Runs = Annotated[int, option(SEARCH, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
+Pilot = Annotated[int, option(SEARCH, "Runs before, from which the proposal learns.", default="200", min=1)]
+Plain = Annotated[bool, option(SEARCH, "Draw all runs from the model: plain Monte Carlo.", "--plain")]
+Seed = Annotated[int, option(SEARCH, "Of traffic and errors.", default="0", min=0)]
+Duration = Annotated[float, option(INPUT, "How long the ego drives at most in a run, s.", default="60", min=1)]
+WarmUp = Annotated[
+    float, option(INPUT, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
+]
+Density = Annotated[float | None, option(INPUT, "Of generated traffic: departures a minute.", default="by lanes")]
+Errors = Annotated[float, option(INPUT, "Factor on the rates of all human errors.", default="1", min=0)]
+Workers = Annotated[int | None, option(OUTPUT, "Processes.", default="one a core", min=1)]
+Out = Annotated[
+    Path | None,
+    option(OUTPUT, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
+]
+
+
 def rate(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a name.")],
-    ego: Annotated[
-        str | None, option(EGO, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm")
-    ] = None,
-    runs: Annotated[int, option(SEARCH, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)] = 1000,
-    pilot: Annotated[int, option(SEARCH, "Runs before, from which the proposal learns.", default="200", min=1)] = 200,
-    plain: Annotated[bool, option(SEARCH, "Draw all runs from the model: plain Monte Carlo.", "--plain")] = False,
-    seed: Annotated[int, option(SEARCH, "Of traffic and errors.", default="0", min=0)] = 0,
-    duration: Annotated[float, option(INPUT, "The ego drives at most so long in a run, s.", default="60", min=1)] = 60.0,
-    warm_up: Annotated[float, option(INPUT, "Generated traffic runs so long before the ego comes, s.", default="20", min=0)] = 20.0,
-    density: Annotated[float | None, option(INPUT, "Of generated traffic: departures a minute.", default="by lanes")] = None,
-    errors: Annotated[float, option(INPUT, "Factor on the rates of all human errors.", default="1", min=0)] = 1.0,
-    workers: Annotated[int | None, option(OUTPUT, "Processes.", default="one a core", min=1)] = None,
-    out: Annotated[Path | None, option(OUTPUT, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>")] = None,
-    as_json: Annotated[bool, option(OUTPUT, "One JSON object on stdout, nothing else.", "--json")] = False,
+    source: Source,
+    ego: Ego = None, runs: Runs = 1000, pilot: Pilot = 200, plain: Plain = False, seed: Seed = 0,
+    duration: Duration = 60.0, warm_up: WarmUp = 20.0, density: Density = None, errors: Errors = 1.0,
+    workers: Workers = None, out: Out = None, as_json: AsJson = False,
 ) -> None:  # fmt: skip
     """Estimate how often the ego crashes in an hour and in a kilometre of normal traffic, in which drivers err.
 
@@ -46,7 +56,8 @@ def rate(
     from sumo_adv.simulation.inputs import input_name
 
     plan = RatePlan(
-        source, ego, density=density, warm_up=warm_up, duration=duration, factor=errors, pilot=pilot, plain=plain, seed=seed
+        source, ego, density=density, warm_up=warm_up, duration=duration, factor=errors, pilot=pilot, plain=plain,
+        seed=seed,
     )  # fmt: skip
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
     counter = _Counter(shown=not as_json and sys.stderr.isatty())
@@ -60,7 +71,8 @@ def rate(
 
 def lines(found: Estimate) -> list[str]:
     """The rates for people."""
-    shown = [f"{'level':<10} {'per 1000 h':>26} {'per million km':>26} {'half width':>10} {'crashes':>7} {'plain runs':>10}"]
+    words = ("per 1000 h", "per million km", "half width", "crashes", "plain runs")
+    shown = ["{:<10} {:>26} {:>26} {:>10} {:>7} {:>10}".format("level", *words)]
     for level, hourly in found.per_hour.items():
         per_km = found.per_km[level]
         half = "-" if hourly.half_width is None else f"{hourly.half_width:.0%}"
@@ -70,7 +82,8 @@ def lines(found: Estimate) -> list[str]:
             f"{_span(per_km.value, per_km.low, per_km.high, 1e6):>26} {half:>10} {hourly.crashes:>7} {plain:>10}"
         )
     collision = found.per_hour["collision"]
-    shown.append(f"{found.runs} runs, worth {found.effective_runs:.0f} of equal weight; {found.hours:.2f} h, {found.km:.1f} km driven.")
+    worth = f"{found.runs} runs, worth {found.effective_runs:.0f} of equal weight"
+    shown.append(f"{worth}; {found.hours:.2f} h, {found.km:.1f} km driven.")
     if collision.largest_share is not None and found.plain_km is not None:
         shown.append(
             f"Collisions: worth {collision.effective:.1f} of equal weight, the largest weight has "

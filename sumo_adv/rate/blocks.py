@@ -79,9 +79,9 @@ class BlockRunner:
     def run(self, job: Block, *, last: bool) -> Done:
         """The records of a block, and of a pilot what it counted."""
         runs = [self.one(job, number) for number in range(job.first, job.first + BLOCK)]
-        counted = [[array.tolist() for array in (c.chances, c.starts, c.crashes)] for c in (run.counts for run, _ in runs)]
-        pilot = job.phase == "pilot"
-        return Done(job.id, {"records": [asdict(r) for _, r in runs], "counts": counted if pilot else []})
+        counts = [run.counts for run, _ in runs if job.phase == "pilot"]
+        counted = [[array.tolist() for array in (c.chances, c.starts, c.crashes)] for c in counts]
+        return Done(job.id, {"records": [asdict(record) for _, record in runs], "counts": counted})
 
     def one(self, job: Block, number: int) -> tuple[Run, Record]:
         """One run of a block."""

@@ -8,7 +8,7 @@ OUT/rate.json      the result
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,9 +39,12 @@ LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The rates of an estimate. per_hour, per_km: by level; by_error: by the error of the other driver, its share of the
-    estimate of collisions; effective_runs: how many runs of equal weight the runs are worth; hours, km: that the ego
-    drove, pilot runs and all; plain_km: how far it would drive in runs of the model that tell as much of collisions."""
+    """The rates of an estimate.
+
+    per_hour, per_km: by level. by_error: by the error of the other driver, its share of the estimate of collisions.
+    effective_runs: how many runs of equal weight the runs are worth. hours, km: that the ego drove, in pilot runs too.
+    plain_km: how far it would drive in runs of the model that tell as much of collisions.
+    """
 
     plan: RatePlan
     runs: int

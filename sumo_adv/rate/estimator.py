@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 from scipy.special import gammaincinv
 
 from sumo_adv.datatypes import Floats
@@ -46,8 +45,8 @@ class Rate:
 def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0, confidence: float = 0.95) -> Rate:
     """The rate of crashes.
 
-    weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``: weighted,
-    in any unit. most_weight: that a crash can have; it stands for the crashes that were not seen if none was.
+    weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
+    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it if no crash was seen.
     """
     total, over = float(weights.sum()), float(exposure.sum())
     seen = int((weights > 0).sum())

@@ -30,8 +30,8 @@ STARTS = 1.5  # errors that the proposal would begin in a run if it did not stop
 MOST = 0.5  # the highest probability of an error in one decision
 LEVELS = 4  # of danger
 PRIOR = np.array([0.002, 0.02, 0.1, 0.3])  # guess of the share of errors that end in a collision, by level of danger
-PRIOR_STARTS = 3.0  # errors that the guess weighs as much as
-PILOT = np.array([0.003, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
+PRIOR_STARTS = 1.0  # errors that the guess weighs as much as
+PILOT = np.array([0.01, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
 
 
 @dataclass(frozen=True)
