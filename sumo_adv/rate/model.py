@@ -17,8 +17,8 @@ PER_HOUR = {
     ErrorKind.CHANGE_RIGHT: 0.005,
     ErrorKind.DRIFT_LEFT: 0.025,
     ErrorKind.DRIFT_RIGHT: 0.025,
-    ErrorKind.PRIORITY: 0.25,
-    ErrorKind.RED_LIGHT: 0.25,
+    ErrorKind.PRIORITY: 0.1,
+    ErrorKind.RED_LIGHT: 0.1,
 }
 """Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
 

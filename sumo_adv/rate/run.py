@@ -73,7 +73,8 @@ class Run:
     def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
         """Drive until the ego has driven for ``duration`` s, has left or touches a vehicle.
 
-        end [s]: at the latest. ego: None = the first vehicle that is inserted after ``start`` [s]. Raises SimulationError.
+        end [s]: at the latest. ego: None = the first vehicle that is inserted after ``start`` [s].
+        Raises SimulationError.
         """
         drive, dt = self.drive, self.drive.recording.step_length
         every, left = round(SLOT / dt), round(duration / dt)

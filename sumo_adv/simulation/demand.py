@@ -74,7 +74,8 @@ def generate(
 def generate_flows(network: Path, target: Path, *, density: float | None = None, end: float) -> Path:
     """Writes random traffic for ``network`` that differs with SUMO's seed, and returns its path.
 
-    Departures are a Poisson process on each route, from 0 to ``end`` [s]. Desired speeds spread by 10 %. density: as in :func:`generate`. Raises UsageError if no route exists or the density makes no sense.
+    Departures are a Poisson process on each route, from 0 to ``end`` [s]. Desired speeds spread by 10 %.
+    density: as in :func:`generate`. Raises UsageError if no route exists or the density makes no sense.
     """
     if density is not None and not 0.0 < density < float("inf"):
         raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
@@ -86,7 +87,8 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
         every = wanted * journey.lanes / lanes / 60.0
         lines.append(
             f'    <flow id="bv{number}" type="bv" begin="0" end="{end:g}" period="exp({every:.6g})" '
-            f'departLane="random" departPos="base" departSpeed="max"><route edges={quoteattr(" ".join(journey.edges))}/></flow>\n'
+            f'departLane="random" departPos="base" departSpeed="max">'
+            f'<route edges={quoteattr(" ".join(journey.edges))}/></flow>\n'
         )
     target.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
     return target
