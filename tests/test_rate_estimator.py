@@ -1,4 +1,4 @@
-"""Rates from weighted runs: worked by hand, and on a world whose rate is known exactly."""
+"""Rates from weighted runs: worked by hand, and on a world with an exactly known rate."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_nothing_driven_says_nothing() -> None:
     assert np.isnan(found.value) and found.high == np.inf
 
 
-# -- a world without SUMO whose rate is known ----------------------------------------------------------------------
+# -- a world without SUMO, with a known rate -----------------------------------------------------------------------
 
 SLOTS, ERROR, DANGEROUS, COLLIDES = 3, 1e-3, 0.2, 0.5
 RUNS, PILOT = 600, 60

@@ -83,7 +83,7 @@ def test_the_command_goes_on_in_its_folder(program: Program) -> None:
 
 def test_what_is_refused(program: Program) -> None:
     for words, said in (
-        ((BESIDE, "--ego", "nobody"), "There is no ego 'nobody'"),
+        ((BESIDE, "--ego", "unknown"), "There is no ego 'unknown'"),
         (("nowhere.net.xml",), "There is no file nowhere.net.xml"),
         ((BESIDE, "--density", "10"), "brings its own traffic"),
     ):

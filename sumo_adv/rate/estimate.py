@@ -1,7 +1,7 @@
 """An estimate from its plan to its rates: pilot runs, what they teach, runs, the sums.
 
 OUT/plan.json      what the estimate is of
-OUT/blocks/ID.json the records of 20 runs each; what is there is not run again
+OUT/blocks/ID.json the records of 20 runs each; a finished block is not run again
 OUT/rate.json      the result
 """
 

@@ -127,7 +127,7 @@ class Decisions:
         return begun
 
     def _drawn(self, chances: Floats) -> Ints:
-        """One draw from each row's probabilities; what is left of 1 is -1."""
+        """One draw from each row's probabilities: a kind, or -1 with the rest of the probability."""
         up_to = np.cumsum(chances, axis=1)
         thrown = self._draw.random(len(chances))
         kind = (thrown[:, None] >= up_to).sum(axis=1)

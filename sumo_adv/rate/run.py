@@ -152,7 +152,7 @@ class Run:
         for name, raw in now.raw.items():
             if name == ego or name not in before.raw or _clear(me, raw, sizes[ego], sizes[name], dt):
                 continue
-            when = float(first_contact(*(_rows(drive, vehicle) for vehicle in (ego, name)), times))
+            when = float(first_contact(_rows(drive, ego), _rows(drive, name), times))
             if math.isfinite(when):
                 found.append((when, name))
         return (min(found)[1], min(found)[0]) if found else None

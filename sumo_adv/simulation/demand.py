@@ -88,7 +88,7 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
         lines.append(
             f'    <flow id="bv{number}" type="bv" begin="0" end="{end:g}" period="exp({every:.6g})" '
             f'departLane="random" departPos="base" departSpeed="max">'
-            f'<route edges={quoteattr(" ".join(journey.edges))}/></flow>\n'
+            f"<route edges={quoteattr(' '.join(journey.edges))}/></flow>\n"
         )
     target.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
     return target

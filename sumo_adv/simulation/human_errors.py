@@ -135,7 +135,7 @@ class HumanErrors:
             v.changeSublane(vehicle, side * (lane.getWidth(here) + lane.getWidth(there)) / 2)
 
     def before_step(self) -> None:
-        """Carry the errors on; end those whose time is over."""
+        """Carry the errors on, and end each after its time."""
         now, v = self._simulation.time, self._api.vehicle
         there = set(v.getIDList()) if self.active else set()
         for vehicle, error in list(self.active.items()):
