@@ -45,7 +45,7 @@ class RatePlan:
         """
         given = load_input(self.source)
         if given.playback is not None:
-            raise UsageError(f"{self.source} plays a recording, in which vehicles do not react; give a network or a scenario.")
+            raise UsageError(f"{self.source} plays a recording, where vehicles do not react; give a network.")
         refuse_density(given, self.density)
         driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, given.additional))
         if not given.routes and not driven:
