@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from cli_samples import Program
 
+from sumo_adv.cli.rate import lines
 from sumo_adv.rate.blocks import Block, BlockRunner, seed_of
 from sumo_adv.rate.estimate import estimated
 from sumo_adv.rate.model import KINDS
@@ -62,6 +63,9 @@ def test_rates_of_levels_from_records() -> None:
     assert found.by_error == {"drift_left": 1.0}
     assert (found.hours, found.km) == (1.25, 50.0)
     assert found.effective_runs == pytest.approx(9 / 2.5)
+    table = lines(found)
+    assert table[0].split()[:4] == ["level", "per", "1000", "h"]
+    assert table[2].split()[:2] == ["collision", "500"] and table[-1] == "Errors before: drift_left 100%"
 
 
 def test_the_command_goes_on_in_its_folder(program: Program) -> None:
@@ -86,6 +90,7 @@ def test_what_is_refused(program: Program) -> None:
         ((BESIDE, "--ego", "unknown"), "There is no ego 'unknown'"),
         (("nowhere.net.xml",), "There is no file nowhere.net.xml"),
         ((BESIDE, "--density", "10"), "brings its own traffic"),
+        (("straight_2lane", "--density", "0.0001", "--pilot", "1", "--workers", "1"), "give more --density"),
     ):
         done = program("rate", *words, "--out", program.folder / "rate")
         assert (done.status, done.err.count("\n")) == (2, 1), done.err

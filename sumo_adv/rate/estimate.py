@@ -27,7 +27,7 @@ from sumo_adv.parsing import parse_json
 from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner
 from sumo_adv.rate.estimator import Rate, effective_runs, rate
 from sumo_adv.rate.model import KINDS, chances
-from sumo_adv.rate.plan import RatePlan
+from sumo_adv.rate.plan import WAIT, RatePlan
 from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Proposal, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
 
@@ -67,7 +67,8 @@ class Estimate:
             }  # fmt: skip
 
         return {
-            "ego": self.plan.ego, "runs": self.runs, "pilot": 0 if self.plan.plain else self.plan.pilot,
+            "input": str(self.plan.source), "ego": self.plan.ego, "errors": self.plan.factor, "plain": self.plan.plain,
+            "seed": self.plan.seed, "runs": self.runs, "pilot": 0 if self.plan.plain else self.plan.pilot,
             "effective_runs": self.effective_runs, "hours": self.hours, "km": self.km, "plain_km": self.plain_km,
             "levels": {
                 name: {"per_hour": plain(self.per_hour[name]), "per_km": plain(self.per_km[name])} for name in LEVELS
@@ -117,7 +118,8 @@ class Estimation:
         """The estimate from at least ``runs`` runs, in whole blocks; None if it was stopped before.
 
         Raises:
-            UsageError: the input or the ego is wrong, or the folder is of another estimate or cannot be written;
+            UsageError: the input or the ego is wrong, no run has an ego, or the folder is of another estimate or cannot
+                be written;
             SimulationError: a block of runs failed twice.
         """
         with sentences(self.out), TemporaryDirectory(prefix="sumo_adv-") as scratch:
@@ -177,7 +179,15 @@ class Estimation:
             pace = Pace(self.workers, DEADLINE, RECYCLE)
             with closing(LocalWorkers(self.plan, pace, scratch, _failed, stop, BlockRunner)) as pool:
                 pool.run(missing, told)  # type: ignore[arg-type]
-        return None if len(found) < len(jobs) else [found[job.id] for job in jobs]
+        if len(found) < len(jobs):
+            return None
+        blocks = [found[job.id] for job in jobs]
+        if not any(record.hours for record in records_of(blocks)):
+            raise UsageError(
+                f"In none of the runs was there an ego within {WAIT:g} s after the warm-up; give more --density, or an "
+                "input whose ego departs earlier."
+            )
+        return blocks
 
     def _file(self, job: Block) -> Path:
         return self.out / "blocks" / f"{job.id}.json"
