@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.similarity import Similarity
     from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.rate.estimate import Estimate
+    from sumo_adv.rate.plan import RatePlan
     from sumo_adv.report.manifest import Recorded
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
@@ -329,6 +331,15 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
 
     with sentences(folder):
         write_states_parquet(folder / "states.parquet", runs())
+
+
+def estimate_rate(plan: RatePlan, out: Path, runs: int, workers: int, watcher: Watcher) -> Estimate | None:
+    """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
+    again. Raises UsageError or SimulationError."""
+    from sumo_adv.rate.estimate import Estimation
+
+    with _without_main():
+        return Estimation(plan, out, workers, watcher).run(runs)
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:

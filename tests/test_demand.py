@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.demand import default_density, generate, journeys
+from sumo_adv.simulation.demand import default_density, generate, generate_flows, journeys
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.scan import scan_demand, scan_network
 
@@ -113,3 +113,14 @@ def test_senseless_figures_are_refused(tmp_path: Path, density: float, begin: fl
     with pytest.raises(UsageError, match=part):
         generate(shipped("two_way"), tmp_path / "d.rou.xml", seed=1, density=density, begin=begin, end=end)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_flows_have_the_density_of_the_network_over_all_routes(tmp_path: Path) -> None:
+    network = shipped("straight_2lane")
+    text = generate_flows(network, tmp_path / "flows.rou.xml", density=30.0, end=100.0).read_text(encoding="utf-8")
+    rates = [float(rate) for rate in re.findall(r'period="exp\(([\d.]+)\)"', text)]
+    assert len(rates) == len(journeys(network, random.Random(0)))
+    assert sum(rates) == pytest.approx(0.5)  # departures a second
+    assert 'speedDev="0.1"' in text and scan_demand(tmp_path / "flows.rou.xml").flows
+    with pytest.raises(UsageError, match="A density of 0"):
+        generate_flows(network, tmp_path / "none.rou.xml", density=0.0, end=100.0)

@@ -20,7 +20,7 @@ LEVELS = (
     ("agents",),
     ("episode",),
     ("serve", "campaigns", "benchmark", "womd", "report", "driver_check"),
-    ("regression",),
+    ("regression", "rate"),
     ("comparison",),
     ("app",),
     ("cli", "api", "api_batch", "gym", "world", "__main__"),

@@ -22,6 +22,7 @@ from sumo_adv.cli import (
     keep,
     memory,
     minimise,
+    rate,
     regress,
     report,
     run,
@@ -46,6 +47,7 @@ app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)
 app.command("judge", epilog=judge.EXAMPLE)(judge.judge)
 app.command("keep", epilog=keep.EXAMPLE)(keep.keep)
 app.command("regress", epilog=regress.EXAMPLE)(regress.regress)
+app.command("rate", epilog=rate.EXAMPLE)(rate.rate)
 app.command("compare", epilog=compare.EXAMPLE)(compare.compare)
 app.command("report", epilog=report.EXAMPLE)(report.report)
 app.command("figure", epilog=figure.EXAMPLE)(figure.figure)

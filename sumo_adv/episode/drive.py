@@ -161,6 +161,12 @@ class Drive:
             self.tick()
         self._change_ego(takeovers, steps)
 
+    def restart(self, seed: int) -> None:
+        """Load the simulation again with another seed, without an ego."""
+        self.seed, self._takeovers = seed, []
+        self.simulation.spec = replace(self.simulation.spec, seed=seed)
+        self.rewind(0)
+
     def _change_ego(self, takeovers: Mapping[int, str | None], step: int) -> None:
         if step in takeovers:
             name = takeovers[step]

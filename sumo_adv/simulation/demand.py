@@ -71,6 +71,29 @@ def generate(
     return unfinished.replace(target)
 
 
+def generate_flows(network: Path, target: Path, *, density: float | None = None, end: float) -> Path:
+    """Writes random traffic for ``network`` that differs with SUMO's seed, and returns its path.
+
+    Departures are a Poisson process on each route, from 0 to ``end`` [s]. Desired speeds spread by 10 %.
+    density: as in :func:`generate`. Raises UsageError if no route exists or the density makes no sense.
+    """
+    if density is not None and not 0.0 < density < float("inf"):
+        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
+    found = journeys(network, random.Random(0))
+    wanted = default_density(found) if density is None else density
+    lanes = sum(journey.lanes for journey in found)
+    lines = [_HEADER.replace('speedDev="0"', 'speedDev="0.1"')]
+    for number, journey in enumerate(found):
+        every = wanted * journey.lanes / lanes / 60.0
+        lines.append(
+            f'    <flow id="bv{number}" type="bv" begin="0" end="{end:g}" period="exp({every:.6g})" '
+            f'departLane="random" departPos="base" departSpeed="max">'
+            f"<route edges={quoteattr(' '.join(journey.edges))}/></flow>\n"
+        )
+    target.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
+    return target
+
+
 def default_density(found: list[Journey]) -> float:
     """Departures per minute that give lively but free traffic: so many for each lane on which vehicles enter."""
     lanes = {journey.edges[0]: journey.lanes for journey in found if journey.fringe}

@@ -1,0 +1,125 @@
+"""``rate``: how often the ego crashes in normal traffic, by importance sampling."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, option
+
+if TYPE_CHECKING:
+    from sumo_adv.rate.estimate import Estimate
+
+EXAMPLE = "Example: sumo-adv rate straight_2lane --ego idm --runs 1000"
+
+
+Source = Annotated[Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a name.")]
+Ego = Annotated[
+    str | None, option(EGO, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm")
+]
+Runs = Annotated[int, option(SEARCH, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
+Pilot = Annotated[int, option(SEARCH, "Runs before, from which the proposal learns.", default="200", min=1)]
+Plain = Annotated[bool, option(SEARCH, "Draw all runs from the model: plain Monte Carlo.", "--plain")]
+Seed = Annotated[int, option(SEARCH, "Of traffic and errors.", default="0", min=0)]
+Duration = Annotated[float, option(INPUT, "How long the ego drives at most in a run, s.", default="60", min=1)]
+WarmUp = Annotated[
+    float, option(INPUT, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
+]
+Density = Annotated[float | None, option(INPUT, "Of generated traffic: departures a minute.", default="by lanes")]
+Errors = Annotated[float, option(INPUT, "Factor on the rates of all human errors.", default="1", min=0)]
+Workers = Annotated[int | None, option(OUTPUT, "Processes.", default="one a core", min=1)]
+Out = Annotated[
+    Path | None,
+    option(OUTPUT, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
+]
+
+
+def rate(
+    source: Source,
+    ego: Ego = None, runs: Runs = 1000, pilot: Pilot = 200, plain: Plain = False, seed: Seed = 0,
+    duration: Duration = 60.0, warm_up: WarmUp = 20.0, density: Density = None, errors: Errors = 1.0,
+    workers: Workers = None, out: Out = None, as_json: AsJson = False,
+) -> None:  # fmt: skip
+    """Estimate how often the ego crashes in an hour and in a kilometre of normal traffic, in which drivers err.
+
+    Errors that look dangerous are drawn more often, and each run is weighted for that. docs/rate.md says what the
+    figures may be used for.
+    """
+    from sumo_adv.app import estimate_rate
+    from sumo_adv.rate.plan import RatePlan
+    from sumo_adv.simulation.inputs import input_name
+
+    plan = RatePlan(
+        source, ego, density=density, warm_up=warm_up, duration=duration, factor=errors, pilot=pilot, plain=plain,
+        seed=seed,
+    )  # fmt: skip
+    target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
+    counter = _Counter(shown=not as_json and sys.stderr.isatty())
+    found = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter)
+    counter.close()
+    if found is None:
+        typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)
+        raise typer.Exit(1)
+    typer.echo(json.dumps({**found.document(), "folder": str(target)}) if as_json else "\n".join(lines(found)))
+
+
+def lines(found: Estimate) -> list[str]:
+    """The rates for people."""
+    words = ("per 1000 h", "per million km", "half width", "crashes", "plain runs")
+    shown = ["{:<10} {:>26} {:>26} {:>10} {:>7} {:>10}".format("level", *words)]
+    for level, hourly in found.per_hour.items():
+        per_km = found.per_km[level]
+        half = "-" if hourly.half_width is None else f"{hourly.half_width:.0%}"
+        plain = "-" if hourly.plain_runs is None else f"{hourly.plain_runs:.0f}"
+        shown.append(
+            f"{level:<10} {_span(hourly.value, hourly.low, hourly.high, 1e3):>26} "
+            f"{_span(per_km.value, per_km.low, per_km.high, 1e6):>26} {half:>10} {hourly.crashes:>7} {plain:>10}"
+        )
+    collision = found.per_hour["collision"]
+    worth = f"{found.runs} runs, worth {found.effective_runs:.0f} of equal weight"
+    shown.append(f"{worth}; {found.hours:.2f} h, {found.km:.1f} km driven.")
+    if collision.largest_share is not None and found.plain_km is not None:
+        shown.append(
+            f"Collisions: worth {collision.effective:.1f} of equal weight, the largest weight has "
+            f"{collision.largest_share:.0%}; runs of the model that tell as much: {found.plain_km:.0f} km."
+        )
+        causes = sorted(found.by_error.items(), key=lambda item: -item[1])
+        shown.append("Errors before: " + ", ".join(f"{name} {share:.0%}" for name, share in causes))
+    return shown
+
+
+def _span(value: float, low: float, high: float, unit: float) -> str:
+    return f"{value * unit:.3g} ({low * unit:.3g}-{high * unit:.3g})"
+
+
+class _Counter:
+    """How far it is, on a terminal alone."""
+
+    def __init__(self, *, shown: bool) -> None:
+        self._shown, self._of, self._done = shown, 0, 0
+
+    def begin(self, total: int, before: Sequence[Any]) -> None:
+        """A phase of ``total`` blocks."""
+        self._of, self._done = total, len(before)
+
+    def finished(self, job: Any, row: Any) -> None:
+        """One more block."""
+        self._done += 1
+        if self._shown:
+            typer.echo(f"\r{job.phase}: {self._done} of {self._of} blocks ", nl=False, err=True)
+
+    def stopping(self, now: bool) -> None:
+        """Ctrl-C was pressed."""
+        if not now:
+            typer.echo("sumo-adv: finishing the blocks that run; Ctrl-C again stops now.", err=True)
+
+    def close(self) -> None:
+        """End the line."""
+        if self._shown:
+            typer.echo(err=True)

@@ -1,0 +1,218 @@
+"""An estimate from its plan to its rates: pilot runs, what they teach, runs, the sums.
+
+OUT/plan.json      what the estimate is of
+OUT/blocks/ID.json the records of 20 runs each; a finished block is not run again
+OUT/rate.json      the result
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.campaigns.campaign import Watcher, stopping
+from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.nouns import Done
+from sumo_adv.datatypes import Floats, Level
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.files import held, json_text, sentences, write_text
+from sumo_adv.parsing import parse_json
+from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner
+from sumo_adv.rate.estimator import Rate, effective_runs, rate
+from sumo_adv.rate.model import KINDS, chances
+from sumo_adv.rate.plan import WAIT, RatePlan
+from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Proposal, learnt, pilot_proposal
+from sumo_adv.rate.run import Record
+
+PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
+DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
+CONTACT = "contact"
+LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The rates of an estimate.
+
+    per_hour, per_km: by level. by_error: by the error of the other driver, its share of the estimate of collisions.
+    effective_runs: how many runs of equal weight the runs are worth. hours, km: that the ego drove, in pilot runs too.
+    plain_km: how far it would drive in runs of the model that tell as much of collisions.
+    """
+
+    plan: RatePlan
+    runs: int
+    per_hour: Mapping[str, Rate]
+    per_km: Mapping[str, Rate]
+    by_error: Mapping[str, float]
+    effective_runs: float
+    hours: float
+    km: float
+    plain_km: float | None
+
+    def document(self) -> dict[str, Any]:
+        """As JSON."""
+
+        def plain(found: Rate) -> dict[str, Any]:
+            return {
+                "rate": found.value, "low": found.low, "high": found.high, "half_width": found.half_width,
+                "crashes": found.crashes, "effective_crashes": found.effective,
+                "largest_share": found.largest_share, "plain_runs": found.plain_runs,
+            }  # fmt: skip
+
+        return {
+            "input": str(self.plan.source), "ego": self.plan.ego, "errors": self.plan.factor, "plain": self.plan.plain,
+            "seed": self.plan.seed, "runs": self.runs, "pilot": 0 if self.plan.plain else self.plan.pilot,
+            "effective_runs": self.effective_runs, "hours": self.hours, "km": self.km, "plain_km": self.plain_km,
+            "levels": {
+                name: {"per_hour": plain(self.per_hour[name]), "per_km": plain(self.per_km[name])} for name in LEVELS
+            },
+            "by_error": dict(self.by_error),
+        }  # fmt: skip
+
+
+def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record] = ()) -> Estimate:
+    """The rates from the records of all runs."""
+    weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
+    most = 1.0 if plan.plain else MOST_WEIGHT
+    reached = {CONTACT: [r.contact for r in records]}
+    for level in Level:
+        if level >= Level.COLLISION:
+            reached[str(level)] = [r.contact and Level[r.level.upper()] >= level for r in records]
+    per_hour = {name: rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
+    per_km = {name: rate(weight * np.array(flags), km, most) for name, flags in reached.items()}
+    collided = weight * np.array(reached["collision"])
+    errors = np.array([r.error or "none" for r in records])
+    total = float(collided.sum())
+    by_error = {
+        str(name): float(collided[errors == name].sum()) / total for name in np.unique(errors[collided > 0])
+    }  # fmt: skip
+    plain_runs = per_hour["collision"].plain_runs
+    driven = [*records, *pilot]
+    return Estimate(
+        plan, len(records), per_hour, per_km, by_error, effective_runs(weight), float(_column(driven, "hours").sum()),
+        float(_column(driven, "km").sum()), None if plain_runs is None else plain_runs * float(km.mean()),
+    )  # fmt: skip
+
+
+def _column(records: Sequence[Record], name: str) -> Floats:
+    return np.array([getattr(r, name) for r in records], float)
+
+
+@dataclass
+class Estimation:
+    """Runs what is missing of an estimate in its folder."""
+
+    plan: RatePlan
+    out: Path
+    workers: int
+    watcher: Watcher
+
+    def run(self, runs: int) -> Estimate | None:
+        """The estimate from at least ``runs`` runs, in whole blocks; None if it was stopped before.
+
+        Raises:
+            UsageError: the input or the ego is wrong, no run has an ego, or the folder is of another estimate or cannot
+                be written;
+            SimulationError: a block of runs failed twice.
+        """
+        with sentences(self.out), TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            self.plan.task(Path(scratch))
+            (self.out / "blocks").mkdir(parents=True, exist_ok=True)
+            with held(self.out / LOCK) as alone:
+                if not alone:
+                    raise UsageError(f"Another estimate writes into {self.out}; wait for it, or give another --out.")
+                self._keep_plan()
+                return self._run(runs, Path(scratch))
+
+    def _keep_plan(self) -> None:
+        file, now = self.out / PLAN, json.loads(json_text(self.plan.document()))
+        if file.exists():
+            before = parse_json(file.read_text(encoding="utf-8"))
+            changed = [key for key in now if not isinstance(before, dict) or before.get(key) != now[key]]
+            if changed:
+                raise UsageError(
+                    f"{self.out} holds runs of another {' and '.join(changed)}, which cannot go into one estimate; "
+                    "give another --out."
+                )
+        write_text(file, json_text(now, 1))
+
+    def _run(self, runs: int, scratch: Path) -> Estimate | None:
+        plan = self.plan
+        with stopping(self.watcher) as stop:
+            starts, pilot = None, list[dict[str, Any]]()
+            if not plan.plain:
+                found = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), scratch, stop)
+                if found is None:
+                    return None
+                pilot = found
+                starts = learnt(counts_of(pilot), chances(plan.factor))
+            blocks = self._blocks("plain" if plan.plain else "runs", runs, starts, scratch, stop)
+        if blocks is None:
+            return None
+        result = estimated(plan, records_of(blocks), records_of(pilot))
+        write_text(self.out / RESULT, json_text(result.document(), 1))
+        return result
+
+    def _blocks(
+        self, phase: str, runs: int, proposal: Proposal | None, scratch: Path, stop: Stop
+    ) -> list[dict[str, Any]] | None:
+        """The blocks of a phase, those that are missing run now; None if the user stopped it."""
+        starts = None if proposal is None else proposal.starts.tolist()
+        jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
+        found = {job.id: block for job in jobs if (block := read_block(self._file(job))) is not None}
+        self.watcher.begin(len(jobs), list(found.values()))
+
+        def told(job: Any, done: Done) -> None:
+            found[job.id] = dict(done.row or {})
+            write_text(self._file(job), json_text(found[job.id]))
+            self.watcher.finished(job, found[job.id])
+
+        missing = [job for job in jobs if job.id not in found]
+        if missing:
+            pace = Pace(self.workers, DEADLINE, RECYCLE)
+            with closing(LocalWorkers(self.plan, pace, scratch, _failed, stop, BlockRunner)) as pool:
+                pool.run(missing, told)  # type: ignore[arg-type]
+        if len(found) < len(jobs):
+            return None
+        blocks = [found[job.id] for job in jobs]
+        if not any(record.hours for record in records_of(blocks)):
+            raise UsageError(
+                f"In none of the runs was there an ego within {WAIT:g} s after the warm-up; give more --density, or an "
+                "input whose ego departs earlier."
+            )
+        return blocks
+
+    def _file(self, job: Block) -> Path:
+        return self.out / "blocks" / f"{job.id}.json"
+
+
+def _failed(job: Any, why: str, text: str) -> Done:
+    raise SimulationError(f"The block of runs '{job.words}' cannot be run. {why}")
+
+
+def read_block(file: Path) -> dict[str, Any] | None:
+    """A block that is finished; None if there is none, or it is damaged."""
+    try:
+        block = parse_json(file.read_text(encoding="utf-8"))
+        records_of([block])
+        counts_of([block])
+        return dict(block)
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def records_of(blocks: Sequence[Mapping[str, Any]]) -> list[Record]:
+    """The runs of blocks."""
+    return [Record(**row) for block in blocks for row in block["records"]]
+
+
+def counts_of(blocks: Sequence[Mapping[str, Any]]) -> list[Counts]:
+    """What the pilot runs of blocks counted."""
+    return [Counts(*(np.array(table, float) for table in run)) for block in blocks for run in block["counts"]]

@@ -1,0 +1,219 @@
+"""One run: traffic, the ego for some time, errors of the drivers near it, and what became of that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Floats, Ints, Level, Limits, VehicleState
+from sumo_adv.episode.drive import Drive
+from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.case import make_case
+from sumo_adv.metrics.levels import with_level
+from sumo_adv.metrics.validity import judge
+from sumo_adv.rate.danger import danger
+from sumo_adv.rate.estimator import SECONDS_PER_HOUR
+from sumo_adv.rate.model import KINDS, NEAR, SLOT
+from sumo_adv.rate.proposal import LEVELS, Counts, Decisions, Proposal
+from sumo_adv.simulation.human_errors import HumanErrors
+from sumo_adv.simulation.remote import RawState
+
+GOES_ON = 4.0  # s after a contact, which show what the other vehicle would have done
+BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle made no error
+MEMORY = 10.0  # s before a contact: an earlier error has nothing to do with it
+HISTORY = 2.0  # s before that, which the judge may look at
+UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
+CLEAR = 0.2  # m that two boxes are apart for certain, beside what they move in a step
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One run. hours, km: how long and how far the ego drove; weighted_hours, weighted_km: each step by the run's
+    weight at that time; weight: at the contact or the end; contact: whether the ego touched a vehicle; level: of the
+    contact, as ``metrics/levels.py`` names it; error: what the other vehicle's driver did wrong before."""
+
+    seed: int
+    hours: float
+    km: float
+    weighted_hours: float
+    weighted_km: float
+    weight: float
+    contact: bool = False
+    level: str = "none"
+    error: str | None = None
+
+
+@dataclass
+class Run:
+    """One run on a drive that was just loaded. ``pilot``: it counts what errors come to."""
+
+    drive: Drive
+    chances: Floats  # (kinds,): of the model, in a slot
+    proposal: Proposal | None
+    seed: int
+    pilot: bool = False
+
+    def __post_init__(self) -> None:
+        self.errors = HumanErrors(self.drive.simulation)
+        self.decisions = Decisions(np.random.default_rng([self.seed, 1]), self.proposal, pilot=self.pilot)
+        shape = (len(KINDS), LEVELS)
+        self.tried, self.begun, self.crashed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._begun: dict[str, tuple[int, int]] = {}  # kind and level of danger of each driver's latest error
+        self._hours = self._km = self._weighted_hours = self._weighted_km = 0.0
+
+    @property
+    def counts(self) -> Counts:
+        """What a pilot run saw."""
+        return Counts(self.tried, self.begun, self.crashed)
+
+    def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
+        """Drive until the ego has driven for ``duration`` s, has left or touches a vehicle.
+
+        end [s]: at the latest. ego: None = the first vehicle that is inserted after ``start`` [s].
+        Raises SimulationError.
+        """
+        drive, dt = self.drive, self.drive.recording.step_length
+        every, left = round(SLOT / dt), round(duration / dt)
+        while drive.now < end - 1e-6 and left > 0:
+            if drive.ego is not None and left % every == 0:
+                self._decide()
+            self.errors.before_step()
+            there = drive.snapshot.raw if drive.recording.snapshots else {}
+            snapshot = drive.tick()
+            if drive.ego is None:
+                new = [n for n in snapshot.raw if n not in there] if ego is None and drive.now > start else []
+                if ego in snapshot.raw or new:
+                    drive.take_over(new[0] if ego is None else ego)
+                continue
+            name = drive.ego
+            if name not in snapshot.raw:
+                break
+            left -= 1
+            weight, km = self.decisions.weight, snapshot.raw[name][3] * dt / 1000.0
+            self._hours += dt / SECONDS_PER_HOUR
+            self._km += km
+            self._weighted_hours += weight * dt / SECONDS_PER_HOUR
+            self._weighted_km += weight * km
+            touched = self._touched()
+            if touched is not None:
+                return self._judged(*touched)
+        return self._record()
+
+    def _record(self) -> Record:
+        return Record(
+            self.seed, self._hours, self._km, self._weighted_hours, self._weighted_km, self.decisions.weight
+        )  # fmt: skip
+
+    # -- errors -------------------------------------------------------------------------------------------------
+
+    def _decide(self) -> None:
+        drive = self.drive
+        assert drive.ego is not None
+        ego = drive.state(drive.ego)
+        names = [name for name in drive.near(ego, NEAR) if name not in self.errors.active]
+        model = np.zeros((len(names), len(KINDS)))
+        for row, name in enumerate(names):
+            for kind in self.errors.possible(name, drive.snapshot.raw[name]):
+                k = KINDS.index(kind)
+                model[row, k] = self.chances[k]
+        if not model.any():
+            return
+        levels: Ints | None = None
+        if self.decisions.raising:
+            levels = danger(_box(ego), boxes_of([drive.state(name) for name in names]))
+        kinds = self.decisions.next(model, levels)
+        for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
+            if kind >= 0:
+                self.errors.begin(name, KINDS[kind], drive.snapshot.raw[name][3])
+                if self.pilot and levels is not None:
+                    self._begun[name] = (int(kind), int(levels[row, kind]))
+                    self.begun[self._begun[name]] += 1.0
+        if self.pilot and levels is not None:
+            rows, columns = np.nonzero(model)
+            np.add.at(self.tried, (columns, levels[rows, columns]), 1.0)
+
+    # -- contacts -----------------------------------------------------------------------------------------------
+
+    def _touched(self) -> tuple[str, float] | None:
+        """The first vehicle that the ego touched in the last step, and when [s]."""
+        drive, dt = self.drive, self.drive.recording.step_length
+        ego = drive.ego
+        assert ego is not None
+        now, before = drive.snapshot, drive.recording.snapshots[-2]
+        if ego not in before.raw:
+            return None
+        me, sizes = now.raw[ego], drive.simulation.fleet.sizes
+        times = np.array([before.time, now.time])
+        found: list[tuple[float, str]] = []
+        for name, raw in now.raw.items():
+            if name == ego or name not in before.raw or _clear(me, raw, sizes[ego], sizes[name], dt):
+                continue
+            when = float(first_contact(_rows(drive, ego), _rows(drive, name), times))
+            if math.isfinite(when):
+                found.append((when, name))
+        return (min(found)[1], min(found)[0]) if found else None
+
+    def _judged(self, other: str, when: float) -> Record:
+        """The record of a run that ended in a contact."""
+        record, drive = self._record(), self.drive
+        error = self.errors.last.get(other)
+        recent = error is not None and when - error.since < MEMORY
+        start = error.since if error is not None and recent else when - BEFORE
+        ego = drive.ego
+        assert ego is not None
+        for _ in range(round(GOES_ON / drive.recording.step_length)):
+            self.errors.before_step()
+            drive.tick()
+        snapshots = drive.recording.snapshots
+        first = next(k for k, s in enumerate(snapshots) if ego in s.raw and s.time >= start - HISTORY - 1e-6)
+        case = make_case(drive.tracks(other, first), ego, other, start, None)
+        level = Level.NONE
+        if case is not None:
+            verdict = judge(case.ego, case.adversary, case.others, trigger_time=start, limits=UNLIMITED)
+            verdict = with_level(verdict, case.ego, case.adversary, case.others, trigger_time=start)
+            level = verdict.level
+        if level >= Level.COLLISION and recent and other in self._begun:
+            self.crashed[self._begun[other]] += 1.0
+        return replace(
+            record, contact=True, level=str(level), error=str(error.kind) if error is not None and recent else None
+        )  # fmt: skip
+
+
+def _box(v: VehicleState) -> Boxes:
+    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
+
+
+def boxes_of(states: Sequence[VehicleState]) -> Boxes:
+    """Vehicles as boxes ``(vehicles,)``."""
+    x, y, heading, speed, length, width = (
+        np.array([getattr(s, name) for s in states]) for name in ("x", "y", "heading", "speed", "length", "width")
+    )
+    return Boxes(x, y, heading, speed, length, width)
+
+
+def _rows(drive: Drive, vehicle: str) -> Boxes:
+    """A vehicle's last two states ``(2,)``."""
+    states: list[Any] = [
+        drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]
+    ]  # fmt: skip
+    return boxes_of(states)
+
+
+def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[float, float], dt: float) -> bool:
+    """Whether an axis of ``a`` separates the boxes by more than they can have come nearer in a step.
+
+    SUMO's states: positions are those of the front bumpers, angles are in degrees clockwise from north.
+    """
+    heading, turn = math.radians(90.0 - a[2]), math.radians(a[2] - b[2])
+    c, s, ct, st = math.cos(heading), math.sin(heading), math.cos(turn), math.sin(turn)
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    along = abs(c * dx + s * dy + (size_a[0] - size_b[0] * ct) / 2)
+    across = abs(c * dy - s * dx - size_b[0] * st / 2)
+    return (
+        along - (size_a[0] + size_b[0] * abs(ct) + size_b[1] * abs(st)) / 2 > abs(b[3] * ct - a[3]) * dt + CLEAR
+        or across - (size_a[1] + size_b[0] * abs(st) + size_b[1] * abs(ct)) / 2 > abs(b[3] * st) * dt + CLEAR
+    )

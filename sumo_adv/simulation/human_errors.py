@@ -1,0 +1,152 @@
+"""Human errors of SUMO's drivers: which are possible now, how one begins, how it goes on, how it ends.
+
+===================  ================================================================================================
+error                what the driver does, and by which means of SUMO
+===================  ================================================================================================
+inattention          keeps speed and lane, whatever is ahead: ``setSpeed`` with all checks off
+late braking         the same for a reaction time, then brakes hard: ``setSpeed`` with all checks off, step by step
+change left, right   changes lane into whatever gap there is: ``changeSublane``, other vehicles not respected
+drift left, right    leaves the lane sideways for a while and keeps its speed: ``changeSublane``, ``setSpeed``
+priority             enters the junction though it must give way: speed mode without right of way
+red light            enters the junction at red: speed mode without right of way and lights
+===================  ================================================================================================
+
+A driver makes one error at a time. After it SUMO drives on as before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from sumo_adv.simulation.remote import RawState
+from sumo_adv.simulation.simulation import FREE_SPEED_MODE, SUMO_SPEED_MODE, Simulation
+
+IGNORING_PRIORITY, IGNORING_LIGHTS = 55, 39  # speed modes: bit 3 is right of way before, 5 on the junction, 4 lights
+NO_LANE_RULES, SUMO_LANE_MODE = 0, 1621  # lane change modes
+MOVING = 2.0  # m/s, below it a driver that keeps its speed or its lane does nothing wrong
+AT_LINE = 40.0  # m before a stop line, from where a driver decides to go on
+REACTION, BRAKING = 1.5, 6.0  # s, m/s2 of late braking
+DRIFT = 2.0  # m sideways: in a lane of 3.5 m a car of 1.8 m then is 1.15 m beyond the line
+
+
+class ErrorKind(StrEnum):
+    """What a driver does wrong."""
+
+    INATTENTION = "inattention"
+    LATE_BRAKING = "late_braking"
+    CHANGE_LEFT = "change_left"
+    CHANGE_RIGHT = "change_right"
+    DRIFT_LEFT = "drift_left"
+    DRIFT_RIGHT = "drift_right"
+    PRIORITY = "priority"
+    RED_LIGHT = "red_light"
+
+
+SIDE = {
+    ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1,
+}  # fmt: skip
+"""Lanes to the left that an error leads to."""
+LASTS = {
+    ErrorKind.INATTENTION: 3.0, ErrorKind.LATE_BRAKING: 4.0, ErrorKind.CHANGE_LEFT: 4.0, ErrorKind.CHANGE_RIGHT: 4.0,
+    ErrorKind.DRIFT_LEFT: 4.0, ErrorKind.DRIFT_RIGHT: 4.0, ErrorKind.PRIORITY: 6.0, ErrorKind.RED_LIGHT: 6.0,
+}  # fmt: skip
+"""How long each error lasts [s]."""
+KEEPS_SPEED = frozenset({
+    ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING, ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT,
+})  # fmt: skip
+
+
+def speed_in_error(kind: ErrorKind, begun: float, after: float) -> float:
+    """The speed [m/s] of a driver that keeps its speed ``begun`` [m/s], ``after`` [s] the error began."""
+    if kind is ErrorKind.LATE_BRAKING and after > REACTION:
+        return max(0.0, begun - BRAKING * (after - REACTION))
+    return begun
+
+
+@dataclass(frozen=True, slots=True)
+class Begun:
+    """An error: since when [s], at which speed [m/s]."""
+
+    kind: ErrorKind
+    since: float
+    speed: float
+
+
+class HumanErrors:
+    """The errors of one simulation. Make it anew when the simulation is loaded again."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        self._api: Any = simulation.api
+        self._lanes: dict[str, int] = {}  # of an edge
+        self._ends: dict[str, float] = {}  # where a lane that leads on ends [m]; inf where no line is
+        self.active: dict[str, Begun] = {}
+        self.last: dict[str, Begun] = {}  # the latest error of each vehicle, also if it is over
+
+    def possible(self, vehicle: str, raw: RawState) -> tuple[ErrorKind, ...]:
+        """The errors that a driver can begin now, in a state ``raw`` of the newest snapshot."""
+        lane, found = raw[4], list[ErrorKind]()
+        if vehicle in self.active:
+            return ()
+        if raw[3] > MOVING:
+            found += [ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING]
+        if not lane or lane.startswith(":"):
+            return tuple(found)
+        if raw[3] > MOVING:
+            edge, _, index = lane.rpartition("_")
+            lanes = self._lanes.get(edge)
+            if lanes is None:
+                lanes = self._lanes[edge] = int(self._api.edge.getLaneNumber(edge))
+            found += [kind for kind, side in SIDE.items() if 0 <= int(index) + side < lanes]
+        end = self._ends.get(lane)
+        if end is None:
+            leads_on = bool(self._api.lane.getLinks(lane))
+            end = self._ends[lane] = float(self._api.lane.getLength(lane)) if leads_on else float("inf")
+        if end < float("inf") and end - self._simulation.lane_position(vehicle) < AT_LINE:
+            found += self._at_line(vehicle)
+        return tuple(found)
+
+    def _at_line(self, vehicle: str) -> tuple[ErrorKind, ...]:
+        links = self._api.vehicle.getNextLinks(vehicle)
+        state = links[0][5] if links else "M"
+        if state in "ruyY":
+            return (ErrorKind.RED_LIGHT,)
+        return (ErrorKind.PRIORITY,) if state in "m=swgZ" else ()
+
+    def begin(self, vehicle: str, kind: ErrorKind, speed: float) -> None:
+        """Have a driver make an error from the next step on. ``speed``: its own [m/s]."""
+        v, side, lane = self._api.vehicle, SIDE.get(kind, 0), self._api.lane
+        self.active[vehicle] = self.last[vehicle] = Begun(kind, self._simulation.time, speed)
+        if kind in KEEPS_SPEED:
+            v.setSpeedMode(vehicle, FREE_SPEED_MODE)
+        elif kind is ErrorKind.PRIORITY:
+            v.setSpeedMode(vehicle, IGNORING_PRIORITY)
+        elif kind is ErrorKind.RED_LIGHT:
+            v.setSpeedMode(vehicle, IGNORING_LIGHTS)
+        v.setLaneChangeMode(vehicle, NO_LANE_RULES)
+        if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT):
+            v.changeSublane(vehicle, side * DRIFT)
+        elif side:  # not changeLane, which waits beside a vehicle in every mode
+            here = str(v.getLaneID(vehicle))
+            edge, _, index = here.rpartition("_")
+            there = f"{edge}_{int(index) + side}"
+            v.changeSublane(vehicle, side * (lane.getWidth(here) + lane.getWidth(there)) / 2)
+
+    def before_step(self) -> None:
+        """Carry the errors on, and end each after its time."""
+        now, v = self._simulation.time, self._api.vehicle
+        there = set(v.getIDList()) if self.active else set()
+        for vehicle, error in list(self.active.items()):
+            after = now - error.since
+            if vehicle not in there:
+                del self.active[vehicle]
+            elif after >= LASTS[error.kind] - 1e-6:
+                del self.active[vehicle]
+                v.setSpeed(vehicle, -1.0)
+                v.setSpeedMode(vehicle, SUMO_SPEED_MODE)
+                v.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
+            elif error.kind in KEEPS_SPEED:
+                step = self._simulation.spec.step_length
+                v.setSpeed(vehicle, speed_in_error(error.kind, error.speed, after + step))

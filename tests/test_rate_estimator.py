@@ -1,0 +1,106 @@
+"""Rates from weighted runs: worked by hand, and on a world with an exactly known rate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.rate.estimator import effective_runs, rate
+from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Decisions, Proposal, learnt, pilot_proposal
+
+
+def test_equal_weights_give_the_exact_interval_of_a_count() -> None:
+    weights = np.zeros(1000)
+    weights[:10] = 1.0
+    found = rate(weights, np.full(1000, 0.5))  # 10 crashes in 500 h
+    assert found.value == pytest.approx(0.02)
+    assert found.low == pytest.approx(4.7954 / 500, rel=1e-4)  # Garwood's limits of a count of 10: 4.7954 and 18.3904
+    assert found.high == pytest.approx(18.3904 / 500, rel=1e-4)
+    assert found.half_width == pytest.approx((18.3904 - 4.7954) / 20, rel=1e-4)
+    assert (found.crashes, found.effective, found.largest_share) == (10, pytest.approx(10), pytest.approx(0.1))
+    assert found.plain_runs == pytest.approx(1000)
+
+
+def test_no_crash_leaves_an_upper_limit_by_the_largest_possible_weight() -> None:
+    hours = np.full(100, 1.0)
+    assert rate(np.zeros(100), hours).high == pytest.approx(3.6889 / 100, rel=1e-4)  # -log 0.025
+    assert rate(np.zeros(100), hours, most_weight=10.0).high == pytest.approx(36.889 / 100, rel=1e-4)
+    assert rate(np.zeros(100), hours).half_width is None
+
+
+def test_uneven_weights_count_for_less() -> None:
+    weights = np.zeros(100)
+    weights[:2] = 0.5, 0.1
+    found = rate(weights, np.ones(100))
+    assert found.value == pytest.approx(0.006)
+    assert found.effective == pytest.approx(0.36 / 0.26)
+    assert found.largest_share == pytest.approx(0.5 / 0.6)
+    assert found.plain_runs == pytest.approx(100 * 0.6 / 0.26)
+    assert 0.0 < found.low < 0.006 < found.high
+    assert effective_runs(np.array([1.0, 1.0, 2.0])) == pytest.approx(16 / 6)
+
+
+def test_uneven_exposure_widens_the_interval_and_the_unit_does_not_matter() -> None:
+    weights = np.array([1.0, 1.0, 0.0, 0.0])
+    even, uneven = rate(weights, np.full(4, 2.0)), rate(weights, np.array([1.0, 3.0, 1.0, 3.0]))
+    assert even.value == uneven.value == 0.25
+    assert uneven.plain_runs == pytest.approx(4 * 2 / (2 + 0.25**2 * 4))  # variance 2 plus that of the exposure
+    assert uneven.low < even.low and uneven.high > even.high
+    in_minutes = rate(weights, np.full(4, 120.0))
+    assert in_minutes.high == pytest.approx(even.high / 60)
+
+
+def test_nothing_driven_says_nothing() -> None:
+    found = rate(np.zeros(3), np.zeros(3))
+    assert np.isnan(found.value) and found.high == np.inf
+
+
+# -- a world without SUMO, with a known rate -----------------------------------------------------------------------
+
+SLOTS, ERROR, DANGEROUS, COLLIDES = 3, 1e-3, 0.2, 0.5
+RUNS, PILOT = 600, 60
+EXACT = 1 - (1 - ERROR * DANGEROUS * COLLIDES) ** SLOTS  # 3e-4 a run
+
+
+def drive(draw: np.random.Generator, proposal: Proposal | None, *, pilot: bool = False) -> tuple[float, Counts]:
+    """One run of three slots. In each, an error is dangerous with probability 0.2, and then half of them collide.
+
+    The weight at the crash, 0 without one; and what was counted."""
+    decisions = Decisions(draw, proposal, pilot=pilot)
+    tried, begun, crashed = np.zeros((1, 4)), np.zeros((1, 4)), np.zeros((1, 4))
+    for _ in range(SLOTS):
+        level = 3 if draw.random() < DANGEROUS else 0
+        tried[0, level] += 1
+        if decisions.next(np.array([[ERROR]]), np.array([[level]]))[0] < 0:
+            continue
+        begun[0, level] += 1
+        if level == 3 and draw.random() < COLLIDES:
+            crashed[0, level] += 1
+            return decisions.weight, Counts(tried, begun, crashed)
+    return 0.0, Counts(tried, begun, crashed)
+
+
+def estimate(seed: int, runs: int) -> Floats:
+    draw = np.random.default_rng(seed)
+    counts = [drive(draw, pilot_proposal(1), pilot=True)[1] for _ in range(PILOT)]
+    proposal = learnt(counts, np.array([ERROR]))
+    return np.array([drive(draw, proposal)[0] for _ in range(runs)])
+
+
+def test_the_interval_covers_a_known_rate_with_a_hundredth_of_the_runs() -> None:
+    """Plain Monte Carlo needs (1.96/0.3)^2 / 3e-4, some 142 000 runs, for a half-width of 30 %."""
+    assert pytest.approx(3e-4, rel=1e-3) == EXACT
+    found = [rate(estimate(seed, RUNS), np.ones(RUNS), MOST_WEIGHT) for seed in range(100)]
+    assert sum(r.low <= EXACT <= r.high for r in found) >= 95
+    assert np.mean([r.value for r in found]) == pytest.approx(EXACT, rel=0.05)
+    assert np.median([r.half_width or np.inf for r in found]) < 0.3
+    assert np.median([(r.plain_runs or 0.0) / (RUNS + PILOT) for r in found]) > 100
+
+
+def test_plain_runs_of_the_same_world_agree() -> None:
+    draw = np.random.default_rng(7)
+    weights = np.array([drive(draw, None)[0] for _ in range(20_000)])
+    found = rate(weights, np.ones(20_000))
+    assert set(weights) <= {0.0, 1.0}
+    assert found.low <= EXACT <= found.high

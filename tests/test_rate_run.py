@@ -1,0 +1,97 @@
+"""Estimates in SUMO: runs that repeat, forced errors that end in a judged collision, the command, its folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_samples import Program
+
+from sumo_adv.cli.rate import lines
+from sumo_adv.rate.blocks import Block, BlockRunner, seed_of
+from sumo_adv.rate.estimate import estimated
+from sumo_adv.rate.model import KINDS
+from sumo_adv.rate.plan import RatePlan
+from sumo_adv.rate.run import Record
+from sumo_adv.simulation.human_errors import ErrorKind
+
+BESIDE = Path(__file__).resolve().parent.parent / "benchmarks" / "rate" / "side_by_side.toml"
+DRIFTS = np.zeros((len(KINDS), 4))
+DRIFTS[KINDS.index(ErrorKind.DRIFT_RIGHT), 3] = 0.5
+
+
+def test_forced_drifts_end_in_collisions_with_small_weights_and_runs_repeat() -> None:
+    plan = RatePlan(BESIDE, "idm", duration=8.0)
+    with BlockRunner(plan) as runner:
+        block = Block("runs", 0, DRIFTS.tolist())
+        records = [runner.one(block, number)[1] for number in range(8)]
+        again = runner.one(block, 0)[1]
+        calm = runner.one(Block("plain", 0, None), 0)[1]
+    assert again == records[0]
+    hit = [r for r in records if r.contact]
+    assert hit and all(r.error == "drift_right" for r in hit)
+    assert any(r.level != "none" for r in hit)
+    assert all(r.weight < 0.01 and r.weighted_hours <= r.hours * 10 for r in hit)
+    assert (calm.contact, calm.weight) == (False, 1.0)
+    assert calm.hours == calm.weighted_hours == pytest.approx(8 / 3600)
+    assert 8 * 0.016 < calm.km < 8 * 0.020  # between 16 and 20 m/s
+
+
+def test_generated_traffic_brings_an_ego_after_the_warm_up() -> None:
+    with BlockRunner(RatePlan(Path("straight_2lane"), "krauss", warm_up=5.0, duration=4.0, density=60.0)) as runner:
+        one, two = (runner.one(Block("plain", 0, None), number)[1] for number in (0, 1))
+    assert one.hours == two.hours == pytest.approx(4 / 3600)
+    assert one.km != two.km  # other traffic
+    assert len({seed_of(0, phase, n) for phase in ("pilot", "runs", "plain") for n in range(50)}) == 150
+
+
+def test_rates_of_levels_from_records() -> None:
+    """Two of four runs crash with weight 0.5, one of them valid; each run is 0.25 h and 10 km, of weight 1."""
+    calm = Record(1, 0.25, 10.0, 0.25, 10.0, 1.0)
+    records = [
+        calm, calm,
+        Record(2, 0.25, 10.0, 0.25, 10.0, 0.5, True, "valid", "drift_left"),
+        Record(3, 0.25, 10.0, 0.25, 10.0, 0.5, True, "none", "inattention"),
+    ]  # fmt: skip
+    found = estimated(RatePlan(Path("x")), records, [calm])
+    assert {name: rate.value for name, rate in found.per_hour.items()} == {
+        "contact": 1.0, "collision": 0.5, "valid": 0.5, "strict": 0.0, "serious": 0.0
+    }  # fmt: skip
+    assert found.per_km["collision"].value == pytest.approx(0.5 / 40)
+    assert found.by_error == {"drift_left": 1.0}
+    assert (found.hours, found.km) == (1.25, 50.0)
+    assert found.effective_runs == pytest.approx(9 / 2.5)
+    table = lines(found)
+    assert table[0].split()[:4] == ["level", "per", "1000", "h"]
+    assert table[2].split()[:2] == ["collision", "500"] and table[-1] == "Errors before: drift_left 100%"
+
+
+def test_the_command_goes_on_in_its_folder(program: Program) -> None:
+    folder = program.folder / "rate"
+    words = ["rate", BESIDE, "--ego", "idm", "--errors", "100", "--duration", "6", "--workers", "1", "--json"]
+    words += ["--pilot", "20", "--runs", "20", "--out", folder]
+    done = program(*words)
+    assert done.status == 0, done.err
+    first, block = json.loads(done.out), folder / "blocks" / "runs-0.json"
+    before = block.read_bytes()
+    block.unlink()
+    assert json.loads(program(*words).out) == first
+    assert block.read_bytes() == before
+    assert first["runs"] == 20 and first["pilot"] == 20
+    assert json.loads((folder / "rate.json").read_text())["levels"] == first["levels"]
+    refused = program(*words, "--seed", "1")
+    assert refused.status == 2 and "another seed" in refused.err and "--out" in refused.err
+
+
+def test_what_is_refused(program: Program) -> None:
+    for words, said in (
+        ((BESIDE, "--ego", "unknown"), "There is no ego 'unknown'"),
+        (("nowhere.net.xml",), "There is no file nowhere.net.xml"),
+        ((BESIDE, "--density", "10"), "brings its own traffic"),
+        (("straight_2lane", "--density", "0.0001", "--pilot", "1", "--workers", "1"), "give more --density"),
+    ):
+        done = program("rate", *words, "--out", program.folder / "rate")
+        assert (done.status, done.err.count("\n")) == (2, 1), done.err
+        assert said in done.err
