@@ -239,7 +239,7 @@ def chosen_faults(name: str, driven: Sequence[Driven]) -> list[str]:
 # -- constants that are wrong -------------------------------------------------------------------------------------
 
 COPIED = {
-    "drivers.car_following": ("EMERGENCY", "AMPLIFIED"),
+    "drivers.car_following": ("AMPLIFIED",),
     "drivers.prediction": ("OVER", "TURNED", "BACK"),
     "drivers.lateral_gap": ("SUBLANE", "GAP", "LATERAL_SPEED", "LATERAL_ACCELERATION"),
     "drivers.leaders": ("JAM",),
@@ -268,7 +268,7 @@ WHERE = {
     "planners.adversary_batch": ("crossing", "merging", "giving_way", "gave_way"),
 }
 """The situations in which the constants of a module matter."""
-MODEL = ("acceleration", "deceleration", "tau", "min_gap")
+MODEL = ("acceleration", "deceleration", "tau", "min_gap", "hardest_braking")
 """Numbers of the driver model, which SUMO tells."""
 
 

@@ -389,7 +389,7 @@ CHOSEN: Mapping[str, Chosen] = {
         (0.02, 0.02, 0.02)),
     "the line is in sight": Chosen(("SEES", "STOPS_BEFORE"), "giving_way", "krauss", 14, 2, (0.015, 0.02, 0.02)),
     "a vehicle turns across": Chosen(("ACROSS",), "crossing", "krauss", 13, 2, (0.02, 0.02, 0.02)),
-    "an emergency": Chosen(("EMERGENCY", "AMPLIFIED"), "cut_in", "krauss", 2, 1, (0.02, 0.02, 0.02)),
+    "an emergency": Chosen(("AMPLIFIED",), "cut_in", "krauss", 2, 1, (0.02, 0.02, 0.02)),
     "back over the middle": Chosen(("BACK",), "over_the_middle", "idm", 4, 4, (0.03, 0.02, 0.03)),
     "room to one side": Chosen(("GAP",), "beside", "idm", 19, 2, (0.02, 0.02, 0.02)),
     "room is made fast": Chosen(("LATERAL_ACCELERATION",), "beside", "krauss", 4, 2, (0.02, 0.02, 0.02)),

@@ -383,6 +383,7 @@ class DriverModel:
 
     kind: ``krauss``, ``idm``, ``eidm``, ``careful``, ``lattice`` or ``replay``. acceleration, deceleration: both
     positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
+    hardest_braking: positive [m/s2].
     known: False if the model is an assumption. ignores_sumo_lane_rules: it may overtake on the right, and the direction
     of lanes is nothing to it. sees: a vehicle ahead within this offset from the ego's path is a leader [m]; half the
     lane is the minimum. guard: its emergency brake, if it has one.
@@ -398,6 +399,7 @@ class DriverModel:
     ignores_sumo_lane_rules: bool = False
     sees: float = 0.0
     guard: Guard | None = None
+    hardest_braking: float = 9.0  # SUMO's emergencyDecel of cars
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import atexit
+import hashlib
+import json
 import shutil
 import tempfile
+from collections import Counter
 from functools import cache
 from pathlib import Path
+from typing import Any
 
+from cli_samples import PATIENCE, Program
 from ego_samples import CalmEgo
 
 import sumo_adv
@@ -16,6 +21,7 @@ from sumo_adv.regression.case import Expectation
 from sumo_adv.regression.keep import keep_run
 
 FOUND = "priority_straight_from_right"
+SLOWEST = 30.0  # s for a case on a busy machine
 LOOPS = """\
 PARAMETERS = {"gap": (3.0, 1.0, 9.0, "m", "not used")}
 
@@ -44,6 +50,28 @@ class BrokenEgo(CalmEgo):
     def act(self, seen: Observation) -> LaneSpeed | None:
         """Fail."""
         raise RuntimeError("the driver fell asleep")
+
+
+def results(folder: Path) -> list[dict[str, Any]]:
+    """Of each case all that does not depend on the clock."""
+    cases = json.loads((folder / "regress.json").read_text(encoding="utf-8"))["cases"]
+    return [{key: value for key, value in case.items() if key != "seconds"} for case in cases]
+
+
+def answers_of(program: Program, times: int) -> Counter[str]:
+    """A case repeated in one suite on two processes: the different answers, and how often each was given.
+
+    An answer is the result, all measurements and every state of every vehicle.
+    """
+    suite = suite_in(program.folder, *(f"case{k}" for k in range(times)))
+    with program.start("regress", suite, "--ego", "idm", "--workers", "2", "--out", "out") as process:
+        _, errors = process.communicate(timeout=PATIENCE + SLOWEST * times)
+    assert (process.returncode, errors) == (3, "")
+    answers: Counter[str] = Counter()
+    for case in results(program.folder / "out"):
+        states = (program.folder / "out" / "runs" / case.pop("case") / "states.csv.gz").read_bytes()
+        answers[json.dumps(case) + hashlib.sha256(states).hexdigest()] += 1
+    return answers
 
 
 @cache

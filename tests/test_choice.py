@@ -118,9 +118,13 @@ def test_intents_are_known_in_any_case_and_spacing() -> None:
     assert select(LABELS).is_open and not without.is_open
 
 
-def test_the_scenario_and_the_settings_both_restrict() -> None:
-    chosen = select(LABELS, LABELS, scenario=["Emergency Braking", "Close Car-following"])
-    assert [chosen.allows(label) for label in (*LABELS, "Close Car-following")] == [False, True, False]
+def test_the_setting_goes_before_the_intents_of_the_scenario() -> None:
+    own = ["Emergency Braking", "Close Car-following"]
+    assert [select(LABELS, scenario=own).allows(label) for label in LABELS] == [False, True]
+    chosen = select(LABELS, ["Straight Lane Shift"], scenario=own)
+    assert [chosen.allows(label) for label in LABELS] == [True, False]
+    with pytest.raises(UsageError, match="left to try: the scenario's own list and exclude together leave none"):
+        select(LABELS, exclude=["Emergency Braking"], scenario=["Emergency Braking"])
 
 
 def test_an_unknown_intent_is_refused_with_the_known_ones() -> None:

@@ -68,6 +68,13 @@ def test_a_constant_that_is_wrong_by_20_percent_is_noticed(small: Small, home: s
     assert any(next(some, "") for some in noticed)
 
 
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_how_hard_the_ego_can_brake_is_told_by_sumo(small: Small, factor: float) -> None:
+    scene = "an emergency"
+    wrong = conformance.with_model(small.chosen[scene], "hardest_braking", factor)
+    assert conformance.chosen_faults(scene, wrong) != []
+
+
 def test_a_broken_bound_names_the_rules() -> None:
     """The ego is predicted a metre too far on in each of three scenes."""
     (*_, last) = conformance.broken("following", np.array([[1.0] * 3, [0.0] * 3, [0.0] * 3]))

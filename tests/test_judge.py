@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_samples import Program, Runs
-from metrics_tracks import TIME, cruise, drift
+from metrics_tracks import TIME, car, cruise, drift
 from run_samples import run_folder
 
 import sumo_adv
@@ -169,3 +169,34 @@ def test_head_on_the_vehicle_that_left_its_side_is_at_fault() -> None:
     assert nuplan_fault(cruise("ego", 0, 0, 10), foe, 4.75) == "ego"
     ego = drift("ego", 0, 0, 10, 2.0, 3.0, 3.2)
     assert fault(ego, cruise("adversary", 100, 3.2, 10, np.pi), 4.75) == "ego"
+
+
+def test_a_vehicle_that_came_over_and_waits_there_is_at_fault() -> None:
+    """The adversary comes 3.2 m over within 40 m and stops at x = 100 m, at 4 s, askew by 0.06 rad. The front of the
+    ego reaches the adversary's, at 97.5 m, after 9.5 s at 10 m/s."""
+    u = np.clip(TIME / 4.0, 0.0, 1.0)
+    x, y = 140.0 - 40.0 * (1 - (1 - u) ** 2), 3.2 * (1 - u**2 * (3 - 2 * u))
+    stopped = car("adversary", x, y, 20.0 * (1 - u), np.pi + 0.06)
+    assert fault(cruise("ego", 0.0, 0.0, 10.0), stopped, 9.5) == "adversary"
+
+
+def test_a_vehicle_that_turned_across_from_a_side_road_is_at_fault() -> None:
+    """The adversary comes from the south and turns left into the ego's lane, on a radius of 10 m. It has turned after
+    4.07 s at x = 47.5 m, and the fronts meet at 4.15 s and about 44.1 m: 41.5 + 2.5 m, and 46.7 - 2.5 m."""
+    angle = np.clip((TIME - 2.5) * 1.0, 0.0, np.pi / 2)
+    s = np.maximum(TIME - 2.5 - np.pi / 2, 0.0) * 10.0
+    x, y = 57.5 - 10.0 * (1 - np.cos(angle)) - s, -10.0 + 10.0 * np.sin(angle) + np.minimum(TIME - 2.5, 0.0) * 10.0
+    assert fault(cruise("ego", 0.0, 0.0, 10.0), car("adversary", x, y, 10.0, np.pi / 2 + angle), 4.15) == "adversary"
+
+
+@pytest.mark.parametrize(("who", "shift"), [("adversary", (0.0, -3.2)), ("ego", (3.2, 0.0))])
+def test_in_a_bend_the_vehicle_that_kept_its_lane_is_not_at_fault(who: str, shift: tuple[float, float]) -> None:
+    """Radius 100 m to the left, lanes 3.2 m apart. The ego drives at 15 m/s, the other towards it at 5 m/s, and they
+    meet at 6 s; one of them comes over within the last 2 s."""
+    since = np.clip((TIME - 4.0) / 2.0, 0.0, 1.0)
+    tracks = []
+    for name, lane, speed, over in (("ego", 100.0, 15.0, -shift[0]), ("adversary", 96.8, -5.0, -shift[1])):
+        angle, radius = speed / 100.0 * (TIME - 6.0), lane + over * since
+        x, y = radius * np.sin(angle), -radius * np.cos(angle)
+        tracks.append(car(name, x, y, abs(speed), np.unwrap(angle + (np.pi if speed < 0 else 0.0))))
+    assert fault(*tracks, 6.0) == who

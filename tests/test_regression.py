@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from cli_samples import ROOT, Done, Program, files_of
 from metrics_tracks import cruise
-from regression_samples import FOUND, LOOPS, attacked, suite_in
+from regression_samples import FOUND, LOOPS, answers_of, attacked, results, suite_in
 
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines
@@ -44,12 +44,6 @@ def case_of(suite: Path, **expect: Any) -> Case:
 
 def regress(program: Program, suite: Path, *options: str | Path) -> Done:
     return program("regress", suite, "--workers", "1", "--out", "out", *options)
-
-
-def results(folder: Path) -> list[dict[str, Any]]:
-    """Of each case all that does not depend on the clock."""
-    cases = json.loads((folder / "regress.json").read_text(encoding="utf-8"))["cases"]
-    return [{key: value for key, value in case.items() if key != "seconds"} for case in cases]
 
 
 # -- what is expected of the ego
@@ -200,13 +194,8 @@ def test_an_ego_that_looks_around_passes_and_is_compared_with_the_baseline(progr
 
 
 def test_a_case_repeated_on_any_number_of_processes_gives_one_answer(program: Program) -> None:
-    suite = suite_in(program.folder, *(f"case{k}" for k in range(4)))
-    done = program("regress", suite, "--ego", "idm", "--workers", "2", "--out", "out")
-    assert done.status == 3
-    (first, *others) = [{k: v for k, v in case.items() if k != "case"} for case in results(program.folder / "out")]
-    assert len(others) == 3 and all(other == first for other in others)
-    moved = {(program.folder / "out" / "runs" / f"case{k}" / "states.csv.gz").read_bytes() for k in range(4)}
-    assert len(moved) == 1
+    answers = answers_of(program, 5)
+    assert (sum(answers.values()), len(answers)) == (5, 1)
 
 
 def test_an_ego_that_never_comes_there_has_had_no_encounter(program: Program, suite: Path) -> None:

@@ -9,20 +9,24 @@ from typing import Annotated
 import typer
 
 EXAMPLE = "Example: sumo-adv scenarios"
+MEANS = "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off."
 
 
 def scenarios(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """List the shipped scenarios with road, intent and a description, and the shipped networks."""
+    """List the shipped scenarios with road, best attack and a description, and the shipped networks."""
     from sumo_adv.simulation.shipped import shipped_files, shipped_scenarios
 
     found, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")
     if as_json:
         typer.echo(json.dumps({"scenarios": [asdict(s) for s in found], "networks": networks}))
         return
-    names, roads = (max(map(len, words)) for words in ([s.name for s in found], [s.road for s in found]))
-    typer.echo(f"{'scenario':{names}}  {'road':{roads}}  intent")
-    for s in found:
-        typer.echo(f"{s.name:{names}}  {s.road:{roads}}  {', '.join(s.intents)}\n    {s.description}")
-    typer.echo(f"Networks: {', '.join(networks)}")
+    rows = [("scenario", "road", "adversary", "level", "intent")]
+    rows += [(s.name, s.road, s.relation or "-", s.level or "-", s.intents[0]) for s in found]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    typer.echo(lines[0])
+    for line, s in zip(lines[1:], found, strict=True):
+        typer.echo(f"{line}\n    {s.description}")
+    typer.echo(f"Networks: {', '.join(networks)}\n{MEANS}")

@@ -34,6 +34,9 @@ HEAD = """<!DOCTYPE html>
 body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
 table {{ border-collapse: collapse; margin: 1rem 0 }}
 th, td {{ text-align: left; padding: .3rem .8rem; border-bottom: 1px solid #8886 }}
+td:first-child {{ min-width: 9rem; overflow-wrap: anywhere }}
+h1 {{ overflow-wrap: anywhere }}
+.scroll {{ overflow-x: auto }}
 </style>
 </head>
 <body>
@@ -92,5 +95,5 @@ def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A table of cells that are HTML."""
-    lines = ["<table>", f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
-    return [*lines, *(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows), "</table>"]
+    lines = ['<div class="scroll"><table>', f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
+    return [*lines, *(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows), "</table></div>"]

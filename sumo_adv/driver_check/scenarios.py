@@ -21,7 +21,7 @@ TWELVE = (
     ("t_junction_left_from_stem", "south_second"),  # turns right from the minor road
     ("signals_red_light", "red_south"),  # waits for a light, then goes on
     ("signals_left_turn", "turning"),  # turns left at a light through traffic that has green, too
-    ("allway_stop_straight", "ego"),  # all must stop
+    ("allway_stop_from_right", "ego"),  # all must stop
     ("roundabout_entry", "entering"),  # enters a roundabout and goes half around
 )
 """Shipped scenarios, with the vehicle that is driven."""

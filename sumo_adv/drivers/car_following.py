@@ -10,7 +10,7 @@ import numpy as np
 
 from sumo_adv.datatypes import DriverModel, Floats
 
-EMERGENCY = 9.0  # m/s2, emergencyDecel of SUMO's default vType and of our drivers
+EMERGENCY = 9.0  # m/s2, emergencyDecel of SUMO's default vType
 AMPLIFIED = 1.2  # -, in an emergency Krauss's driver brakes harder than necessary by this factor
 DEFAULT_DRIVER = DriverModel("krauss", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=60.0)
 """SUMO's DEFAULT_VEHTYPE, with a desired speed [m/s] above all speed limits."""
@@ -29,6 +29,7 @@ class CarFollowing:
     def __init__(self, model: DriverModel, dt: float) -> None:
         self.krauss = model.kind == "krauss"
         self.acceleration, self.deceleration = model.acceleration, model.deceleration
+        self._hardest = model.hardest_braking
         self.tau, self.min_gap, self.desired_speed = model.tau, model.min_gap, max(model.speed, 1.0)
         self._dt = dt
 
@@ -80,14 +81,16 @@ class CarFollowing:
         harder than necessary by ``AMPLIFIED``."""
         dt = self._dt
         safe = self._safe(np.maximum(room, 0.0) + self._braking(leader), self.tau)
-        safe = np.where(room >= 0.0, safe, v - EMERGENCY * dt)
+        safe = np.where(room >= 0.0, safe, v - self._hardest * dt)
         hard = (v - safe) / dt
         if not (hard > self.deceleration + NUMERICAL).any():
             return safe
         usable = np.maximum(room, NUMERICAL)
         needed = 0.5 * v * v / (usable + 0.5 * leader * leader / self.deceleration)
         needed = np.where(needed <= self.deceleration, needed, 0.5 * (v * v - leader * leader) / usable)
-        needed = np.minimum(np.maximum(AMPLIFIED * np.where(room > 0.0, needed, EMERGENCY), self.deceleration), hard)
+        needed = np.minimum(
+            np.maximum(AMPLIFIED * np.where(room > 0.0, needed, self._hardest), self.deceleration), hard
+        )
         return np.where(hard > self.deceleration + NUMERICAL, np.maximum(v - needed * dt, 0.0), safe)
 
     def _idm(self, v: Floats, desired_gap: Floats, gap: Floats) -> Floats:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, ObservedMotion
-from sumo_adv.drivers.car_following import EMERGENCY, NUMERICAL, CarFollowing
+from sumo_adv.drivers.car_following import NUMERICAL, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.guard import Guards
 from sumo_adv.drivers.junctions import AtJunction, Junctions
@@ -110,7 +110,9 @@ class PredictedEgos:
         self._leaders.step(now, sumo_s, front_d, speed)
         pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
         free = np.minimum(self._driver.free(self.v), pace)
-        v = np.where(self.disturbed, np.maximum(np.minimum(free, bound), self.v - EMERGENCY * dt), next_v)
+        v = np.where(
+            self.disturbed, np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt), next_v
+        )
         v = np.maximum(v, 0.0)
         next_ahead = sumo_s - self.s + dt * (speed * np.cos(h) - v)
         self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)

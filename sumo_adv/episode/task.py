@@ -157,9 +157,10 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
     if trigger != "auto" and not begin <= float(trigger) < end:
         raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
+    own = dict(source.ego_parameters) if source.ego_controller in (None, settings.ego) else {}
     return Task(
         spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
-        {**dict(source.ego_parameters), **settings.ego_parameters},
+        {**own, **settings.ego_parameters},
         (settings.adversary,) if settings.adversary else source.candidates,
         None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
     )  # fmt: skip

@@ -13,12 +13,13 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import row_of
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION, CollisionClass, collision_class
-from sumo_adv.metrics.paths import EgoPaths
 
 EGO, ADVERSARY = "ego", "adversary"
-OVER = 3.0  # s before the contact
+WAY = 60.0  # m before the contact, the same for both: an intrusion takes 2 to 3 s, at 20 m/s
+LEAST_WAY = 1.0  # m that both together drove, below which nothing can be said of a bend
+MOST_BEND = 1.3  # rad between their directions at the start; with more, one of them came from another road
+STRAIGHT = 1e-6  # 1/m, a curvature below which the arc is a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +49,42 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
     """``ego`` or ``adversary``: nuPlan's rules, and in a head-on collision the vehicle that left its side.
 
     nuPlan blames an ego that is hit head-on in its own lane, because it meets the other with its front bumper.  Here
-    the vehicle is at fault that came further over towards the other's way in the last ``OVER`` seconds.
+    the vehicle is at fault that came further over to the other's side, on its last ``WAY``.  So one that came over and
+    then stopped is at fault.  The road is taken to be the arc that their directions at the start of this stretch span.
     """
-    a, b = (t.between(contact_time - OVER, contact_time) for t in (ego, adversary))
+    a, b = (t.between(-np.inf, contact_time) for t in (ego, adversary))
     turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))
     if len(a.time) < 2 or len(b.time) < 2 or turn[0] < OPPOSITE_DIRECTION:
         return nuplan_fault(ego, adversary, contact_time)
-    return ADVERSARY if _came_over(b, ego) > _came_over(a, adversary) else EGO
+    way = min(WAY, _to_go(a)[0], _to_go(b)[0])
+    a, b = (t.between(float(t.time[_to_go(t) >= way][-1]), np.inf) for t in (a, b))
+    angle = float(wrap_below_pi(b.heading[:1] - np.pi - a.heading[:1])[0])
+    angle = angle if abs(angle) < MOST_BEND else 0.0
+    curvature = angle / max(_to_go(a)[0] + _to_go(b)[0], LEAST_WAY)
+    return ADVERSARY if _came_over(b, a, -curvature) > _came_over(a, b, curvature) else EGO
 
 
-def _came_over(track: Track, other: Track) -> float:
-    """How much nearer a vehicle came to the other's way [m], from its first to its last state."""
-    way = EgoPaths(row_of(other))
-    left = np.abs(way.locate(track.x[None], track.y[None])[1][0])
-    return float(left[0] - left[-1])
+def _to_go(track: Track) -> Floats:
+    """The distance [m] from each state of a track to its last one."""
+    steps = np.hypot(np.diff(track.x), np.diff(track.y))
+    return np.append(steps[::-1].cumsum()[::-1], 0.0)
+
+
+def _came_over(track: Track, other: Track, curvature: float) -> float:
+    """How far a vehicle is to the other's side [m] at its last state, if the road is an arc from its first state on.
+    ``curvature``: of the arc [1/m], positive to the left."""
+    side = np.sign(_left_of(track, curvature, other.x[0], other.y[0]))
+    return float(side * _left_of(track, curvature, track.x[-1], track.y[-1]))
+
+
+def _left_of(track: Track, curvature: float, x: float, y: float) -> float:
+    """How far a point is to the left [m] of the arc that begins as the track does."""
+    c, s = np.cos(track.heading[0]), np.sin(track.heading[0])
+    dx, dy = x - track.x[0], y - track.y[0]
+    along, left = dx * c + dy * s, dy * c - dx * s
+    if abs(curvature) < STRAIGHT:
+        return float(left)
+    return float((1.0 - np.hypot(curvature * along, 1.0 - curvature * left)) / curvature)
 
 
 def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_RSS) -> Floats:

@@ -39,7 +39,8 @@ class Selection:
 def select(
     known: Iterable[str], intents: Sequence[str] = (), exclude: Sequence[str] = (), scenario: Sequence[str] = ()
 ) -> Selection:
-    """What the settings ``intents`` and ``exclude`` and the intents of a scenario come to; each is empty for none.
+    """What the settings ``intents`` and ``exclude`` and the intents of a scenario come to; each is empty for none. The
+    setting ``intents`` goes before the scenario's.
 
     known: labels of the memory bank; those that the expert composes are known as well. Case and signs do not count.
 
@@ -48,12 +49,11 @@ def select(
     """
     labels = {canonical(label): label for label in (*COMPOSED, *known)}
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
-    only = chosen & frozenset(scenario) if chosen and scenario else chosen or frozenset(scenario)
-    restricted = bool(intents or scenario)
-    if not (only if restricted else frozenset(labels.values())) - without:
-        whose = "the scenario's own list, " if scenario else ""
-        raise UsageError(f"No intent is left to try: {whose}intents and exclude together leave none.")
-    return Selection(only if restricted else None, without)
+    only = chosen or frozenset(scenario) or None
+    if not (frozenset(labels.values()) if only is None else only) - without:
+        whose = "the scenario's own list" if scenario and not chosen else "intents"
+        raise UsageError(f"No intent is left to try: {whose} and exclude together leave none.")
+    return Selection(only, without)
 
 
 def _label(name: str, labels: Mapping[str, str]) -> str:

@@ -13,7 +13,7 @@
     [window]     warm_up [s], trigger [s] or "auto", horizon [s]
     [adversary]  candidates = [ids..], intents = [labels..]
     [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded states, ``signals.py``)
-    [label]      intents = [labels..], source = "annotated" | "oracle"
+    [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level: of the best attack
     [[parked]] [[pedestrians]] [[cyclists]]
                  x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
 
@@ -31,6 +31,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
 
+from sumo_adv.datatypes import Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
 
@@ -139,10 +140,16 @@ class Signals(_Table):
 
 
 class Label(_Table):
-    """The intents held to be the most dangerous here, and who says so."""
+    """The intents held to be the most dangerous here, and who says so.
+
+    relation, level: of the best attack of a run until serious. All shipped scenarios have them; their best attack is of
+    the first intent.
+    """
 
     intents: Annotated[tuple[Name, ...], Field(min_length=1)]
     source: Literal["annotated", "oracle"] = "annotated"
+    relation: Relation | None = None
+    level: Literal["critical", "collision", "valid", "strict", "serious"] | None = None
 
 
 class Scenario(_Table):

@@ -11,12 +11,18 @@ from sumo_adv.simulation.scenario import load_scenario
 
 @dataclass(frozen=True, slots=True)
 class ShippedScenario:
-    """One scenario. road: the name of its network; intents: those that its author holds to be the most dangerous."""
+    """One scenario. road: the name of its network.
+
+    intents: those held to be the most dangerous, the one of the best attack first. relation, level: of the best attack
+    of a run until serious with the default settings and a bank that has learnt nothing.
+    """
 
     name: str
     description: str
     road: str
     intents: tuple[str, ...]
+    relation: str | None
+    level: str | None
 
 
 def shipped_scenarios() -> list[ShippedScenario]:
@@ -31,8 +37,12 @@ def shipped_files(folder: str, ending: str) -> list[str]:
 
 def _read(path: Path) -> ShippedScenario:
     scenario = load_scenario(path)
-    intents = scenario.label.intents if scenario.label is not None else ()
-    return ShippedScenario(input_name(path), _opening(path), input_name(scenario.network), intents)
+    label = scenario.label
+    assert label is not None, "each shipped scenario has a label"
+    return ShippedScenario(
+        input_name(path), _opening(path), input_name(scenario.network), label.intents,
+        label.relation, label.level,
+    )  # fmt: skip
 
 
 def _opening(path: Path) -> str:

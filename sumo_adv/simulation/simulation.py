@@ -266,6 +266,7 @@ class Simulation:
         return DriverModel(
             "idm", v.getAccel(vehicle), self._deceleration(vehicle), v.getTau(vehicle), v.getMinGap(vehicle),
             v.getAllowedSpeed(vehicle), known=False, ignores_sumo_lane_rules=True,
+            hardest_braking=v.getEmergencyDecel(vehicle),
         )  # fmt: skip
 
     def signals(self, vehicle: str) -> list[tuple[str, float, str]]:

@@ -63,10 +63,11 @@ function verdictPanel(outcome) {
   const impact = v.impact, times = [["trigger", outcome.trigger_time], ["hazard", v.hazard_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
   return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
     ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", v.level ? answer(v.level) : null],
-    ["human", v.level ? answer(v.humanlike) : null], ["avoidable", v.avoidable ? answer(v.avoidable) : null],
-    ["rear-end", answer(v.rear_end)], ["fault", v.fault ? answer(v.fault) : null], ["kind", v.kind ? answer(v.kind) : null],
+    ["human", v.level ? answer(v.humanlike) : null], ["avoidable", v.avoidable && !v.level ? answer(v.avoidable) : null],
+    ["rear-end", answer(v.rear_end)], ["at fault", v.fault ? `${answer(v.fault)} (${v.kind === "oncoming" ? "it left its side of the road" : "by nuPlan's rule"})` : null], ["kind", v.kind ? answer(v.kind) : null],
     ["class", v.collision_class ? answer(v.collision_class) : null],
-    ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego, delta-v ${number(impact.delta_v, 2, "m/s")}` : null],
+    ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego` : null],
+    ["delta-v", impact && v.level ? `ego ${number(v.delta_v, 2, "m/s")}, adversary ${number(v.adversary_delta_v, 2, "m/s")}` : null],
     ...times.map(([name, time]) => [name, data.scene ? at(time) : null]),
   ]), (outcome.notes || []).map((note) => el("p", { class: "soft" }, quoted(note))));
 }

@@ -1,0 +1,63 @@
+"""The shipped scenarios hold what ``sumo-adv scenarios`` says of them: the kind and level of their best attack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bank_samples import shipped_planners
+
+import sumo_adv
+from sumo_adv.search.composed_intents import COMPOSED
+from sumo_adv.simulation.shipped import ShippedScenario, shipped_scenarios
+
+SHIPPED = {scenario.name: scenario for scenario in shipped_scenarios()}
+WORDS = {
+    "leader": {"leader"}, "follower": {"follower"}, "neighbour": {"neighbour"}, "oncoming": {"oncoming"},
+    "closes_up": {"Close Car-following"}, "brakes_hard": {"Emergency Braking"}, "cut_in": {"Aggressive Cut-in"},
+    "junction_left": {"Intersection Rush-through Turn Left"}, "signals_left": {"Intersection Rush-through Turn Left"},
+    "priority_left": {"Intersection Rush-through Turn Left"},
+    "turn_right": {"Intersection Rush-through Turn Right"}, "merge_rush": {"Ramp Merge Rush"},
+    "roundabout_entry": {"Ramp Merge Rush"}, "straight": {"Intersection Rush-through Go-straight"},
+    "red_light": {"Intersection Rush-through Go-straight"}, "blind_side": {"Straight Lane Shift", "neighbour"},
+    "from_right": {"crossing"},
+}  # fmt: skip
+"""What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
+
+
+def holds(scenario: ShippedScenario, folder: Path) -> None:
+    """The best attack of a run until serious, with the default settings and a bank that has learnt nothing."""
+    run = sumo_adv.run(
+        scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name
+    )
+    told = run.outcome.document
+    relations = {vehicle["id"]: vehicle["relation"] for vehicle in told["encounter"]["ranking"]}
+    assert told["intent"]["label"] == scenario.intents[0]
+    assert relations[told["intent"]["bv"]] == scenario.relation
+    assert told["outcome"]["level"] == scenario.level
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_name_says_of_which_kind_the_best_attack_is(name: str) -> None:
+    scenario = SHIPPED[name]
+    said = [words for part, words in WORDS.items() if part in name]
+    assert said, "the name says nothing of the attack"
+    for words in said:
+        assert words & {scenario.intents[0], scenario.relation}
+
+
+def test_all_intents_of_the_paper_and_two_found_ones_are_best_somewhere() -> None:
+    of_the_paper = {label for label, _ in shipped_planners()}
+    assert len(of_the_paper) == 7 and len(COMPOSED) == 2
+    assert {scenario.intents[0] for scenario in SHIPPED.values()} == of_the_paper | COMPOSED
+
+
+@pytest.mark.parametrize("name", ["follower_closes_up", "leader_brakes_hard", "signals_left_turn"])
+def test_the_best_attack_is_the_one_that_is_listed(name: str, tmp_path: Path) -> None:
+    holds(SHIPPED[name], tmp_path)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_best_attack_of_each_scenario_is_the_one_that_is_listed(name: str, tmp_path: Path) -> None:
+    holds(SHIPPED[name], tmp_path)
