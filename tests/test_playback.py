@@ -11,7 +11,7 @@ import pytest
 from log_samples import LEFT, MIDDLE, RIGHT, STEPS, moving, write_scenario
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Role
+from sumo_adv.datatypes import Role, VehicleState
 from sumo_adv.drivers import CarefulEgo, EgoController, Observation, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_detector import ego_path
@@ -100,6 +100,21 @@ def test_all_are_where_and_when_the_log_says(tmp_path: Path) -> None:
         assert roles["walker"] is Role.OBSTACLE
         assert {roles[n] for n in ("lead", "late", "gap", "off")} == {Role.BACKGROUND}
         assert set(tracks["off"].lane) == {""}
+
+
+def test_a_driver_can_ask_for_the_way_of_whoever_is_seen_for_the_last_time(tmp_path: Path) -> None:
+    """The log has no 4.0 s of "gap": in the step from 3.9 s on the driver still sees it, and then it is gone."""
+    asked: dict[float, set[str]] = {}
+
+    def observe(me: VehicleState, near: Sequence[str]) -> Observation:
+        asked[drive.now] = {name for name in near if drive.simulation.route(name)[0]}
+        return Observation(drive.now, 0.1, me, ())
+
+    with playing(tmp_path, [EGO, LEADER, UNSEEN], CarefulEgo()) as drive:
+        drive.observe = observe
+        go(drive, 4.2)
+        assert "gap" in asked[3.9]
+        assert "gap" not in asked[4.0]
 
 
 def test_the_driver_begins_when_the_warm_up_is_over(tmp_path: Path) -> None:

@@ -64,6 +64,7 @@ class Playback:
         self._attack: tuple[Pose, ...] = ()  # where it puts them in the present step
         self._kept: set[str] = set()  # never handed over: a replayed ego
         self._moved: dict[str, Pose] = {}  # by the log, in the present step
+        self._gone: list[str] = []  # vehicles that the log ends in the present step
         self._shown: dict[str, str | None] = {}
         self._fleet = simulation.fleet
         for box in self._boxes.values():
@@ -110,12 +111,12 @@ class Playback:
     # -- one step ---------------------------------------------------------------------------------------------------
 
     def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
-        """Add to ``driven`` whom the log moves in the step that begins ``now``; insert, remove and hand over.
+        """Add to ``driven`` whom the log moves in the step that begins ``now``; insert and hand over.
 
         ``raw``: SUMO's present states; ``driven``: who is put where by others in this step.
         """
         then = round(now + self._step, 6)
-        self._moved = {}
+        self._moved, self._gone = {}, []
         self._attack = tuple(driven[name] for name in self._attacks if name in driven)
         for name, vehicle in self._vehicles.items():
             if name in self._free:
@@ -127,7 +128,7 @@ class Playback:
             pose, here = vehicle.pose(then), name in raw
             if pose is None:
                 if here:
-                    self._stage.remove(name)
+                    self._gone.append(name)
                 continue
             pose = Pose(pose.x, pose.y, pose.heading, max(0.0, pose.speed))
             mine = self._hands_over(pose, now) and name not in self._kept and name in self.spec.routes
@@ -145,8 +146,13 @@ class Playback:
             self._show(self._signals, then)
 
     def injected(self, driven: Mapping[str, Pose]) -> None:
-        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose."""
+        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose.
+
+        The ego's driver has acted, so nobody asks any more for vehicles that the log has no pose of: they are removed.
+        """
         self._moved = {name: driven[name] for name in self._moved}
+        for name in self._gone:
+            self._stage.remove(name)
 
     def _hands_over(self, pose: Pose, now: float) -> bool:
         """Whether SUMO should drive a vehicle with this pose from now on, if it can."""
@@ -171,7 +177,7 @@ class Playback:
             pose = prop.pose(then)
             if pose is None:
                 if name in raw:
-                    self._stage.remove(name)
+                    self._gone.append(name)
                 continue
             if name not in raw:
                 self._spawn(prop, (edge,), pose)
