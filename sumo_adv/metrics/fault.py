@@ -49,8 +49,8 @@ def fault(ego: Track, adversary: Track, contact_time: float) -> str:
     """``ego`` or ``adversary``: nuPlan's rules, and in a head-on collision the vehicle that left its side.
 
     nuPlan blames an ego that is hit head-on in its own lane, because it meets the other with its front bumper.  Here
-    the vehicle is at fault that came further over to the other's side, on its last ``WAY``.  So one that came over and
-    then stopped is at fault.  The road is taken to be the arc that their directions at the start of this stretch span.
+    the vehicle is at fault that came further over to the other's side, on its last ``WAY``, even if it then stopped.
+    The road is taken to be the arc that their directions at the start of this stretch span.
     """
     a, b = (t.between(-np.inf, contact_time) for t in (ego, adversary))
     turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))

@@ -51,8 +51,8 @@ def select(
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
     only = chosen or frozenset(scenario) or None
     if not (frozenset(labels.values()) if only is None else only) - without:
-        whose = "the scenario's own list" if scenario and not chosen else "intents"
-        raise UsageError(f"No intent is left to try: {whose} and exclude together leave none.")
+        wanted = "the scenario's own list" if scenario and not chosen else "intents"
+        raise UsageError(f"No intent is left to try: {wanted} and exclude together leave none.")
     return Selection(only, without)
 
 
