@@ -25,7 +25,7 @@ EXTRAS = (
     ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),
     ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
     ("ray", "ray", "batches on several machines"), ("cma", "bench", "the benchmark's row cma"),
-    ("fiss_planner", "planners", "the ego fiss_plus"),
+    ("fiss_planner", "planners", "the ego fiss_plus"), ("optax", "train", "training the row transformer"),
 )  # fmt: skip
 PROMPT = 30.0  # s for a program to answer
 CONTAINERS = ("/.dockerenv", "/run/.containerenv")

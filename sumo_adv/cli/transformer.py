@@ -60,7 +60,7 @@ def train(
     scenes: Scenes,
     out: Annotated[Path, typer.Option(help="Folder; the same one goes on.")] = Path("runs/transformer"),
     seed: Annotated[int, typer.Option(min=0, help="Of the first weights and the order of scenes.")] = 0,
-    epochs: Annotated[int, typer.Option(min=1, help="How often each scene is seen.")] = 7,
+    epochs: Annotated[int, typer.Option(min=1, help="How often each scene is seen.")] = 5,
     steps: Annotated[int | None, typer.Option(min=1, help="Stop after so many steps (default: at the end).")] = None,
     as_json: Json = False,
 ) -> None:

@@ -196,6 +196,7 @@ def _gated(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: 
     """HiVT's update of ``x``: a gate weighs what was gathered against its own."""
     normed = _norm(p, f"{name}.norm", x, xp)
     gathered = _attend(p, name, normed, others, relative, there, xp)
-    gate = 1.0 / (1.0 + xp.exp(-(_linear(p, f"{name}.new", gathered) + _linear(p, f"{name}.old", normed))))
+    gate = _linear(p, f"{name}.new", gathered) + _linear(p, f"{name}.old", normed)
+    gate = 0.5 + 0.5 * xp.tanh(0.5 * gate)  # the logistic function; its gradient is finite everywhere
     x = x + gathered + gate * (_linear(p, f"{name}.self", normed) - gathered)
     return x + _onward(p, name, x, xp)

@@ -23,7 +23,7 @@ from sumo_adv.transformer.predictor import write_weights
 from sumo_adv.transformer.scene import Features
 
 BATCH = 32  # scenes a step
-RATE, WARM_STEPS, DECAY = 1.5e-3, 300, 1e-4  # of AdamW: the highest rate, reached after so many steps; weight decay
+RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate, reached after so many steps; weight decay
 STANDING = 0.3  # weight in the loss of a vehicle that does not move, which is easy to predict
 CLIP = 5.0  # norm of the gradient
 KEEP_EVERY = 200  # steps between two stored states

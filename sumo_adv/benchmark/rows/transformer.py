@@ -3,10 +3,10 @@
 What it is: a network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
 the shortlist at every delay. Each mode is a candidate, and so are ``DRAWN`` draws of its Laplace distribution, which
 are off it by the same share of the scale at all steps. The project's f_traj makes each feasible: the vehicle follows
-the prediction along its way, within the limits of any adversary. The ego is predicted by its driver's model, answering to
-that very motion. Candidates that collide and are not ruled out (rear-end, off the road, third parties) come first, the
-likelier the earlier; then those with the least TTC and distance. Of each mode the most dangerous candidate is tried
-before a second one.
+the prediction along its way, within the limits of any adversary. The ego is predicted by its driver's model, answering
+to that very motion. Candidates that collide and are not ruled out (rear-end, off the road, third parties) come first,
+the likelier the earlier; then those with the least TTC and distance. Of each mode the most dangerous candidate is
+tried before a second one.
 Limits: it predicts how vehicles do drive, and a likely future is seldom dangerous; the network has seen SUMO's drivers
 alone; the motion is fixed at the takeover and never answers to the ego.
 Citation: Zhou, Ye, Wang, Wu and Lu 2022, "HiVT: Hierarchical Vector Transformer for Multi-Agent Motion Prediction",
