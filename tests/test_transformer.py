@@ -48,7 +48,7 @@ from sumo_adv.transformer.scene import (
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.training_scenes import scene_of_record
 
-LANE = 3.2  # m, of straight_3lane, whose lanes lie at y = -3.2, 0 and 3.2
+LANE = 3.2  # m, of straight_3lane; its lanes lie at y = -3.2, 0 and 3.2
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +200,7 @@ def test_the_same_seed_makes_the_same_scenes_and_the_folder_goes_on(made: Path, 
 
 
 def test_scenes_are_what_happened(made: Path) -> None:
-    """Nobody drives faster than 40 m/s or jumps, and a vehicle's future goes on from where it is."""
+    """No vehicle drives faster than 40 m/s or jumps, and its future goes on from where it is."""
     scenes = load(made, TRAIN)
     steps = np.diff(scenes.future, axis=2, prepend=0.0)[scenes.known & (scenes.features.there[:, :, None] > 0.0)]
     assert len(scenes) > 20 and np.hypot(*steps.T).max() < 4.0
@@ -214,7 +214,7 @@ def test_a_folder_without_scenes_is_told(tmp_path: Path) -> None:
 
 
 def test_a_record_gives_the_vehicles_near_its_ego() -> None:
-    """Of ``straight``: the ego at 32 m with 12 m/s, its leader, the parked one; not the one that is seen later."""
+    """Of ``straight``: the ego at 32 m with 12 m/s, its leader, the parked car; not the car that is seen later."""
     found = scene_of_record(record_of(straight(), "a record"))
     assert found is not None
     f, future, known, followed = found

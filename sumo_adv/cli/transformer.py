@@ -61,7 +61,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder; the same one goes on.")] = Path("runs/transformer"),
     seed: Annotated[int, typer.Option(min=0, help="Of the first weights and the order of scenes.")] = 0,
     epochs: Annotated[int, typer.Option(min=1, help="How often each scene is seen.")] = 5,
-    steps: Annotated[int | None, typer.Option(min=1, help="Stop after so many steps (default: at the end).")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Maximum number of steps now (default: all).")] = None,
     as_json: Json = False,
 ) -> None:
     """Train on scenes (extra train: JAX, on one thread of the CPU), from where the folder's training stands."""

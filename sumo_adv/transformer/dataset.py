@@ -35,9 +35,9 @@ HELD_OUT_SHARE = 8  # runs to train on for each held-out one
 TRAIN, HELD_OUT = "train", "held_out"  # how the names of files begin
 FOCUSES = 2  # scenes at a moment of a run
 NEAR_FOCUS = 150.0  # m: a scene is the vehicles that are this near to the one in its middle
-STANDS, KEPT = 0.5, 0.15  # m/s; the share of scenes in whose middle a vehicle stands that is kept
+STANDS, KEPT = 0.5, 0.15  # m/s; the share of the scenes around a standing vehicle that is kept
 MOVES = 2.0  # m in 8 s: a vehicle that goes less far stands
-UNKNOWN = 0.3  # share of the other vehicles whose traffic light is not told, as in an encounter
+UNKNOWN = 0.3  # share of the vehicles, the middle one aside, with an unknown traffic light, as in an encounter
 WAYS = 6  # that lane following tries
 
 

@@ -1,10 +1,9 @@
 """How good the predictions are, on vehicles of held-out networks, beside two simple predictors.
 
 minADE and minFDE: the mean and the last distance [m] between what happened and the nearest of up to six predictions,
-each measure with its own nearest one; miss rate: the share of vehicles whose nearest last position is more than
-``MISS`` away; ADE and FDE: those of the likeliest prediction alone. Constant velocity has one prediction; lane
-following has one for each way on from the vehicle's lane, the straightest first. Vehicles count whose whole future is
-known and that move.
+each measure with its own nearest one; miss rate: the share of vehicles with a minFDE of more than ``MISS``; ADE and
+FDE: those of the likeliest prediction alone. Constant velocity has one prediction; lane following has one for each way
+on from the vehicle's lane, the straightest first. A vehicle counts if it moves and its whole future is known.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ AT_ONCE = 64  # scenes
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One predictor's figures, [m] but for the miss rate, over so many ``vehicles``."""
+    """One predictor's figures, [m] but for the miss rate; ``vehicles``: how many they are means of."""
 
     predictor: str
     min_ade: float

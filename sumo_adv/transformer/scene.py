@@ -30,9 +30,9 @@ LANES = 40  # lane segments that a vehicle attends to
 SEGMENT, INNER_SEGMENT = 12.0, 6.0  # m: length of a lane segment on roads and on junctions
 METRES, SPEED = 10.0, 10.0  # m, m/s: scales of the features
 LENGTH, WIDTH, LIMIT, LIGHT_DISTANCE = 5.0, 2.0, 20.0, 50.0  # m, m, m/s, m: the same
-AHEAD_SPEED = 6.0  # m/s: by each of these that a vehicle is faster, lanes ahead of it count as so much nearer
-BEHIND = 1.5  # and lanes behind it as so much further away
-TURNED = 5.0  # m by which a lane counts as further away for a direction at right angles to the vehicle's
+AHEAD_SPEED = 6.0  # m/s: distances ahead are divided by 1 + speed / this, where lanes are chosen
+BEHIND = 1.5  # factor of distances behind a vehicle, where lanes are chosen
+TURNED = 5.0  # m that are added for a lane at right angles to the vehicle, where lanes are chosen
 OUT_OF_SIGHT = 250.0  # m: farther lanes are left out; 8 s at 31 m/s
 
 
@@ -156,11 +156,11 @@ def features(agents: Agents, segments: Segments) -> Features:
     here = agents.past[:, -1]
     apart = (here[None, :, :] - here[:, None, :]) @ turn  # (n, n, 2): of the second in the frame of the first
     far = np.hypot(*np.moveaxis(apart, 2, 0)) + np.where(np.eye(n, dtype=bool), np.inf, 0.0)
-    who = np.argsort(far, axis=1, kind="stable")[:, : min(NEAR, n - 1)]
+    chosen = np.argsort(far, axis=1, kind="stable")[:, : min(NEAR, n - 1)]
     steps = _displacements(agents.past)  # (n, TOKENS, 2, 2) in the world
     known = np.asarray(np.isfinite(steps).all(axis=(2, 3)))
     own = np.where(known[..., None], (steps @ turn[:, None]).reshape(n, TOKENS, 4), 0.0)
-    near, near_there = _neighbours(agents, turn, who, steps, known)
+    near, near_there = _neighbours(agents, turn, chosen, steps, known)
     lanes, lanes_there = _lanes(agents, turn, segments)
     between = agents.heading[None, :] - agents.heading[:, None]
     pairs = np.concatenate([apart / (2 * METRES), np.cos(between)[..., None], np.sin(between)[..., None]], axis=2)
@@ -196,13 +196,16 @@ def _displacements(past: Floats) -> Floats:
     return np.diff(past, axis=1).reshape(len(past), TOKENS, 2, 2)
 
 
-def _neighbours(agents: Agents, turn: Floats, who: Ints, steps: Floats, known: Bools) -> tuple[Floats, Floats]:
-    """``Features.near`` and ``near_there`` of ``who`` ``(n, k)``; positions are those at the end of each token."""
+def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known: Bools) -> tuple[Floats, Floats]:
+    """``Features.near`` and ``near_there`` of the neighbours ``chosen`` ``(n, k)``.
+
+    Positions are those at the end of each token.
+    """
     at = agents.past[:, 2::2]  # (n, TOKENS, 2)
-    position = (at[who] - at[:, None]) @ turn[:, None]  # (n, k, TOKENS, 2)
-    moved = (steps[who] @ turn[:, None, None]).reshape(*who.shape, TOKENS, 4)
-    size = np.broadcast_to((agents.size / (LENGTH, WIDTH))[who][:, :, None], (*who.shape, TOKENS, 2))
-    there = known[who] & known[:, None]
+    position = (at[chosen] - at[:, None]) @ turn[:, None]  # (n, k, TOKENS, 2)
+    moved = (steps[chosen] @ turn[:, None, None]).reshape(*chosen.shape, TOKENS, 4)
+    size = np.broadcast_to((agents.size / (LENGTH, WIDTH))[chosen][:, :, None], (*chosen.shape, TOKENS, 2))
+    there = known[chosen] & known[:, None]
     columns = np.where(there[..., None], np.concatenate([position / METRES, moved, size], axis=3), 0.0)
     return np.swapaxes(columns, 1, 2), np.swapaxes(there, 1, 2).astype(float)
 

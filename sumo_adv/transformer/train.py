@@ -23,7 +23,7 @@ from sumo_adv.transformer.predictor import write_weights
 from sumo_adv.transformer.scene import Features
 
 BATCH = 32  # scenes a step
-RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate, reached after so many steps; weight decay
+RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate; the step at which it is reached; weight decay
 STANDING = 0.3  # weight in the loss of a vehicle that does not move, which is easy to predict
 CLIP = 5.0  # norm of the gradient
 KEEP_EVERY = 200  # steps between two stored states
@@ -76,7 +76,7 @@ def train(scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Pro
 
 
 def loss(parameters: Any, f: Features, future: Any, known: Any, xp: Any = np) -> Any:
-    """The mean loss of the vehicles whose future is known, of many scenes; arrays as in ``Scenes``."""
+    """The mean loss over the vehicles with a known future, of many scenes; arrays as in ``Scenes``."""
     modes = forward(parameters, f, xp)
     known = known.astype(future.dtype)
     count = known.sum(axis=-1)

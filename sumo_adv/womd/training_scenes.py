@@ -1,4 +1,4 @@
-"""Scenes for the motion predictor from Waymo records: for a user's own training, whose weights are never shipped.
+"""Scenes for the motion predictor from Waymo records: for a user's own training. Weights from them are never shipped.
 
 A record has 1.1 s of history, which ends at its current step, and up to 8 s of future. Its lanes are the map's own.
 Lights are taken as unknown, and lanes that others join or leave as being on a junction where the map interpolates them.

@@ -145,6 +145,6 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
 
 
 def _danger(prediction: Prediction, one: _Drawn) -> tuple[bool, bool, float, float, float]:
-    """Sorts the most dangerous first. How hard a collision is, and who could avoid it, do not count."""
+    """Sorts the most dangerous first. The severity of a collision and the drivers that avoid it do not count."""
     misses = prediction.level < Level.COLLISION
     return misses, prediction.hopeless, prediction.min_ttc, prediction.gap * misses, -one.likelihood
