@@ -25,6 +25,7 @@ from sumo_adv.transformer.dataset import (
     load,
     make,
     scene_of,
+    scenes_of,
     together,
 )
 from sumo_adv.transformer.evaluate import evaluate
@@ -45,6 +46,7 @@ from sumo_adv.transformer.scene import (
     to_local,
     to_world,
 )
+from sumo_adv.transformer.traffic import record
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.training_scenes import scene_of_record
 
@@ -244,9 +246,15 @@ def test_a_car_that_keeps_its_speed_is_no_problem_for_constant_velocity(road: Ro
         assert (slow.min_ade, slow.min_fde, slow.miss_rate) == pytest.approx((2.025, 4.0, 1.0), abs=1e-3)
 
 
-def test_the_shipped_weights_beat_constant_velocity_and_lane_following(made: Path) -> None:
-    scores = {s.predictor: s for s in evaluate(read_weights(SHIPPED), load(made, HELD_OUT))}
+def test_the_shipped_weights_beat_constant_velocity_and_lane_following(tmp_path: Path) -> None:
+    """On a generated network that is held out."""
+    run = record(1, 3, tmp_path, held_out=True, seconds=75.0)
+    assert run.network.parent == tmp_path
+    scenes = scenes_of(run, np.random.default_rng(0), held_out=True)
+    assert scenes is not None
+    scores = {s.predictor: s for s in evaluate(read_weights(SHIPPED), scenes)}
     ours = scores["transformer"]
+    assert ours.vehicles > 50
     for other in ("constant velocity", "lane following"):
         assert ours.min_ade < 0.8 * scores[other].min_ade and ours.min_fde < 0.8 * scores[other].min_fde
         assert ours.miss_rate < scores[other].miss_rate
