@@ -61,7 +61,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder; the same one goes on.")] = Path("runs/transformer"),
     seed: Annotated[int, typer.Option(min=0, help="Of the first weights and the order of scenes.")] = 0,
     epochs: Annotated[int, typer.Option(min=1, help="How often each scene is seen.")] = 5,
-    steps: Annotated[int | None, typer.Option(min=1, help="Maximum number of steps now (default: all).")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="End after these steps (default: after the epochs).")] = None,
     as_json: Json = False,
 ) -> None:
     """Train on scenes (extra train: JAX, on one thread of the CPU), from where the folder's training stands."""
@@ -72,7 +72,7 @@ def train(
     with sentences(out), _going_on():
         found = load(scenes, TRAIN)
         out.mkdir(parents=True, exist_ok=True)
-        weights = run(found, out, seed=seed, epochs=epochs, most=steps, progress=_progress("steps"))
+        weights = run(found, out, seed=seed, epochs=epochs, steps=steps, progress=_progress("steps"))
     typer.echo(json.dumps({"weights": str(weights)}) if as_json else f"The weights are in {weights}.")
 
 

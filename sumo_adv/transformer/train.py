@@ -26,6 +26,7 @@ BATCH = 32  # scenes a step
 RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate; the step at which it is reached; weight decay
 STANDING = 0.3  # weight in the loss of a vehicle that does not move, which is easy to predict
 CLIP = 5.0  # norm of the gradient
+COOL_STEPS = 1000  # the last ones, over which the rate goes to 0 wherever the training ends
 KEEP_EVERY = 200  # steps between two stored states
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 PARAMETER, MOMENT = "parameter/", "optimiser/"  # of names in the stored state
@@ -34,8 +35,13 @@ Progress = Callable[[int, int, float], None]
 """Told the step, the number of steps and the mean loss since it was told before, at every stored state."""
 
 
-def train(scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Progress, most: int | None = None) -> Path:
-    """Train to the end, or for ``most`` steps from where the folder's training stands; returns the weights' file.
+def train(
+    scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Progress, steps: int | None = None,
+    keep_every: int = KEEP_EVERY,
+) -> Path:  # fmt: skip
+    """Train from where the folder's training stands; returns the weights' file.
+
+    steps: ends after this number of steps in all, in place of that of the ``epochs``.
 
     Raises:
         UsageError: JAX or optax is not installed; there are too few scenes; the folder holds another training.
@@ -44,8 +50,13 @@ def train(scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Pro
     total = epochs * (len(scenes) // BATCH)
     if not total:
         raise UsageError(f"{len(scenes)} scenes are too few: a step of the training takes {BATCH}.")
-    warm = min(WARM_STEPS, total // 2)
-    schedule = optax.warmup_cosine_decay_schedule(0.0, RATE, warm, total)
+    end = total if steps is None else min(steps, total)
+    cosine = optax.warmup_cosine_decay_schedule(0.0, RATE, min(WARM_STEPS, total // 2), total)
+    cool = min(COOL_STEPS, end)
+
+    def schedule(step: Any) -> Any:
+        return cosine(step) * jax.numpy.clip((end - step) / cool, 0.0, 1.0)
+
     optimiser = optax.chain(optax.clip_by_global_norm(CLIP), optax.adamw(schedule, weight_decay=DECAY))
     gradient = jax.value_and_grad(lambda parameters, f, future, known: loss(parameters, f, future, known, jax.numpy))
 
@@ -55,21 +66,21 @@ def train(scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Pro
         updates, state = optimiser.update(slope, state, parameters)
         return optax.apply_updates(parameters, updates), state, value
 
-    what = f"seed {seed}, {epochs} epochs, {len(scenes)} scenes, {digest(scenes)}"
+    what = f"seed {seed}, {epochs} epochs, {end} steps, {len(scenes)} scenes, {digest(scenes)}"
     stored = folder / "state.npz"
     parameters: Any = make_parameters(seed)
     state = optimiser.init(parameters)
     step = 0
     if stored.exists():
         step, parameters, state = _restore(stored, what, parameters, state, jax)
-    end, lately = total if most is None else min(total, step + most), []
+    lately: list[float] = []
     for batch in _batches(scenes, seed, step, end):
         parameters, state, value = advance(parameters, state, *batch)
         lately.append(float(value))
         step += 1
-        if step % KEEP_EVERY == 0 or step == end:
+        if step % keep_every == 0 or step == end:
             _keep(stored, what, step, parameters, jax.tree_util.tree_leaves(state))
-            progress(step, total, sum(lately) / len(lately))
+            progress(step, end, sum(lately) / len(lately))
             lately.clear()
     write_weights(parameters, folder / "weights.npz")
     return folder / "weights.npz"
