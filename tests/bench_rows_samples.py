@@ -11,6 +11,7 @@ from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, LibraryEntry, Proposal, Verdict
 from sumo_adv.planners.source import make_planner
+from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, Target
 
@@ -21,6 +22,8 @@ PARAMETERS = {"gap": (2.0, -3.0, 4.0, "m", "where")}
 def endpoint(bv, ego, road, parameters, acc, horizon):
     return {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 1.0, "time": 1.0}
 """
+
+NETWORK = data_folder("networks") / "straight_3lane.net.xml"
 
 
 def entry(label: str, applies: tuple[str, ...], modes: Sequence[str] = ("side",)) -> LibraryEntry:
@@ -53,7 +56,7 @@ def encounter(
 ) -> Encounter:
     """The hand-made situation with these vehicles at every delay; ``changed`` goes to ``situation``."""
     one: Situation = situation(targets, **changed)
-    return Encounter(dict.fromkeys(delays, one), library, everywhere(), Settings(), seed)
+    return Encounter(dict.fromkeys(delays, one), library, everywhere(), Settings(), seed, NETWORK)
 
 
 def attempt(proposal: Proposal, index: int = 0, **changed: Any) -> Attempt:

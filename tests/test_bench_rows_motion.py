@@ -248,3 +248,34 @@ def test_a_motion_into_a_third_vehicle_is_unlikely() -> None:
     free = _begun(Resampling(), one)._drawn[0].prior.sum()
     walled = replace(one, situations={0.0: changed(one.situations[0.0], others=(wall,))})
     assert _begun(Resampling(), walled)._drawn[0].prior.sum() < 0.8 * free
+
+
+# -- the Transformer
+
+
+def test_predicted_motions_are_feasible_and_the_most_dangerous_comes_first() -> None:
+    """A car 20 m ahead in the lane to the left: six modes and three draws of each, at one delay."""
+    from sumo_adv.benchmark.rows.transformer import DRAWN, Transformer
+    from sumo_adv.transformer.model import MODES
+
+    bv, row = neighbour(), Transformer()
+    row.begin(encounter([bv]))
+    proposals = asked(row, 100)
+    assert len(proposals) == MODES * (1 + DRAWN)
+    assert all(p.bv == "bv" and p.by == "transformer" for p in proposals)
+    assert [gates(bv, course_of(p)) for p in proposals[:8]] == [()] * 8
+    again = Transformer()
+    again.begin(encounter([bv]))
+    assert course_of(again.propose([])).x.tolist() == course_of(proposals[0]).x.tolist()
+    # Against an ego that keeps its 10 m/s, the first ones come nearer than the last ones.
+    ego_x = 10.0 * DT * np.arange(1, 120)
+    nearest = [float(np.hypot(course_of(p).x - ego_x, course_of(p).y).min()) for p in proposals]
+    assert min(nearest[:6]) <= min(nearest[-6:])
+
+
+def test_an_encounter_without_vehicles_of_the_shortlist_has_nothing_to_try() -> None:
+    from sumo_adv.benchmark.rows.transformer import Transformer
+
+    row = Transformer()
+    row.begin(replace(encounter([neighbour()]), situations={}))
+    assert row.propose([]) is None

@@ -23,7 +23,7 @@ def test_the_table_of_smoke(program: Program) -> None:
     """In no encounter the ego is in danger unattacked; with three attempts the expert makes most of them critical."""
     done = program(
         "bench", "table", "--suite", "smoke", "--ego", "idm", "--row", "raw", "--row", "expert", "--row", "random",
-        "--attempts", "3", "--set", "proposals=40", "--out", "out",
+        "--row", "transformer", "--attempts", "3", "--set", "proposals=40", "--out", "out",
     )  # fmt: skip
     assert done.status == 0, done.err
     with (program.folder / "out" / "table.csv").open(newline="", encoding="utf-8") as file:
@@ -31,5 +31,8 @@ def test_the_table_of_smoke(program: Program) -> None:
     assert {figures[row, "critical"]["n"] for row in ("raw", "expert", "random")} == {"6"}
     assert float(figures["raw", "critical"]["value"]) == 0.0
     assert float(figures["expert", "critical"]["value"]) >= 3 / 6
-    assert all(float(figures[row, "failed"]["value"]) == 0.0 for row in ("raw", "expert", "random"))
+    assert all(float(figures[r, "failed"]["value"]) == 0.0 for r in ("raw", "expert", "random", "transformer"))
+    assert float(figures["transformer", "critical"]["value"]) >= 1 / 6
+    text = (program.folder / "out" / "table.md").read_text(encoding="utf-8")
+    assert "| Transformer | 1.73 | 0.41 | `transformer` |" in text
     assert len(list((program.folder / "out" / "figures").glob("*.png"))) >= 3

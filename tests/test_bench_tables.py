@@ -218,22 +218,21 @@ def test_files(tmp_path: Path) -> None:
     assert {p.name for p in written} == {p.name for p in (tmp_path / "out").iterdir()}
     text = (tmp_path / "out/table.md").read_text()
     assert "| `expert` | 4 | 0.50 (0.15–0.85) | 0.50 (0.15–0.85) | 0.25 (0.05–0.70) |" in text
-    assert "| `transformer` | a later issue |" in text
     assert "| LLM-A (R1) | 1.08 | 0.75 |" in text and "| Raw | 1.62 | 0.00 | `raw` | 10.00 (10.00–10.00) |" in text
     with (tmp_path / "out/table.csv").open() as file:
         rows = {(r["part"], r["row"], r["column"]): r for r in csv.DictReader(file)}
     assert float(rows["all", "expert", "valid"]["value"]) == 0.25 and rows["all", "expert", "valid"]["n"] == "4"
     document = json.loads((tmp_path / "out/table.json").read_text())
-    assert document["later"] == {"transformer": "a later issue"} and len(document["entries"]) == len(rows)
+    assert len(document["entries"]) == len(rows)
     manifest = json.loads((tmp_path / "out/table.manifest.json").read_text())
     assert manifest["content"] == "c0ffee" and manifest["cells"] == 5 and manifest["bank_hash"] == "ba4c"
 
 
 def test_rows_may_be_explained() -> None:
     cells = [*four("expert"), *four("expert+replan=60")]
-    table = make_table(cells, title="Made", reference="expert", words={"expert+replan=60": "no replanning"}, later={})
+    table = make_table(cells, title="Made", reference="expert", words={"expert+replan=60": "no replanning"})
     text = to_markdown(table)
-    assert "| `expert+replan=60` | no replanning |" in text and "transformer` | a later" not in text
+    assert "| `expert+replan=60` | no replanning |" in text
     assert "### Differences to `expert`" in text
 
 

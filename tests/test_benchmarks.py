@@ -122,3 +122,10 @@ def test_prediction_says_of_how_many_attacks_it_foresaw_what_came(program: Progr
     count, touch, valid, least, mean, most = map(float, whole.split()[1:])
     assert count == 3 and {touch, valid} <= {0.0, 0.33, 0.67, 1.0}
     assert 0.0 <= least <= mean <= most <= 12.1
+
+
+def test_prediction_time_has_a_row_for_each_network(program: Program) -> None:
+    """Over its bound (status 1) is allowed, where others use the machine."""
+    rows = printed(program, "prediction_time.py", "--scenes", "2", statuses=(0, 1)).splitlines()
+    assert [row.split()[0] for row in rows] == ["straight_3lane", "signalised_wide", "roundabout_large"]
+    assert all(0.1 < float(row.split()[5]) < 1000.0 for row in rows)

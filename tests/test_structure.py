@@ -14,7 +14,7 @@ PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
     ("datatypes", "errors", "files", "geometry", "goal", "parsing", "situation"),
     ("config", "config_model", "config_odd", "metrics", "simulation", "memory"),
-    ("drivers", "llm"),
+    ("drivers", "llm", "transformer"),
     ("planners",),
     ("search",),
     ("agents",),

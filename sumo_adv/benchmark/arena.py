@@ -170,7 +170,8 @@ class Arena:
         settings, first = self.episode.settings, found.first
         now = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
         library, _ = read_library(bank, now, settings.seed)
-        return Encounter(found.situations, library, found.drivable, settings, settings.seed)
+        network = self.episode.task.spec.network
+        return Encounter(found.situations, library, found.drivable, settings, settings.seed, network)
 
 
 class _Clock:

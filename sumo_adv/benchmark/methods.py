@@ -21,7 +21,7 @@ from typing import Any
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.errors import UsageError
 
-RAW, TRANSFORMER = "raw", "transformer"
+RAW = "raw"
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
 OWN = ("expert", "llm-a", "llm-f")
 GIVEN_ELSEWHERE = (
@@ -75,10 +75,8 @@ def method_of(row: str) -> Method | None:
     """
     base, *changes = row.split("+")
     kind, _, model = base.partition(":")
-    if kind not in (*OWN, RAW, TRANSFORMER) or (model and kind not in ("llm-a", "llm-f")):
+    if kind not in (*OWN, RAW) or (model and kind not in ("llm-a", "llm-f")):
         return None
-    if kind == TRANSFORMER:
-        raise UsageError(f"The row '{kind}' is a place that tables keep for the paper's baseline; it is not built yet.")
     if kind == RAW:
         if changes:
             raise UsageError(f"The row '{row}' has no settings to change; say just '{kind}'.")

@@ -43,13 +43,17 @@ class Suite:
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """What an opponent sees: a situation for each delay [s] after the trigger at which an attack may begin."""
+    """What an opponent sees: a situation for each delay [s] after the trigger at which an attack may begin.
+
+    network: the net.xml, for more of the road than the situations hold.
+    """
 
     situations: Mapping[float, Situation]
     library: Sequence[LibraryEntry]
     drivable: Drivable
     settings: Settings
     seed: int
+    network: Path
 
 
 class Opponent(Protocol):

@@ -55,7 +55,8 @@ def table(
         list[str] | None,
         typer.Option(
             help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed, fixed:LABEL, oracle, "
-            f"random_search, cma, bezier, resampling, module:Class; repeatable (default: {', '.join(ROWS)})."
+            "random_search, cma, bezier, resampling, transformer, transformer:FILE, module:Class; "
+            f"repeatable (default: {', '.join(ROWS)})."
         ),
     ] = None,
     seed: Seed = 0,
@@ -302,7 +303,7 @@ def _write(
 ) -> None:  # fmt: skip
     """The table's files; its main columns on stdout."""
     from sumo_adv.benchmark.methods import growing_banks
-    from sumo_adv.benchmark.tables.compute import LATER, make_table
+    from sumo_adv.benchmark.tables.compute import make_table
     from sumo_adv.benchmark.tables.plots import draw_all
     from sumo_adv.benchmark.tables.screen import table_text
     from sumo_adv.benchmark.tables.write import write_table
@@ -311,7 +312,7 @@ def _write(
     made = make_table(
         cells, title=f"{chosen.name}, {len(chosen.cases)} encounters", cases=chosen.cases, egos=request.egos,
         rows=request.rows, reference=reference, words=words or {},
-        later=LATER if words is None else {}, notes=growing_banks(request.rows),
+        notes=growing_banks(request.rows),
     )  # fmt: skip
     files = write_table(made, cells, means.folder, _about(request, means), name)
     files += draw_all(cells, means.folder / "figures", request.rows)

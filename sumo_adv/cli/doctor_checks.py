@@ -26,6 +26,7 @@ EXTRAS = (
     ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
     ("ray", "ray", "batches on several machines"), ("cma", "bench", "the benchmark's row cma"),
     ("fiss_planner", "planners", "the ego fiss_plus"), ("gymnasium", "gym", "the environments"),
+    ("optax", "train", "training the row transformer"),
 )  # fmt: skip
 PROMPT = 30.0  # s for a program to answer
 CONTAINERS = ("/.dockerenv", "/run/.containerenv")

@@ -28,6 +28,7 @@ from sumo_adv.cli import (
     run,
     scenarios,
     serve,
+    transformer,
 )
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
@@ -57,6 +58,7 @@ app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
 app.add_typer(batch.app, name="batch")
 app.add_typer(bench.app, name="bench")
 app.add_typer(memory.app, name="memory")
+app.add_typer(transformer.app, name="transformer")
 
 
 def _version(wanted: bool) -> None:

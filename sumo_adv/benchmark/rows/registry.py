@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 from sumo_adv.benchmark.nouns import Opponent
 from sumo_adv.benchmark.rows.bezier import Bezier
@@ -12,20 +13,22 @@ from sumo_adv.benchmark.rows.oracle import Oracle
 from sumo_adv.benchmark.rows.random_intent import RandomIntent
 from sumo_adv.benchmark.rows.random_search import RandomSearch
 from sumo_adv.benchmark.rows.resampling import Resampling
+from sumo_adv.benchmark.rows.transformer import Transformer
 from sumo_adv.benchmark.rows.user import UserRow
 from sumo_adv.errors import UsageError
 
 ROWS: Mapping[str, Callable[[], Opponent]] = {
     "random": RandomIntent, "oracle": Oracle, "random_search": RandomSearch, "cma": Cma, "bezier": Bezier,
-    "resampling": Resampling,
+    "resampling": Resampling, "transformer": Transformer,
 }  # fmt: skip
 FIXED = "fixed:"
+WEIGHTS = "transformer:"
 EVERY_FIXED = tuple(FIXED + label.lower().replace(" ", "-") for label in LABELS)
 """What ``fixed`` alone means: each behaviour as a row of its own."""
 
 
 def make_row(text: str) -> Opponent:
-    """The opponent that ``text`` names: one of ``ROWS``, ``fixed:LABEL`` or ``module:Class``.
+    """The opponent that ``text`` names: one of ``ROWS``, ``fixed:LABEL``, ``transformer:FILE`` or ``module:Class``.
 
     Case and signs of a LABEL do not matter (``fixed:aggressive-cut-in``). Raises UsageError.
     """
@@ -33,6 +36,8 @@ def make_row(text: str) -> Opponent:
         return ROWS[text]()
     if text.startswith(FIXED):
         return FixedIntent(_label(text.removeprefix(FIXED)))
+    if text.startswith(WEIGHTS):
+        return Transformer(Path(text.removeprefix(WEIGHTS)))
     if ":" in text:
         return UserRow(text)
     raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, fixed, fixed:LABEL or module:Class.")

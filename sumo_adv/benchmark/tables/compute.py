@@ -10,7 +10,6 @@ from sumo_adv.benchmark.tables.cells import RAW, Key, counted, first_valid, is_r
 from sumo_adv.benchmark.tables.columns import BY_PART, COLUMNS, RATE, Column
 from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap, wilson
 
-LATER = {"transformer": "a later issue"}
 FIXED, BEST_FIXED = "fixed:", "best-fixed"
 SHOWN = 6  # names of missing encounters in a sentence
 
@@ -42,7 +41,6 @@ class Table:
     sizes: Mapping[tuple[str, str, str], int]
     reference: str | None
     notes: tuple[str, ...] = ()
-    later: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
 
     def parts(self, ego: str) -> list[str]:
@@ -63,7 +61,6 @@ def make_table(
     rows: Sequence[str] | None = None,
     reference: str | None = None,
     columns: Sequence[Column] = COLUMNS,
-    later: Mapping[str, str] = LATER,
     words: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Table:
@@ -89,8 +86,7 @@ def make_table(
             entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
     notes = (*notes, *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
-    left = {row: why for row, why in later.items() if row not in shown}
-    return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, left, words or {})
+    return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, words or {})
 
 
 def best_fixed(cells: Sequence[Cell]) -> tuple[list[Cell], list[str]]:

@@ -72,8 +72,6 @@ def _section(table: Table, ego: str, section: str) -> list[str]:
             rows.append([f"`{row}`", str(size), *shown])
     if not rows:
         return []
-    first = section == SECTIONS[0]
-    rows += [[f"`{row}`", why, *[NONE] * len(columns)] for row, why in table.later.items() if first]
     return [f"### {section}", "", *grid(["row", "n", *(c.title for c in columns)], rows)]
 
 
@@ -114,12 +112,10 @@ def _beside_the_paper(table: Table, ego: str) -> list[str]:
     keys = ("mean_min_ttc", "collision", "paper_collision")
     rows = []
     for reported in paper.TABLE_I:
-        ours = [row for row in (*table.rows, *table.later) if paper.counterpart(row) == reported.row]
+        ours = [row for row in table.rows if paper.counterpart(row) == reported.row]
         for row in ours or [NONE]:
             entries = [table.entry(ego, "all", row, k) for k in keys]
-            shown = (
-                [table.later[row]] * 3 if row in table.later else [number(e.estimate if e else None) for e in entries]
-            )
+            shown = [number(e.estimate if e else None) for e in entries]
             name = row if row == NONE else f"`{row}`"
             rows.append([reported.row, f"{reported.mean_min_ttc:.2f}", f"{reported.collision:.2f}", name, *shown])
     head = ["the paper's row (Table I)", "mean min TTC [s]", "collision rate", "our row"]

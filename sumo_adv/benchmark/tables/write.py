@@ -127,6 +127,6 @@ def _document(table: Table) -> dict[str, Any]:
     sizes = [{"ego": e, "part": p, "row": r, "cells": n} for (e, p, r), n in table.sizes.items()]
     return {
         "schema": SCHEMA, "title": table.title, "reference": table.reference, "rows": table.rows,
-        "later": dict(table.later), "words": dict(table.words), "notes": table.notes, "columns": columns,
+        "words": dict(table.words), "notes": table.notes, "columns": columns,
         "sizes": sizes, "entries": _records(table),
     }  # fmt: skip

@@ -1,0 +1,150 @@
+"""Transformer: the futures that a trained motion predictor gives the background vehicle, the most dangerous first.
+
+What it is: a network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
+the shortlist at every delay. Each mode is a candidate, and so are ``DRAWN`` draws of its Laplace distribution, which
+are off it by the same share of the scale at all steps. The project's f_traj makes each feasible: the vehicle follows
+the prediction along its way, within the limits of any adversary. The ego is predicted by its driver's model, answering
+to that very motion. Candidates that collide and are not ruled out (rear-end, off the road, third parties) come first,
+the likelier the earlier; then those with the least TTC and distance. Of each mode the most dangerous candidate is
+tried before a second one.
+Limits: it predicts how vehicles do drive, and a likely future is seldom dangerous; the network has seen SUMO's drivers
+alone; the motion is fixed at the takeover and never answers to the ego.
+Citation: Zhou, Ye, Wang, Wu and Lu 2022, "HiVT: Hierarchical Vector Transformer for Multi-Agent Motion Prediction",
+CVPR, pp. 8823-8833: the predictor. Mei, Nie, Sun and Tian, "Seeking to Collide", section IV-C: the most dangerous of
+its candidates is taken.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import Encounter, course_proposal
+from sumo_adv.datatypes import Attempt, Endpoint, Floats, Level, Planner, Prediction, PrescribedMotion, Proposal
+from sumo_adv.planners.answers import Answer
+from sumo_adv.search.rollouts import predict
+from sumo_adv.search.scoring import judge_all, touch_of
+from sumo_adv.search.settings import ScoreSettings
+from sumo_adv.simulation.network import read_network
+from sumo_adv.situation import Situation
+from sumo_adv.transformer.predictor import SHIPPED, Predicted, Predictor
+from sumo_adv.transformer.scene import FUTURE, STEP, agents_of, segments_of
+
+DRAWN = 3  # draws of each mode
+WIDEST_DRAW = 2.0  # of the scale
+STILL = 0.05  # m between two steps: a slower vehicle keeps its heading
+
+
+class Transformer:
+    """Predicts once an encounter, then tries what is most dangerous."""
+
+    def __init__(self, weights: Path = SHIPPED) -> None:
+        """Raises UsageError if the file holds no weights."""
+        self.name = "transformer" if weights == SHIPPED else f"transformer:{weights}"
+        self._predictor = Predictor(weights)
+        self._proposals: list[Proposal] = []
+
+    def begin(self, encounter: Encounter) -> None:
+        """Predict, make feasible, and order."""
+        segments = segments_of(read_network(encounter.network))
+        rng = np.random.default_rng(encounter.seed)
+        drawn: list[_Drawn] = []
+        for delay, situation in sorted(encounter.situations.items()):
+            names, agents = agents_of(situation)
+            predicted = self._predictor.predict(agents, segments)
+            drawn += [
+                one
+                for k, name in enumerate(names)
+                if name in situation.targets
+                for one in _draws(delay, situation, name, predicted, k, rng)
+            ]
+        self._proposals = _ordered(encounter, drawn, self.name)
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        """The most dangerous that was not tried."""
+        return self._proposals[len(tried)] if len(tried) < len(self._proposals) else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """A future of one vehicle. states: x, y, heading, speed at each step after the takeover, ``(n, 4)``; likelihood: of
+    its mode, times the density of the draw against that of the mode itself."""
+
+    delay: float
+    bv: str
+    mode: int
+    likelihood: float
+    states: Floats
+
+
+def _draws(
+    delay: float, situation: Situation, bv: str, predicted: Predicted, k: int, rng: np.random.Generator
+) -> Iterator[_Drawn]:
+    """The futures of vehicle ``k`` of a prediction: each mode, and draws of it."""
+    state = situation.targets[bv].state
+    c, s = np.cos(state.heading), np.sin(state.heading)
+    to_world = np.array([[c, s], [-s, c]])
+    for mode, (place, scale) in enumerate(zip(predicted.place[k], predicted.scale[k], strict=True)):
+        for draw in range(1 + DRAWN):
+            off = np.clip(rng.laplace(size=2), -WIDEST_DRAW, WIDEST_DRAW) if draw else np.zeros(2)
+            states = _states(place + (off * scale) @ to_world, situation, bv)
+            yield _Drawn(delay, bv, mode, float(predicted.probability[k, mode] * np.exp(-np.abs(off).sum())), states)
+
+
+def _states(place: Floats, situation: Situation, bv: str) -> Floats:
+    """Positions ``STEP`` apart as states in the situation's steps, which the follower takes."""
+    state = situation.targets[bv].state
+    points = np.vstack([[state.x, state.y], place])
+    time = situation.dt * np.arange(1, round(FUTURE * STEP / situation.dt) + 1)
+    x, y = (np.interp(time, STEP * np.arange(FUTURE + 1), points[:, column]) for column in range(2))
+    dx, dy = np.diff(x, prepend=state.x), np.diff(y, prepend=state.y)
+    moved = np.hypot(dx, dy)
+    heading, last = np.empty(len(x)), state.heading
+    for k in range(len(x)):
+        last = heading[k] = np.arctan2(dy[k], dx[k]) if moved[k] > STILL else last
+    return np.column_stack([x, y, heading, moved / situation.dt])
+
+
+def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[Proposal]:
+    """What is tried, in order: each future driven by f_traj, and judged against the predicted ego."""
+    if not drawn:
+        return []
+    settings, limits = encounter.settings, encounter.settings.limits.limits()
+    planner = Planner(name, "prediction", "", (), name)
+    asked = [Proposal(one.bv, name, planner, {}, 0.0, one.delay, by=name) for one in drawn]
+    ends = [one.states[-1].tolist() for one in drawn]
+    answers = [
+        Answer(Endpoint(x, y, heading, speed, FUTURE * STEP), one.states)
+        for one, (x, y, heading, speed) in zip(drawn, ends, strict=True)
+    ]
+    steps = settings.steps(settings.duration)
+    rollouts = predict(
+        encounter.situations, asked, lambda rows, _: [a if k in rows else None for k, a in enumerate(answers)],
+        limits=limits, steps=steps, replan=steps, touch=touch_of(encounter.situations, asked),
+    )  # fmt: skip
+    judged = judge_all(encounter.situations, asked, rollouts, encounter.drivable, limits, ScoreSettings())
+    by_danger = sorted(range(len(drawn)), key=lambda k: _danger(judged[k][1], drawn[k]))
+    before: Counter[tuple[float, str, int]] = Counter()
+    order: list[tuple[bool, int, int]] = []
+    for k in by_danger:
+        one = drawn[k]
+        order.append((judged[k][1].level < Level.COLLISION, before[one.delay, one.bv, one.mode], k))
+        before[one.delay, one.bv, one.mode] += 1
+    order.sort(key=lambda placed: placed[:2])  # stable: the most dangerous of each mode, then the second ones
+    return [
+        course_proposal(
+            name, drawn[k].bv, drawn[k].delay,
+            PrescribedMotion(*(np.ascontiguousarray(column[k, 1:]) for column in rollouts.adversary)),
+        )
+        for _, _, k in order
+    ]  # fmt: skip
+
+
+def _danger(prediction: Prediction, one: _Drawn) -> tuple[bool, bool, float, float, float]:
+    """Sorts the most dangerous first. The severity of a collision and the drivers that avoid it do not count."""
+    misses = prediction.level < Level.COLLISION
+    return misses, prediction.hopeless, prediction.min_ttc, prediction.gap * misses, -one.likelihood

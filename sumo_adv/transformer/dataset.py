@@ -1,0 +1,221 @@
+"""Scenes to learn from, in files: a file a run of SUMO or a Waymo file, which later commands read."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.errors import UsageError
+from sumo_adv.files import write_text, write_whole
+from sumo_adv.geometry import PATH_STEP
+from sumo_adv.simulation.network import RoadMap, read_network
+from sumo_adv.simulation.simulation import pose_of
+from sumo_adv.transformer.scene import (
+    AGENTS,
+    FUTURE,
+    HISTORY,
+    STEP,
+    Agents,
+    Features,
+    Segments,
+    features,
+    light_of,
+    segments_of,
+    to_local,
+)
+from sumo_adv.transformer.traffic import EVERY, SECONDS, Recorded, record
+
+HELD_OUT_SHARE = 8  # runs to train on for each held-out one
+TRAIN, HELD_OUT = "train", "held_out"  # how the names of files begin
+FOCUSES = 2  # scenes at a moment of a run
+NEAR_FOCUS = 150.0  # m: a scene is the vehicles that are this near to the one in its middle
+STANDS, KEPT = 0.5, 0.15  # m/s; the share of the scenes around a standing vehicle that is kept
+MOVES = 2.0  # m in 8 s: a vehicle that goes less far stands
+UNKNOWN = 0.3  # share of the vehicles, the middle one aside, with an unknown traffic light, as in an encounter
+WAYS = 6  # that lane following tries
+
+
+@dataclass(frozen=True, slots=True)
+class Scenes:
+    """Scenes as arrays with a leading axis.
+
+    future ``(n, AGENTS, FUTURE, 2)``: where the vehicles went, in their own frames [m]; known ``(n, AGENTS, FUTURE)``:
+    whether they were there; followed ``(n, AGENTS, WAYS, FUTURE, 2)``: along their lanes' ways at constant speed, nan
+    where there is none; only of held-out scenes.
+    """
+
+    features: Features
+    future: Any
+    known: Any
+    followed: Any = None
+
+    def __len__(self) -> int:
+        return len(self.future)
+
+
+Scene = tuple[Features, Any, Any, Any]
+"""One scene: its features, and what ``Scenes`` has of it: future, known, followed."""
+
+
+def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Floats | None = None) -> Scene:
+    """One scene for ``together``; future: the vehicles' next ``FUTURE`` positions in the world, nan = not there,
+    ``(n, FUTURE, 2)``; ``followed``: see ``Scenes``."""
+    n = len(future)
+    known = np.asarray(np.isfinite(future).all(axis=2))
+    whole, there = np.zeros((AGENTS, FUTURE, 2), np.float32), np.zeros((AGENTS, FUTURE), bool)
+    whole[:n], there[:n] = np.where(known[..., None], to_local(future, agents), 0.0), known
+    ways = None
+    if followed is not None:
+        ways = np.full((AGENTS, WAYS, FUTURE, 2), np.nan, np.float32)
+        ways[:n] = followed
+    return features(agents, segments), whole, there, ways
+
+
+def together(scenes: Sequence[Scene]) -> Scenes:
+    """Scenes of ``scene_of`` as one value."""
+    parts, future, known, followed = zip(*scenes, strict=True)
+    inputs = Features(*(np.stack(column) for column in zip(*parts, strict=True)))
+    return Scenes(inputs, np.stack(future), np.stack(known), None if followed[0] is None else np.stack(followed))
+
+
+def scenes_of(run: Recorded, rng: np.random.Generator, *, held_out: bool) -> Scenes | None:
+    """The scenes of a run: ``FOCUSES`` every ``EVERY`` steps, each around a vehicle that is drawn; None if there are
+    none."""
+    road = read_network(run.network)
+    segments, found = segments_of(road), []
+    for k in range(0, len(run.steps) - FUTURE, EVERY):
+        now, before = run.steps[k], run.steps[max(k - HISTORY + 1, 0)]
+        names = [name for name in now if name in before] if k >= HISTORY - 1 else []
+        for focus in (names[i] for i in rng.permutation(len(names))[:FOCUSES]):
+            if now[focus][3] < STANDS and rng.random() > KEPT:
+                continue
+            chosen = _around(focus, names, now)
+            told = [name == focus or rng.random() > UNKNOWN for name in chosen]
+            agents, future = _agents(run, k, chosen, told)
+            ways = np.stack([follow(road, agents, i, now[n][4]) for i, n in enumerate(chosen)]) if held_out else None
+            found.append(scene_of(agents, future, segments, ways))
+    return together(found) if found else None
+
+
+def _around(focus: str, names: Sequence[str], now: Any) -> list[str]:
+    x, y = now[focus][:2]
+    far = {name: float(np.hypot(now[name][0] - x, now[name][1] - y)) for name in names}
+    near = sorted((name for name in names if far[name] < NEAR_FOCUS), key=lambda name: (far[name], name))
+    return near[:AGENTS]
+
+
+def _agents(run: Recorded, k: int, names: Sequence[str], told: Sequence[bool]) -> tuple[Agents, Floats]:
+    """The vehicles at step ``k`` and where they are afterwards, in the world; ``told``: whether their lights are."""
+    place = np.full((len(names), HISTORY + FUTURE, 2), np.nan)
+    for j, states in enumerate(run.steps[k - HISTORY + 1 : k + FUTURE + 1]):
+        for i, name in enumerate(names):
+            if name in states:
+                place[i, j] = pose_of(states[name], run.sizes[name][0])[:2]
+    now = [run.steps[k][name] for name in names]
+    heading = [pose_of(state, 0.0)[2] for state in now]
+    agents = Agents(
+        place[:, :HISTORY], np.array(heading), np.array([state[3] for state in now]),
+        np.array([run.sizes[name] for name in names]),
+        np.array([light_of(run.lights[k][n] if known else None) for n, known in zip(names, told, strict=True)]),
+    )  # fmt: skip
+    return agents, place[:, HISTORY:]
+
+
+def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
+    """Lane following: vehicle ``i`` keeps its speed and its offset on every way on from its ``lane``, in its own frame,
+    ``(WAYS, FUTURE, 2)``; straight on where it is on no lane. The straightest way is the first."""
+    found = np.full((WAYS, FUTURE, 2), np.nan)
+    speed = float(agents.speed[i])
+    ahead = np.asarray(speed * STEP * np.arange(1, FUTURE + 1), float)
+    found[0] = np.column_stack([ahead, 0.0 * ahead])
+    if lane not in road.lanes:
+        return found
+    x, y = agents.past[i, -1]
+    shape = road.lanes[lane].shape
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(shape, axis=0).T))])
+    at = float(station[np.argmin(np.hypot(shape[:, 0] - x, shape[:, 1] - y))])
+    me = Agents(
+        *(values[i : i + 1] for values in (agents.past, agents.heading, agents.speed, agents.size, agents.light))
+    )
+    for way, path in enumerate(w.path for w in road.ways(lane, max(at - 2 * PATH_STEP, 0.0), float(ahead[-1]) + 30.0)):
+        s, d = path.project(float(x), float(y))
+        px, py, _ = path.at(s + ahead, d)
+        found[way] = to_local(np.column_stack([px, py])[None], me)[0]
+    return found
+
+
+def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], None], seconds: float = SECONDS) -> int:
+    """Write the scenes of ``runs`` runs to train on, and of an eighth as many held-out ones; those that are there stay.
+
+    progress: told how many of how many are done; seconds: that a run simulates. Returns how many files there are.
+
+    Raises:
+        UsageError: the folder holds other scenes; a program of SUMO is missing.
+        SimulationError: SUMO fails.
+    """
+    begin(folder, f"sumo, seed {seed}, {seconds:g} s a run")
+    wanted = [(TRAIN, k) for k in range(runs)] + [(HELD_OUT, k) for k in range(-(-runs // HELD_OUT_SHARE))]
+    for done, (kind, number) in enumerate(wanted, 1):
+        target = folder / f"{kind}-{number:04d}.npz"
+        held_out = kind == HELD_OUT
+        if not target.exists():
+            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+                run = record(number, seed, Path(scratch), held_out=held_out, seconds=seconds)
+                scenes = scenes_of(run, np.random.default_rng([seed, held_out, number]), held_out=held_out)
+            if scenes is not None:
+                save(scenes, target)
+        progress(done, len(wanted))
+    return len(wanted)
+
+
+def begin(folder: Path, what: str) -> None:
+    """Note what scenes a folder holds. Raises UsageError if it holds others."""
+    note = folder / "scenes.txt"
+    before = note.read_text(encoding="utf-8").strip() if note.exists() else what
+    if before != what:
+        raise UsageError(f"{folder} holds other scenes ({before}, not {what}); give another --out.")
+    write_text(note, what + "\n")
+
+
+# -- files --------------------------------------------------------------------------------------------------------
+
+
+def save(scenes: Scenes, target: Path) -> None:
+    """Write scenes; the same scenes are the same bytes. Features are rounded to half precision."""
+    arrays: dict[str, Any] = {name: values.astype(np.float16) for name, values in scenes.features._asdict().items()}
+    arrays |= {"future": scenes.future, "known": scenes.known}
+    if scenes.followed is not None:
+        arrays["followed"] = scenes.followed
+    write_whole(target, lambda part: np.savez(part, **arrays))
+
+
+def load(folder: Path, kind: str) -> Scenes:
+    """All scenes of a kind (``TRAIN``, ``HELD_OUT``) in a folder.
+
+    Raises:
+        UsageError: there are none, or a file is damaged.
+    """
+    files = sorted(folder.glob(f"{kind}-*.npz"))
+    if not files:
+        raise UsageError(f"{folder} has no scenes ({kind}-*.npz); make them with sumo-adv transformer data.")
+    parts = [_load(file) for file in files]
+    names = (*Features._fields, "future", "known", *(["followed"] if all("followed" in p for p in parts) else []))
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    return Scenes(
+        Features(*(joined[name] for name in Features._fields)), joined["future"], joined["known"],
+        joined.get("followed"),
+    )  # fmt: skip
+
+
+def _load(file: Path) -> dict[str, Any]:
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file} cannot be read ({error}); delete it and make the scenes again.") from error

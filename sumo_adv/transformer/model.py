@@ -1,0 +1,202 @@
+"""The network, written once against an array module ``xp``: numpy for inference, jax.numpy for training.
+
+As in HiVT a vehicle first looks at its neighbours at every moment of its history (agent-agent attention). A Transformer
+over time sums its history up, it looks at the lanes (agent-lane attention), and then all vehicles of the scene look at
+each other by their relative poses (global interaction). ``MODES`` futures are decoded: each a Laplace
+distribution a step and coordinate, and a logit for how likely it is.
+
+Unlike HiVT, two displacements make a token, and a decoded future is a smooth curve: the position at constant velocity
+plus a Bernstein polynomial, which is zero now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import comb
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_adv.transformer.scene import FUTURE, METRES, SPEED, STEP, TOKENS, Features
+
+MODES = 6
+WIDTH, HEADS, INNER = 64, 4, 256  # of the embeddings, of an attention, of the layers behind it
+IN_TIME, AMONG_ALL = 4, 3  # layers of the temporal Transformer, of the global interaction
+DEGREE, SCALE_DEGREE = 10, 3  # of the polynomials of positions and of log-scales
+NARROWEST, WIDEST = -3.0, 4.0  # log of a Laplace scale [m]
+UNSEEN = -1e9  # logit of what is not there
+FLAT = 1e-5  # added to variances
+
+Parameters = Mapping[str, Any]
+"""Weights by name: arrays of numpy or of JAX."""
+
+
+class Modes(NamedTuple):
+    """Futures in each vehicle's frame. place ``(..., AGENTS, MODES, FUTURE, 2)`` [m]: the most likely positions; scale,
+    alike [m]: of the Laplace distributions; logit ``(..., AGENTS, MODES)``."""
+
+    place: Any
+    scale: Any
+    logit: Any
+
+
+def bernstein(degree: int, first: int) -> NDArray[np.float32]:
+    """The Bernstein polynomials ``first`` to ``degree`` at the steps of a future, ``(FUTURE, degree + 1 - first)``."""
+    t = np.arange(1, FUTURE + 1)[:, None] / FUTURE
+    k = np.arange(first, degree + 1)
+    choose = np.array([comb(degree, int(j)) for j in k])
+    return np.asarray(choose * t**k * (1 - t) ** (degree - k), np.float32)
+
+
+PLACES, SCALES = bernstein(DEGREE, 1), bernstein(SCALE_DEGREE, 0)
+TIMES = np.arange(1, FUTURE + 1, dtype=np.float32) * np.float32(STEP)
+
+
+def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
+    """Fresh weights: Glorot's uniform distribution for matrices, 0 for shifts, 1 for factors of norms."""
+    rng = np.random.default_rng(seed)
+    made: dict[str, NDArray[np.float32]] = {}
+
+    def linear(name: str, into: int, out: int) -> None:
+        bound = (6.0 / (into + out)) ** 0.5
+        made[f"{name}.w"] = rng.uniform(-bound, bound, (into, out)).astype(np.float32)
+        made[f"{name}.b"] = np.zeros(out, np.float32)
+
+    def norm(name: str) -> None:
+        made[f"{name}.w"], made[f"{name}.b"] = np.ones(WIDTH, np.float32), np.zeros(WIDTH, np.float32)
+
+    def embedding(name: str, into: int) -> None:
+        linear(f"{name}.1", into, WIDTH)
+        norm(f"{name}.norm")
+        linear(f"{name}.2", WIDTH, WIDTH)
+
+    def attention(name: str) -> None:
+        norm(f"{name}.norm")
+        for part in ("q", "k", "v", "out"):
+            linear(f"{name}.{part}", WIDTH, WIDTH)
+        norm(f"{name}.then")
+        linear(f"{name}.1", WIDTH, INNER)
+        linear(f"{name}.2", INNER, WIDTH)
+
+    def gated(name: str) -> None:
+        attention(name)
+        for part in ("self", "new", "old"):
+            linear(f"{name}.{part}", WIDTH, WIDTH)
+
+    embedding("own", 5)
+    embedding("state", 8)
+    embedding("near", 8)
+    embedding("lanes", 10)
+    embedding("pairs", 4)
+    gated("beside")
+    made["time.class"] = rng.normal(0.0, 0.02, (1, WIDTH)).astype(np.float32)
+    made["time.place"] = rng.normal(0.0, 0.02, (TOKENS + 1, WIDTH)).astype(np.float32)
+    for k in range(IN_TIME):
+        attention(f"time{k}")
+    gated("road")
+    for k in range(AMONG_ALL):
+        gated(f"all{k}")
+    norm("all.norm")
+    linear("modes", WIDTH, MODES * WIDTH)
+    linear("decode.1", 2 * WIDTH, INNER)
+    linear("decode.2", INNER, 2 * WIDTH)
+    linear("place", 2 * WIDTH, 2 * DEGREE)
+    linear("scale", 2 * WIDTH, 2 * (SCALE_DEGREE + 1))
+    linear("logit.1", 2 * WIDTH, WIDTH)
+    linear("logit.2", WIDTH, 1)
+    return made
+
+
+def forward(p: Parameters, f: Features, xp: Any = np) -> Modes:
+    """The futures of all vehicles of a scene, or of many (the leading axes of the features)."""
+    state = _embed(p, "state", f.state, xp)
+    own = _embed(p, "own", f.own, xp) + state[..., None, :]
+    near = _embed(p, "near", f.near, xp)
+    moments = _gated(p, "beside", own, near, None, f.near_there, xp)
+
+    shape = (*moments.shape[:-2], 1, WIDTH)
+    tokens = xp.concatenate([moments, xp.broadcast_to(p["time.class"], shape)], axis=-2) + p["time.place"]
+    every = xp.ones((*tokens.shape[:-1], tokens.shape[-2]), tokens.dtype)
+    for k in range(IN_TIME):
+        x = _norm(p, f"time{k}.norm", tokens, xp)
+        tokens = tokens + _attend(p, f"time{k}", x, x[..., None, :, :], None, every, xp)
+        tokens = tokens + _onward(p, f"time{k}", tokens, xp)
+    local = tokens[..., -1, :]
+
+    lanes = _embed(p, "lanes", f.lanes, xp)
+    local = _gated(p, "road", local, lanes, None, f.lanes_there, xp)
+
+    pairs = _embed(p, "pairs", f.pairs, xp)
+    there = xp.broadcast_to(f.there[..., None, :], f.pairs.shape[:-1])
+    whole = local
+    for k in range(AMONG_ALL):
+        whole = _gated(p, f"all{k}", whole, whole[..., None, :, :], pairs, there, xp)
+    whole = _norm(p, "all.norm", whole, xp)
+
+    modes = _linear(p, "modes", whole)
+    modes = modes.reshape((*modes.shape[:-1], MODES, WIDTH))
+    both = xp.concatenate([modes, xp.broadcast_to(local[..., None, :], modes.shape)], axis=-1)
+    decoded = _relu(_linear(p, "decode.2", _relu(_linear(p, "decode.1", both), xp)), xp)
+    logit = _linear(p, "logit.2", _relu(_linear(p, "logit.1", both), xp))[..., 0]
+    curve = _linear(p, "place", decoded)
+    place = METRES * (PLACES @ curve.reshape((*curve.shape[:-1], DEGREE, 2)))
+    steady = SPEED * f.state[..., :1] * TIMES  # at constant velocity, along x
+    place = place + xp.stack([steady, xp.zeros_like(steady)], axis=-1)[..., None, :, :]
+    spread = _linear(p, "scale", decoded)
+    spread = SCALES @ spread.reshape((*spread.shape[:-1], SCALE_DEGREE + 1, 2))
+    return Modes(place, xp.exp(xp.clip(spread, NARROWEST, WIDEST)), logit)
+
+
+# -- layers -------------------------------------------------------------------------------------------------------
+
+
+def _linear(p: Parameters, name: str, x: Any) -> Any:
+    return x @ p[f"{name}.w"] + p[f"{name}.b"]
+
+
+def _relu(x: Any, xp: Any) -> Any:
+    return xp.maximum(x, 0.0)
+
+
+def _norm(p: Parameters, name: str, x: Any, xp: Any) -> Any:
+    centred = x - x.mean(axis=-1, keepdims=True)
+    variance = (centred * centred).mean(axis=-1, keepdims=True)
+    return centred / xp.sqrt(variance + FLAT) * p[f"{name}.w"] + p[f"{name}.b"]
+
+
+def _embed(p: Parameters, name: str, x: Any, xp: Any) -> Any:
+    return _linear(p, f"{name}.2", _relu(_norm(p, f"{name}.norm", _linear(p, f"{name}.1", x), xp), xp))
+
+
+def _attend(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: Any, xp: Any) -> Any:
+    """What ``x`` ``(..., w)`` gathers from ``others`` ``(..., n, w)`` that are ``there`` ``(..., n)``.
+
+    relative: what is added to the keys and values for each pair, None = nothing.
+    """
+    heads = (HEADS, WIDTH // HEADS)
+    q, k, v = _linear(p, f"{name}.q", x), _linear(p, f"{name}.k", others), _linear(p, f"{name}.v", others)
+    if relative is not None:
+        k, v = k + relative @ p[f"{name}.k.w"], v + relative @ p[f"{name}.v.w"]
+    q, k, v = (z.reshape((*z.shape[:-1], *heads)) for z in (q, k, v))
+    score = (q[..., None, :, :] * k).sum(axis=-1) / heads[1] ** 0.5  # (..., n, heads)
+    score = xp.where(there[..., None] > 0.0, score, UNSEEN)
+    weight = xp.exp(score - score.max(axis=-2, keepdims=True)) * there[..., None]
+    weight = weight / xp.maximum(weight.sum(axis=-2, keepdims=True), FLAT)
+    gathered = (weight[..., None] * v).sum(axis=-3)
+    return _linear(p, f"{name}.out", gathered.reshape((*gathered.shape[:-2], WIDTH)))
+
+
+def _onward(p: Parameters, name: str, x: Any, xp: Any) -> Any:
+    """The layers behind an attention."""
+    return _linear(p, f"{name}.2", _relu(_linear(p, f"{name}.1", _norm(p, f"{name}.then", x, xp)), xp))
+
+
+def _gated(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: Any, xp: Any) -> Any:
+    """HiVT's update of ``x``: a gate weighs what was gathered against its own."""
+    normed = _norm(p, f"{name}.norm", x, xp)
+    gathered = _attend(p, name, normed, others, relative, there, xp)
+    gate = _linear(p, f"{name}.new", gathered) + _linear(p, f"{name}.old", normed)
+    gate = 0.5 + 0.5 * xp.tanh(0.5 * gate)  # the logistic function; its gradient is finite everywhere
+    x = x + gathered + gate * (_linear(p, f"{name}.self", normed) - gathered)
+    return x + _onward(p, name, x, xp)

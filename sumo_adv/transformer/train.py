@@ -1,0 +1,173 @@
+"""Training with JAX and optax (extra ``train``) on one thread, resumed where it stopped.
+
+The loss is HiVT's: the negative log-likelihood of the mode that is nearest to what happened, and the cross-entropy of
+the modes' probabilities against how near each mode came. On one machine the same scenes, seed and epochs give the same
+weights bit for bit, also where the training was interrupted: the state is stored every ``KEEP_EVERY`` steps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.errors import UsageError
+from sumo_adv.files import write_whole
+from sumo_adv.transformer.dataset import MOVES, Scenes
+from sumo_adv.transformer.model import forward, make_parameters
+from sumo_adv.transformer.predictor import write_weights
+from sumo_adv.transformer.scene import Features
+
+BATCH = 32  # scenes a step
+RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate; the step at which it is reached; weight decay
+STANDING = 0.3  # weight in the loss of a vehicle that does not move, which is easy to predict
+CLIP = 5.0  # norm of the gradient
+COOL_STEPS = 1000  # the last ones, over which the rate goes to 0 wherever the training ends
+KEEP_EVERY = 200  # steps between two stored states
+ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+PARAMETER, MOMENT = "parameter/", "optimiser/"  # of names in the stored state
+
+Progress = Callable[[int, int, float], None]
+"""Told the step, the number of steps and the mean loss since it was told before, at every stored state."""
+
+
+def train(
+    scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Progress, steps: int | None = None,
+    keep_every: int = KEEP_EVERY,
+) -> Path:  # fmt: skip
+    """Train from where the folder's training stands; returns the weights' file.
+
+    steps: ends after this number of steps in all, in place of that of the ``epochs``.
+
+    Raises:
+        UsageError: JAX or optax is not installed; there are too few scenes; the folder holds another training.
+    """
+    jax, optax = _libraries()
+    total = epochs * (len(scenes) // BATCH)
+    if not total:
+        raise UsageError(f"{len(scenes)} scenes are too few: a step of the training takes {BATCH}.")
+    end = total if steps is None else min(steps, total)
+    cosine = optax.warmup_cosine_decay_schedule(0.0, RATE, min(WARM_STEPS, total // 2), total)
+    cool = min(COOL_STEPS, end)
+
+    def schedule(step: Any) -> Any:
+        return cosine(step) * jax.numpy.clip((end - step) / cool, 0.0, 1.0)
+
+    optimiser = optax.chain(optax.clip_by_global_norm(CLIP), optax.adamw(schedule, weight_decay=DECAY))
+    gradient = jax.value_and_grad(lambda parameters, f, future, known: loss(parameters, f, future, known, jax.numpy))
+
+    @jax.jit
+    def advance(parameters: Any, state: Any, *batch: Any) -> tuple[Any, Any, Any]:
+        value, slope = gradient(parameters, *batch)
+        updates, state = optimiser.update(slope, state, parameters)
+        return optax.apply_updates(parameters, updates), state, value
+
+    what = f"seed {seed}, {epochs} epochs, {end} steps, {len(scenes)} scenes, {digest(scenes)}"
+    stored = folder / "state.npz"
+    parameters: Any = make_parameters(seed)
+    state = optimiser.init(parameters)
+    step = 0
+    if stored.exists():
+        step, parameters, state = _restore(stored, what, parameters, state, jax)
+    lately: list[float] = []
+    for batch in _batches(scenes, seed, step, end):
+        parameters, state, value = advance(parameters, state, *batch)
+        lately.append(float(value))
+        step += 1
+        if step % keep_every == 0 or step == end:
+            _keep(stored, what, step, parameters, jax.tree_util.tree_leaves(state))
+            progress(step, end, sum(lately) / len(lately))
+            lately.clear()
+    write_weights(parameters, folder / "weights.npz")
+    return folder / "weights.npz"
+
+
+def loss(parameters: Any, f: Features, future: Any, known: Any, xp: Any = np) -> Any:
+    """The mean loss over the vehicles with a known future, of many scenes; arrays as in ``Scenes``."""
+    modes = forward(parameters, f, xp)
+    known = known.astype(future.dtype)
+    count = known.sum(axis=-1)
+    moves = (abs(future).max(axis=(-2, -1)) > MOVES) * (1.0 - STANDING) + STANDING
+    weight = f.there * (count > 0) * moves
+    apart = modes.place - future[..., None, :, :]
+    far = xp.sqrt((apart * apart).sum(axis=-1) + 1e-6)
+    mean = (far * known[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]  # (..., AGENTS, MODES)
+    best = (mean.argmin(axis=-1)[..., None] == xp.arange(mean.shape[-1])).astype(future.dtype)
+    unlikely = (xp.log(2.0 * modes.scale) + abs(apart) / modes.scale).sum(axis=-1)
+    unlikely = (unlikely * known[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]
+    wanted = _softmax(-_constant(mean, xp), xp)
+    entropy = -(wanted * xp.log(_softmax(modes.logit, xp) + 1e-9)).sum(axis=-1)
+    return (((unlikely * best).sum(axis=-1) + entropy) * weight).sum() / xp.maximum(weight.sum(), 1.0)
+
+
+def _constant(values: Any, xp: Any) -> Any:
+    """The values, through which no gradient goes."""
+    if xp is np:
+        return values
+    from jax.lax import stop_gradient
+
+    return stop_gradient(values)
+
+
+def _softmax(x: Any, xp: Any) -> Any:
+    weight = xp.exp(x - x.max(axis=-1, keepdims=True))
+    return weight / weight.sum(axis=-1, keepdims=True)
+
+
+def digest(scenes: Scenes) -> str:
+    """SHA-256 over what is learnt from, in short."""
+    found = hashlib.sha256()
+    for values in (*scenes.features, scenes.future, scenes.known):
+        found.update(np.ascontiguousarray(values).tobytes())
+    return found.hexdigest()[:16]
+
+
+def _batches(scenes: Scenes, seed: int, first: int, end: int) -> Iterator[tuple[Features, Any, Any]]:
+    """The batches of the steps ``first`` to ``end``: each epoch in an order of its own."""
+    a_epoch = len(scenes) // BATCH
+    epoch, order = -1, np.empty(0, np.intp)
+    for step in range(first, end):
+        if step // a_epoch != epoch:
+            epoch = step // a_epoch
+            order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
+        which = np.sort(order[step % a_epoch * BATCH :][:BATCH])
+        inputs = Features(*(np.asarray(values[which], np.float32) for values in scenes.features))
+        yield inputs, np.asarray(scenes.future[which], np.float32), scenes.known[which]
+
+
+def _keep(stored: Path, what: str, step: int, parameters: Any, moments: Any) -> None:
+    arrays: dict[str, Any] = {PARAMETER + name: np.asarray(values) for name, values in parameters.items()}
+    arrays |= {f"{MOMENT}{k:04d}": np.asarray(values) for k, values in enumerate(moments)}
+    arrays |= {"what": np.array(what), "step": np.array(step)}
+    write_whole(stored, lambda part: np.savez(part, **arrays))
+
+
+def _restore(stored: Path, what: str, parameters: Any, state: Any, jax: Any) -> tuple[int, Any, Any]:
+    try:
+        with np.load(stored, allow_pickle=False) as arrays:
+            found = dict(arrays)
+        before = str(found["what"])
+    except (OSError, ValueError, KeyError) as error:
+        raise UsageError(f"{stored} cannot be read ({error}); delete it to train from the beginning.") from error
+    if before != what:
+        raise UsageError(f"{stored} is of another training ({before}, not {what}); give another --out.")
+    moments = [found[name] for name in sorted(found) if name.startswith(MOMENT)]
+    structure = jax.tree_util.tree_structure(state)
+    restored = {name: found[PARAMETER + name] for name in parameters}
+    return int(found["step"]), restored, jax.tree_util.tree_unflatten(structure, moments)
+
+
+def _libraries() -> tuple[Any, Any]:
+    """JAX, told to use one thread, and optax."""
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    try:
+        import jax
+        import optax
+    except ImportError as error:
+        raise UsageError("Training needs JAX and optax; install them with pip install 'sumo-adv[train]'.") from error
+    return jax, optax

@@ -1,0 +1,106 @@
+"""Scenes for the motion predictor from Waymo records: for a user's own training. Weights from them are never shipped.
+
+A record has 1.1 s of history, which ends at its current step, and up to 8 s of future. Its lanes are the map's own.
+Lights are taken as unknown, and lanes that others join or leave as being on a junction where the map interpolates them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from sumo_adv.errors import UsageError
+from sumo_adv.transformer.dataset import (
+    HELD_OUT,
+    HELD_OUT_SHARE,
+    NEAR_FOCUS,
+    TRAIN,
+    Scene,
+    begin,
+    save,
+    scene_of,
+    together,
+)
+from sumo_adv.transformer.scene import (
+    AGENTS,
+    FUTURE,
+    HISTORY,
+    INNER_SEGMENT,
+    LIMIT,
+    SEGMENT,
+    Agents,
+    Segments,
+    cut,
+    light_of,
+)
+from sumo_adv.womd.reader import read_records
+from sumo_adv.womd.record import LANE_TYPES, TRACK_KINDS, Record
+from sumo_adv.womd.sampling import evenly_sampled
+
+VEHICLE, BIKE = TRACK_KINDS.index("vehicle"), LANE_TYPES.index("bike")
+TURNS = 0.5  # rad between the directions of a lane's ends: it turns
+
+
+def make_from_records(source: Path, folder: Path, progress: Callable[[int, int], None]) -> int:
+    """A file of scenes for each TFRecord file of ``source``; every eighth one is held out. Returns how many there are.
+
+    Raises:
+        UsageError: there is no record, or one cannot be read; the folder holds other scenes.
+    """
+    files = sorted(path for path in source.iterdir() if ".tfrecord" in path.name) if source.is_dir() else []
+    if not files:
+        raise UsageError(f"{source} is no folder with .tfrecord files.")
+    begin(folder, f"womd, {len(files)} files")
+    for number, file in enumerate(files):
+        kind = HELD_OUT if number % HELD_OUT_SHARE == HELD_OUT_SHARE - 1 else TRAIN
+        target = folder / f"{kind}-{number:04d}.npz"
+        if not target.exists():
+            found = [scene for record in read_records(file) if (scene := scene_of_record(record)) is not None]
+            if found:
+                save(together(found), target)
+        progress(number + 1, len(files))
+    return len(files)
+
+
+def scene_of_record(record: Record) -> Scene | None:
+    """The scene of a record around its ego (see ``dataset.scene_of``); None where its history is too short."""
+    record, _ = evenly_sampled(record)
+    first = record.current - HISTORY + 1
+    ego = record.tracks[record.sdc]
+    if first < 0 or not ego.valid[record.current]:
+        return None
+    now = record.current
+    there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[now] and t.valid[first]]
+    far = {t.id: float(np.hypot(t.x[now] - ego.x[now], t.y[now] - ego.y[now])) for t in there}
+    chosen = sorted((t for t in there if far[t.id] < NEAR_FOCUS), key=lambda t: far[t.id])[:AGENTS]
+    if not chosen:
+        return None
+    place = np.full((len(chosen), HISTORY + FUTURE, 2), np.nan)
+    for i, track in enumerate(chosen):
+        steps = min(HISTORY + FUTURE, len(track.x) - first)
+        known = track.valid[first : first + steps]
+        place[i, :steps][known] = np.column_stack([track.x, track.y])[first : first + steps][known]
+    agents = Agents(
+        place[:, :HISTORY], np.array([t.heading[now] for t in chosen]),
+        np.array([np.hypot(t.vx[now], t.vy[now]) for t in chosen]),
+        np.array([(t.length[now], t.width[now]) for t in chosen]), np.array([light_of(None) for _ in chosen]),
+    )  # fmt: skip
+    return scene_of(agents, place[:, HISTORY:], _segments(record))
+
+
+def _segments(record: Record) -> Segments:
+    pieces = []
+    lit = {state.lane for states in record.signals for state in states}
+    yields = {lane for sign in record.stop_signs for lane in sign.lanes}
+    for lane in record.lanes.values():
+        if lane.kind == BIKE or len(lane.points) < 2:
+            continue
+        shape = lane.points[:, :2]
+        (ax, ay), (bx, by) = shape[1] - shape[0], shape[-1] - shape[-2]
+        turn = float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
+        inner = lane.interpolating
+        about = inner, inner and turn > TURNS, inner and turn < -TURNS, lane.id in yields, lane.id in lit
+        pieces.append((shape, INNER_SEGMENT if inner else SEGMENT, (*about, lane.speed_limit / LIMIT)))
+    return cut(pieces)
