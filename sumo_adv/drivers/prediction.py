@@ -21,6 +21,7 @@ from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.road_users import unprotected
 
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
@@ -70,6 +71,7 @@ class PredictedEgos:
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
+        self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
         self._edges = seen_edges(self._lane, scenes.ego.width, self.d)
         self._sees = np.maximum(self._lane / 2, self.model.sees)
@@ -145,7 +147,7 @@ class PredictedEgos:
         front: the adversaries' stations in SUMO, whether their fronts are ahead of the egos', and the fronts' offsets.
         """
         (_, _, h), (s, ahead, front_d) = adversary, front
-        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
+        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - self.s - self.scenes.ego.length / 2

@@ -294,7 +294,7 @@ class Worker:
         for _ in range(settings.steps(proposal.delay)):
             drive.tick()
         start = drive.now
-        limits = settings.limits.limits()
+        limits = settings.limits.of(situation.targets[proposal.bv].state)
         driven = attack(
             drive, leader(situation, proposal, limits), ask, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),

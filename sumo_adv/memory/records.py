@@ -19,6 +19,8 @@ RELATIONS = (
     "crossing_straight",
     "crossing_right",
     "merging",
+    "cyclist",
+    "pedestrian",
 )
 """Where a BV can stand to the ego; what ``applies`` of an intent is made of."""
 

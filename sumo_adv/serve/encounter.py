@@ -121,7 +121,7 @@ class LiveAttempts:
         settings, roads = self._settings, Roads({proposal.delay: situation})
         with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
             return attack(
-                session, leader(situation, proposal, settings.limits.limits()),
+                session, leader(situation, proposal, settings.limits.of(situation.targets[proposal.bv].state)),
                 lambda observation: answer_of(proposal, planners, observation), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan),
             )  # fmt: skip

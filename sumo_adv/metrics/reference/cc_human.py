@@ -16,7 +16,9 @@ delays and the same braking:
   two meet within 3 s;
 - a crossing vehicle is a danger once it can no longer stop short of the ego's corridor at 3 m/s2 and the two meet
   within 4 s, or it is in the corridor and they meet within 3 s; in both cases only if the ego would have to brake at
-  3 m/s2 or more, because an ego that is about to yield is not alarmed.
+  3 m/s2 or more, because an ego that is about to yield is not alarmed;
+- a pedestrian or cyclist that crosses is a danger as soon as it has left the kerb: its box is over the edge of the
+  ego's lane.  It is perceived from when it is in the line of sight, because the views leave out what is hidden.
 
 The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
 driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
@@ -38,6 +40,7 @@ from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION
 from sumo_adv.metrics.reference.brakers import needed_braking
 from sumo_adv.metrics.reference.view import View
+from sumo_adv.road_users import unprotected
 
 WANDERING = 0.375  # m, UN R157
 KEEPS_ITS_PLACE = 0.1  # m/s sideways, below it a vehicle keeps its lateral place
@@ -149,7 +152,9 @@ class CcHuman:
         across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
         outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
         until_there = view.side_gap / np.maximum(view.crossing, KEEPS_ITS_PLACE)
-        too_late = across & outside & (until_there < view.speed / (2.0 * STOPPING_SHORT))
+        on_the_way = until_there < view.speed / (2.0 * STOPPING_SHORT)
+        on_the_way |= unprotected(view.length, view.width) & (view.near_edge < view.lane_half_width)
+        too_late = across & outside & on_the_way
         looks = (
             (facing, FACING_SIGHT, 0.5), (too_late, CROSSING_SIGHT, 1.0), (across & view.in_corridor, FACING_SIGHT, 0.0)
         )  # fmt: skip
