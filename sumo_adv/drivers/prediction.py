@@ -72,6 +72,10 @@ class PredictedEgos:
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
+        over_kerb = np.where(self._unprotected, width / 2, 0.0)
+        self._over_kerb = (
+            np.where(self._has_left | self._opposed, 0.0, over_kerb), np.where(self._has_right, 0.0, over_kerb)
+        )  # fmt: skip
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
         self._edges = seen_edges(self._lane, scenes.ego.width, self.d)
         self._sees = np.maximum(self._lane / 2, self.model.sees)
@@ -179,11 +183,12 @@ class PredictedEgos:
     def _inside(self, front_d: Floats, h: Floats) -> Bools:
         """Whether the front's centre is in the lane, or as near as the driver ``sees``.
 
-        SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``).
+        SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``). Where
+        no lane is beside it, SUMO has a pedestrian or cyclist in the lane as soon as the box could touch it (measured).
         """
         beyond = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
-        left = self._sees + np.where(self._opposed, beyond, 0.0)
-        inside = (front_d > -self._sees) & (front_d < left)
+        left = self._sees + np.where(self._opposed, beyond, self._over_kerb[0])
+        inside = (front_d > -self._sees - self._over_kerb[1]) & (front_d < left)
         self._gone_over = ~inside & (front_d > 0.0)
         return inside
 

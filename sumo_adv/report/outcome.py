@@ -200,7 +200,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
-        "contact_side": v.contact_side, "kind": a.kind,
+        "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
 

@@ -17,8 +17,9 @@ delays and the same braking:
 - a crossing vehicle is a danger once it can no longer stop short of the ego's corridor at 3 m/s2 and the two meet
   within 4 s, or it is in the corridor and they meet within 3 s; in both cases only if the ego would have to brake at
   3 m/s2 or more, because an ego that is about to yield is not alarmed;
-- a pedestrian or cyclist that crosses is a danger as soon as it has left the kerb: its box is over the edge of the
-  ego's lane.  It is perceived from when it is in the line of sight, because the views leave out what is hidden.
+- a pedestrian or cyclist is judged as a vehicle that cuts in, whatever way it faces: it has left its place by 0.375 m
+  towards the ego's path, it is reached within 2.0 s, and it is in the way before it is passed.  It is perceived from
+  when it is in the line of sight, because the views leave out what is hidden.
 
 The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
 driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
@@ -140,7 +141,8 @@ class CcHuman:
 
     def _is_danger(self, view: View) -> Bools:
         moving = view.ego_speed >= 0.1
-        found = moving & view.ahead & view.same_direction & (self._cuts_in(view) | self._leads_too_slowly(view))
+        cuts_in = (view.same_direction | unprotected(view.length, view.width)) & self._cuts_in(view)
+        found = moving & view.ahead & (cuts_in | (view.same_direction & self._leads_too_slowly(view)))
         found |= moving & view.same_direction & self._comes_from_beside(view)
         turned = np.abs(view.heading)
         comes = moving & view.ahead & (view.speed >= 0.1) & (view.gap > 0.0)
@@ -152,9 +154,7 @@ class CcHuman:
         across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
         outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
         until_there = view.side_gap / np.maximum(view.crossing, KEEPS_ITS_PLACE)
-        on_the_way = until_there < view.speed / (2.0 * STOPPING_SHORT)
-        on_the_way |= unprotected(view.length, view.width) & (view.near_edge < view.lane_half_width)
-        too_late = across & outside & on_the_way
+        too_late = across & outside & (until_there < view.speed / (2.0 * STOPPING_SHORT))
         looks = (
             (facing, FACING_SIGHT, 0.5), (too_late, CROSSING_SIGHT, 1.0), (across & view.in_corridor, FACING_SIGHT, 0.0)
         )  # fmt: skip
