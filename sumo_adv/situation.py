@@ -86,6 +86,7 @@ class Target:
     sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
     risk: float = 0.0
     unattacked: int | None = None  # the index of its path without an attack, None if that is unknown
+    hidden: bool = False  # whether other boxes hide it from the ego
 
     @property
     def fastest(self) -> float:
@@ -93,10 +94,11 @@ class Target:
         return top_speed(self.state)
 
     def applies(self) -> tuple[str, ...]:
-        """Words an intent's ``applies`` list is matched with; of a pedestrian or cyclist the kind alone."""
+        """Words an intent's ``applies`` list is matched with; of a pedestrian or cyclist the kind, and whether it is
+        hidden from the ego."""
         user = road_user(self.state)
         if user is not RoadUser.VEHICLE:
-            return (str(user),)
+            return (str(user), f"{user}_hidden") if self.hidden else (str(user),)
         words = {self.relation} - set(MEET_AHEAD)  # these are said by the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:

@@ -183,8 +183,8 @@ class PredictedEgos:
     def _inside(self, front_d: Floats, h: Floats) -> Bools:
         """Whether the front's centre is in the lane, or as near as the driver ``sees``.
 
-        SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``). Where
-        no lane is beside it, SUMO has a pedestrian or cyclist in the lane as soon as the box could touch it (measured).
+        SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``).
+        Where no lane is beside it, SUMO has a pedestrian or cyclist in the lane as soon as the box could touch it.
         """
         beyond = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
         left = self._sees + np.where(self._opposed, beyond, self._over_kerb[0])

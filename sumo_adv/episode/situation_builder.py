@@ -20,6 +20,7 @@ from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.log_noise import smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
+from sumo_adv.simulation.sight import Sight
 from sumo_adv.situation import (
     SHIFT_STEP,
     Baseline,
@@ -131,6 +132,8 @@ def build_situation(
         if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
+        if target is not None and is_unprotected(target.state):
+            target = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
         if target is not None:
             targets[ranked.id] = target
     if not targets:
@@ -282,6 +285,12 @@ def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: 
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
     turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(ways[0].path.heading[0]))
     return Target(bv, ranked.relation, ways, station, offset, turn, (), ranked.risk)
+
+
+def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
+    """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
+    there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
+    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)])[0]
 
 
 def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

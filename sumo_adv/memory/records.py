@@ -20,7 +20,9 @@ RELATIONS = (
     "crossing_right",
     "merging",
     "cyclist",
+    "cyclist_hidden",
     "pedestrian",
+    "pedestrian_hidden",
 )
 """Where a BV can stand to the ego; what ``applies`` of an intent is made of."""
 

@@ -28,7 +28,9 @@ LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.
 
 MEET = 6.0  # s
 
-SIZES = {"pedestrian": (0.5, 0.5), "cyclist": (1.8, 0.6)}
+SIZES = {
+    "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
+}  # fmt: skip
 """m, of the road users that are no vehicles. They are ``BESIDE`` metres beside the ego's path."""
 
 BESIDE = 4.0
@@ -135,7 +137,7 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
 
 def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
     """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
-    cyclist = relation == "cyclist"
+    cyclist = relation.startswith("cyclist")
     cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
     heading = wrap(ch + math.pi / 2)
     c, s = math.cos(heading), math.sin(heading)
@@ -165,7 +167,7 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
     }  # fmt: skip
     start = (cx - BESIDE * c, cy - BESIDE * s, heading)
     road = _road("crossing", -BESIDE, curvature, now, start, across)
-    road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation)]}
+    road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation.removesuffix("_hidden"))]}
     return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL] * len(ways) + [arrival]), road)
 
 
