@@ -18,7 +18,7 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.recall import SCALES, signature_distance
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.memory.records import UNPROTECTED_RELATIONS, Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.search.selection import Selection, select
@@ -28,16 +28,20 @@ CONFIRMED = 2  # the analyzer compares a new intent with this number of nearest 
 
 
 def read_library(
-    bank: MemoryBank, now: SceneSignature, seed: int
+    bank: MemoryBank, now: SceneSignature, seed: int, situations: Mapping[float, Situation]
 ) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
     """The bank's active intents as a library, and how their planners were ordered, for the manifest.
 
-    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``.
+    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``. Intents of pedestrians and
+    cyclists alone are left out where none could be the adversary.
     """
+    targets = [target for situation in situations.values() for target in situation.targets.values()]
+    near = {word for target in targets for word in target.applies()}
     rng = random.Random(seed)
     entries, explained = [], list[dict[str, object]]()
     for record in bank.intents():
-        if record.status == "active":
+        elsewhere = UNPROTECTED_RELATIONS.issuperset(record.applies) and near.isdisjoint(record.applies)
+        if record.status == "active" and not elsewhere:
             arms = bandit.draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
             explained.append({"label": record.label, "planners": bandit.explain(arms)})
             planners = tuple(arm.planner for arm in arms)

@@ -24,7 +24,10 @@ RELATIONS = (
     "pedestrian",
     "pedestrian_hidden",
 )
-"""Where a BV can stand to the ego; what ``applies`` of an intent is made of."""
+"""Where a BV can stand to the ego, or what it is; what ``applies`` of an intent is made of."""
+
+UNPROTECTED_RELATIONS = frozenset(RELATIONS[-4:])
+"""Those of pedestrians and cyclists, also of those that are hidden from the ego when an attack begins."""
 
 STATUSES = ("active", "retired")
 
