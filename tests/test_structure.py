@@ -27,7 +27,8 @@ LEVELS = (
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
-            ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "road_users"), ("situation", "datatypes"), ("situation", "geometry"),
+            ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
+            ("situation", "geometry"), ("situation", "road_users"),
             ("cli", "api"), ("api_batch", "api"), ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"

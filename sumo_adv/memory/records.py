@@ -26,9 +26,6 @@ RELATIONS = (
 )
 """Where a BV can stand to the ego, or what it is; what ``applies`` of an intent is made of."""
 
-UNPROTECTED_RELATIONS = frozenset(RELATIONS[-4:])
-"""Those of pedestrians and cyclists, also of those that are hidden from the ego when an attack begins."""
-
 STATUSES = ("active", "retired")
 
 LARGEST = 1e9  # bound of the numbers of evidence in SI units: beyond any of an encounter, and squares stay finite
