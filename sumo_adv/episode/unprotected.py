@@ -21,6 +21,7 @@ from sumo_adv.situation import ReferencePath, relate
 CLASSES = frozenset({"bicycle", "pedestrian"})  # SUMO's vehicle classes
 STANDS = 0.3  # m/s, a slower pedestrian turns on the spot
 LATER = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
+LEAST_STRAIGHT = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
 ACROSS = 30.0  # m of a way after the turn
 LEAN = 2.5  # m/s2 sideways in a turn, more than people are used to and less than the limit
 LEAST_RADIUS = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
@@ -48,8 +49,8 @@ def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Refere
     """
     user, speed = road_user(state), state.speed
     stands = speed < STANDS and user is RoadUser.PEDESTRIAN
-    shares = (0.0,) if speed < STANDS else LATER
-    across = [_across(state, user, ego_path, after * speed, turns=not stands) for after in shares]
+    straight = [0.0] if stands else [LEAST_STRAIGHT + after * speed for after in (LATER if speed >= STANDS else (0.0,))]
+    across = [_across(state, user, ego_path, after, turns=not stands) for after in straight]
     ways = [relate(path, "across", math.inf, False, ego_path) for path in across]
     if stands:
         return tuple(ways)
