@@ -280,5 +280,6 @@ def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[
 
 def small_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[ReferencePath, ...]:
     """The ways of a pedestrian or cyclist, each related to the ego's path."""
-    on_lane = bv.id not in drive.obstacles and bv.lane in road.lanes
-    return unprotected_ways(bv, path, bv_ways(road, drive, bv, path) if on_lane else ())
+    if bv.id in drive.obstacles or bv.lane not in road.lanes:
+        return unprotected_ways(bv, path)
+    return unprotected_ways(bv, path, road.ways(bv.lane, drive.simulation.lane_position(bv.id) - bv.length / 2, REACH))

@@ -25,7 +25,6 @@ from sumo_adv.situation import (
     SHIFT_STEP,
     Baseline,
     OnPath,
-    ReferencePath,
     RoadAhead,
     Signal,
     Situation,
@@ -276,15 +275,13 @@ def _target(
 
 def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:
     """A pedestrian or cyclist."""
-    lanes: list[ReferencePath] = []
+    lanes: Sequence[Way] = ()
     if bv.lane in road.lanes:
         position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
-        onward = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * top_speed(bv))
-        lanes = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
+        lanes = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * top_speed(bv))
     ways = unprotected_ways(bv, path, lanes)
-    station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
     turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(ways[0].path.heading[0]))
-    return Target(bv, ranked.relation, ways, station, offset, turn, (), ranked.risk)
+    return Target(bv, ranked.relation, ways, 0.0, 0.0, turn, (), ranked.risk)
 
 
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:

@@ -14,8 +14,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.road_users import FASTEST, LIMITS, RoadUser, is_unprotected, road_user
+from sumo_adv.simulation.network import Way
 from sumo_adv.situation import ReferencePath, relate
 
 CLASSES = frozenset({"bicycle", "pedestrian"})  # SUMO's vehicle classes
@@ -42,10 +43,10 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
     return is_unprotected(drive.state(name)) and (not is_object or name in only or drive.placed(name))
 
 
-def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[ReferencePath]) -> tuple[ReferencePath, ...]:
-    """The ways of a pedestrian or cyclist, the first one at its pose.
+def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Way] = ()) -> tuple[ReferencePath, ...]:
+    """The ways of a pedestrian or cyclist. All of them begin at its place.
 
-    lanes: the ways of a cyclist along its lane; empty for one beside the road.
+    lanes: the ways on of a cyclist along its lane; none for one beside the road.
     """
     user, speed = road_user(state), state.speed
     stands = speed < STANDS and user is RoadUser.PEDESTRIAN
@@ -54,7 +55,15 @@ def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Refere
     ways = [relate(path, "across", math.inf, False, ego_path) for path in across]
     if stands:
         return tuple(ways)
-    return (*(lanes or (relate(_straight_on(state), "along", math.inf, False, ego_path),)), *ways)
+    onward = [relate(_beside(w.path, state), w.movement, w.junction, w.gives_way, ego_path) for w in lanes]
+    return (*(onward or [relate(_straight_on(state), "along", math.inf, False, ego_path)]), *ways)
+
+
+def _beside(lane: Path, state: VehicleState) -> Path:
+    """The path of a lane, moved sideways to where a cyclist rides in it."""
+    station, offset = lane.project(state.x, state.y, near=0.0)
+    x, y, _ = lane.at(np.arange(station, lane.length, PATH_STEP), offset)
+    return make_path(np.column_stack([x, y]))
 
 
 def _straight_on(state: VehicleState) -> Path:
@@ -83,7 +92,7 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
         )  # fmt: skip
     end = points[-1]
     points.append((end[0] + ACROSS * math.cos(heading), end[1] + ACROSS * math.sin(heading)))
-    return make_path(_distinct(np.array(points)), tightest=LIMITS[user].curvature)
+    return make_path(_distinct(np.array(points)), tightest=LIMITS[user].curvature, lateral=LEAN)
 
 
 def _distinct(points: Floats) -> Floats:
