@@ -1,7 +1,7 @@
 """Kinds of road users by the size of their box: vehicle, cyclist, pedestrian; and what each kind can do.
 
 Recordings, logs and tracks of users hold sizes and no class, so the size decides everywhere.  SUMO's pedestrians are at
-most 0.6 m wide, its bicycles 1.6 m by 0.65 m, its motorcycles 2.2 m by 0.9 m, and its smallest cars 2.6 m long.
+most 0.6 m wide, its bicycles 1.6 m by 0.65 m, its mopeds 2.1 m by 0.8 m; a cyclist of a log has about 1.8 m by 0.8 m.
 
 =========== ========= ============ =====================================================================
 kind        fastest   start, stop  source
@@ -38,7 +38,7 @@ class RoadUser(StrEnum):
 
 
 LARGEST_PEDESTRIAN = 1.2  # m, of both sides of the box
-LONGEST_BICYCLE, WIDEST_BICYCLE = 2.1, 0.85  # m
+LONGEST_BICYCLE, WIDEST_BICYCLE = 2.0, 0.85  # m
 LIMITS: Mapping[RoadUser, Limits] = {
     RoadUser.PEDESTRIAN: Limits(braking=5.0, acceleration=3.0, lateral=4.0, curvature=50.0, jerk=20.0),
     RoadUser.CYCLIST: Limits(braking=4.0, acceleration=1.5, lateral=3.5, curvature=0.5, jerk=12.0),
