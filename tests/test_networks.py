@@ -22,6 +22,7 @@ SCENARIOS = sorted(data_folder("scenarios").glob("*.toml"))
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
     "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
+    "Pedestrian Steps Out", "Pedestrian From Behind Obstacle", "Cyclist Crossing", "Cyclist Swerve",
 }  # fmt: skip
 BASE = (
     "--step-length", "0.1", "--seed", "1", "--time-to-teleport", "-1", "--collision.action", "warn",
@@ -60,10 +61,10 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
     return min(to_segment(a, b) for a, b in pairwise(line))
 
 
-def test_there_are_twenty_networks_and_25_scenarios() -> None:
-    assert len(NETWORKS) == 20
-    assert len(SCENARIOS) == 25
-    assert len(shipped_names()) == 45
+def test_there_are_21_networks_and_31_scenarios() -> None:
+    assert len(NETWORKS) == 21
+    assert len(SCENARIOS) == 31
+    assert len(shipped_names()) == 52
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 
 

@@ -1,4 +1,4 @@
-"""Pedestrians and cyclists: what they are, can do and risk; when they are seen; their ways and planners."""
+"""Pedestrians and cyclists: sizes, limits, injury risk, line of sight, ways and planners."""
 
 from __future__ import annotations
 

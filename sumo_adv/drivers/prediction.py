@@ -155,7 +155,7 @@ class PredictedEgos:
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - self.s - self.scenes.ego.length / 2
-        leads &= ~self._unprotected | (gap > 0.0)  # one that fits beside the ego in the lane is passed (measured)
+        leads &= ~self._unprotected | (gap > 0.0)  # a bicycle beside the ego in its lane is passed (measured)
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))

@@ -1,8 +1,8 @@
 """Pedestrians and cyclists as adversaries: which may attack, their ways, and how dangerous they can be.
 
 Their ways are not lanes.  ``along``: straight on, or along the lane of a cyclist.  ``across``: a turn, as tight as the
-kind can walk or ride it, and then straight over the ego's path.  One that moves has several such ways, which begin some
-seconds later each.
+kind can walk or ride it, and then straight over the ego's path.  A pedestrian or cyclist that moves has several such
+ways; each begins some seconds later than the one before.
 """
 
 from __future__ import annotations

@@ -174,7 +174,8 @@ def failed_gates(
 
     start: the trigger. By default it is the third state, so that the first steps are judged against two states of
     history. end: the first contact with the ego, None for the end of the shorter track. ``on_road(x, y)`` says which
-    points are drivable; None leaves that gate out, and so does a pedestrian or cyclist, who may be beside the road.
+    points are drivable; None leaves that gate out, and so does a pedestrian or cyclist: both may be
+    beside the road.
     """
     start = float(adversary.time[min(2, len(adversary.time) - 1)]) if start is None else start
     end = float(min(ego.time[-1], adversary.time[-1])) if end is None else end

@@ -149,6 +149,7 @@ def release(session: Session, vehicle: str, edges: Sequence[str], events: Events
         session.remove(vehicle)
         how = "removed: it has hit the ego" if hit else "removed: it was off the road"
     else:
+        session.simulation.released(vehicle)
         session.simulation.set_speed(vehicle, None)
         Stage(session.simulation).direct(vehicle, tuple(edges))
         how = "driven on by SUMO"

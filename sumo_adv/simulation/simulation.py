@@ -328,6 +328,12 @@ class Simulation:
             except self._errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
+    def released(self, vehicle: str) -> None:
+        """Give a vehicle that is moved no more its own class back."""
+        if vehicle in self._as_cars:
+            self._as_cars.discard(vehicle)
+            self._sumo.vehicle.setVehicleClass(vehicle, self.vehicle_class(vehicle))
+
     def set_speed(self, vehicle: str, speed: float | None) -> None:
         """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.
 
