@@ -78,7 +78,7 @@ class Plan:
     def speeds(self, speed: float, time: Floats) -> Floats:
         """Speeds [m/s] at evenly spaced times [s], both ``(k,)``."""
         step = time[1] - time[0]
-        pulled = sum(a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls)
+        pulled = sum(a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls) + np.zeros(len(time))
         found, now = np.empty(len(time)), speed
         for k in range(len(time)):
             found[k] = now

@@ -155,7 +155,6 @@ class PredictedEgos:
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - self.s - self.scenes.ego.length / 2
-        leads &= ~self._unprotected | (gap > 0.0)  # a bicycle beside the ego in its lane is passed (measured)
         bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))
@@ -170,7 +169,7 @@ class PredictedEgos:
 
         It does while the centre of the adversary's front is inside. After that SUMO has the adversary in both lanes,
         except if the other one has the opposite direction. It then stays in the lane while its side is in the strips
-        that the ego takes up.
+        that the ego takes up. A pedestrian or cyclist is narrower than a strip, so it must be in these strips always.
         """
         inside, half = self._inside(front_d, h), self._width / 2
         if self._looks_from is not self._edges_at:
@@ -178,6 +177,8 @@ class PredictedEgos:
             self._edges = seen_edges(self._lane, self.scenes.ego.width, self._edges_at)
         left, right = self._edges
         partly = (front_d - half + NUMERICAL < left) & (front_d + half - NUMERICAL > -right)
+        if not self.model.ignores_sumo_lane_rules:
+            inside &= partly | ~self._unprotected
         self._was_inside |= inside
         return inside | (self._was_inside & partly & np.where(front_d > 0.0, self._has_left, self._has_right))
 
