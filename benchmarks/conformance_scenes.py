@@ -78,7 +78,8 @@ class Plan:
     def speeds(self, speed: float, time: Floats) -> Floats:
         """Speeds [m/s] at evenly spaced times [s], both ``(k,)``."""
         step = time[1] - time[0]
-        pulled = sum(a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls) + np.zeros(len(time))
+        pulls = (a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls)
+        pulled = sum(pulls, start=np.zeros(len(time)))
         found, now = np.empty(len(time)), speed
         for k in range(len(time)):
             found[k] = now
@@ -404,8 +405,10 @@ KINDS: Mapping[str, Kind] = {
     "gave_way": Kind("waiting at the line where the ego gave way unattacked, too (junctions.py)",
         _meeting(GIVING_WAY, (-2.5, 1.0)), _rush((-3.0, 2.5), "crossing", "merging"),
         ((2.2, 12.0, 19.0), (0.02, 0.06, 0.06), (1.6, 5.2, 9.5)), agree=0.8, missed=0.02, small=(1, 2)),
-    "bicycle_crosses": Kind("a bicycle across the lane (prediction.py: ACROSS, over_kerb)", _bicycle, _cross),
-    "bicycle_swings": Kind("a bicycle that comes into the lane (prediction.py: over_kerb)", _bicycle, _swing),
+    "bicycle_crosses": Kind("a bicycle across the lane (prediction.py: ACROSS, over_kerb)", _bicycle, _cross,
+        ((0.02, 0.1, 0.65), (0.02, 0.03, 0.08), (0.02, 0.1, 2.3))),
+    "bicycle_swings": Kind("a bicycle that comes into the lane (prediction.py: over_kerb)", _bicycle, _swing,
+        ((0.4, 1.6, 4.8), (0.02, 0.2, 0.4), (0.6, 3.8, 7.5))),
 }  # fmt: skip
 """What the prediction copies."""
 CHOSEN: Mapping[str, Chosen] = {

@@ -29,7 +29,8 @@ BASE_FLAGS = (
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 LANELESS = ("bicycle", "pedestrian")
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
-drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own."""
+drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
+the step after that, drivers in the lane beside brake for it (measured, 0.3 to 0.5 m/s)."""
 SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
