@@ -241,7 +241,8 @@ def _kind_words(target: Target) -> str:
         f"It is a {user}: at most {target.fastest:.0f} m/s, braking {limits.braking:g}, acceleration"
         f" {limits.acceleration:g}, lateral {limits.lateral:g} m/s2 (these count, not those of a vehicle). It turns"
         f" {turns} and may be beside the road. A collision is serious where it is hit at {serious:.1f} m/s or more."
-        " A careful driver of EGO notices it once it is in sight and moves towards EGO's path."
+        " A careful driver of EGO notices it once it is in sight and moves towards EGO's path. Its ways have the"
+        ' movements "along" (straight on, or its lane) and "across" (over EGO\'s path).'
     )
 
 
