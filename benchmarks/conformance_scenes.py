@@ -27,7 +27,7 @@ EGO, ADVERSARY, THIRD = "ego", "adversary", "third"
 @dataclass(frozen=True, slots=True)
 class Car:
     """Where a car starts: edges, lane index, front bumper [m] along the first edge (negative: before its end), speed
-    [m/s]; the speed that it never exceeds [m/s]; width [m]."""
+    [m/s]; the speed that it never exceeds [m/s]; width and length [m]; SUMO's class."""
 
     edges: str
     lane: int
@@ -35,11 +35,13 @@ class Car:
     speed: float
     fastest: float = 60.0
     width: float = 1.8
+    length: float = 5.0
+    kind: str = "passenger"
 
     def xml(self, name: str) -> str:
         """A type and a vehicle in SUMO's words: a driver without noise that never changes lanes by itself."""
         return (
-            f'<vType id="{name}" vClass="passenger" sigma="0" length="5" width="{self.width:g}" '
+            f'<vType id="{name}" vClass="{self.kind}" sigma="0" length="{self.length:g}" width="{self.width:g}" '
             f'maxSpeed="{max(self.fastest, 0.1):.2f}" lcSpeedGain="0" lcKeepRight="0"/>'
             f'<vehicle id="{name}" type="{name}" depart="0" insertionChecks="none" departLane="{self.lane}" '
             f'departPos="{self.position:.2f}" departSpeed="{self.speed:.2f}"><route edges="{self.edges}"/></vehicle>'
@@ -76,7 +78,8 @@ class Plan:
     def speeds(self, speed: float, time: Floats) -> Floats:
         """Speeds [m/s] at evenly spaced times [s], both ``(k,)``."""
         step = time[1] - time[0]
-        pulled = sum(a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls)
+        pulls = (a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls)
+        pulled = sum(pulls, start=np.zeros(len(time)))
         found, now = np.empty(len(time)), speed
         for k in range(len(time)):
             found[k] = now
@@ -263,6 +266,26 @@ def _meeting(
 # -- motions ------------------------------------------------------------------------------------------------------
 
 
+def _bicycle(draw: Draw) -> Start:
+    """A bicycle on the cycle track beside the ego's lane."""
+    ego, speed = _ego(draw, "eastbound", 2, FIRST, draw.uniform(7.0, 13.5)), draw.uniform(3.0, 6.0)
+    at = FIRST + draw.uniform(25.0, 50.0)
+    bicycle = Car("eastbound", 1, at, speed, speed, width=0.6, length=1.8, kind="bicycle")
+    return Start("urban_street", {EGO: replace(ego, fastest=ego.speed), ADVERSARY: bicycle})
+
+
+def _cross(draw: Draw, situation: Situation, target: Target) -> Plan:
+    """Over the ego's path at a right angle, at an even pace or a changing one."""
+    across = [k for k, way in enumerate(target.ways) if way.movement == "across"]
+    return Plan(int(draw.choice(across)), [_pull(draw, (0.5, 2.0), (0.5, 2.0), (-1.0, 1.0))])
+
+
+def _swing(draw: Draw, situation: Situation, target: Target) -> Plan:
+    """Into the ego's lane, to any place in it."""
+    to = draw.uniform(-1.2, 1.2) - float(target.ways[0].ego_d[0])
+    return Plan(0, [], [(draw.uniform(0.5, 3.0), draw.uniform(1.5, 4.0), to)])
+
+
 def _pull(draw: Draw, begin: tuple[float, float], span: tuple[float, float], a: tuple[float, float]) -> tuple[
     float, float, float
 ]:  # fmt: skip
@@ -382,6 +405,10 @@ KINDS: Mapping[str, Kind] = {
     "gave_way": Kind("waiting at the line where the ego gave way unattacked, too (junctions.py)",
         _meeting(GIVING_WAY, (-2.5, 1.0)), _rush((-3.0, 2.5), "crossing", "merging"),
         ((2.2, 12.0, 19.0), (0.02, 0.06, 0.06), (1.6, 5.2, 9.5)), agree=0.8, missed=0.02, small=(1, 2)),
+    "bicycle_crosses": Kind("a bicycle across the lane (prediction.py: ACROSS, over_kerb)", _bicycle, _cross,
+        ((0.02, 0.1, 0.65), (0.02, 0.03, 0.08), (0.02, 0.1, 2.3))),
+    "bicycle_swings": Kind("a bicycle that comes into the lane (prediction.py: over_kerb)", _bicycle, _swing,
+        ((0.4, 1.6, 4.8), (0.02, 0.2, 0.4), (0.6, 3.8, 7.5))),
 }  # fmt: skip
 """What the prediction copies."""
 CHOSEN: Mapping[str, Chosen] = {

@@ -23,6 +23,7 @@ from sumo_adv.datatypes import Level, Limits, Relation
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
+from sumo_adv.road_users import LIMITS, Sized, road_user
 
 PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
 KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
@@ -60,8 +61,12 @@ class LimitSettings(BaseModel):
     jerk: float = Field(default=12.0, gt=1, le=50)
 
     def limits(self) -> Limits:
-        """The noun."""
+        """The noun, of a vehicle."""
         return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
+
+    def of(self, adversary: Sized) -> Limits:
+        """The limits of an adversary with this box: these of a vehicle, fixed ones of a pedestrian or cyclist."""
+        return LIMITS.get(road_user(adversary)) or self.limits()
 
 
 class Settings(ModelSettings, BaseSettings):

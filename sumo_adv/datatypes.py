@@ -360,6 +360,7 @@ class Verdict:
     adversary_delta_v: float | None = None
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
+    impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
 
     @property
     def counts(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import Bools, Floats
 
 PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged
@@ -30,6 +30,28 @@ def wrap_below_pi(angle: Angle) -> Angle:
     cannot stand for the other without a change of recorded results.
     """
     return (angle + math.pi) % math.tau - math.pi
+
+
+def crosses_box(
+    eye: tuple[Any, Any], point: tuple[Any, Any], box: tuple[Any, Any, Any], half: tuple[Any, Any]
+) -> Bools:
+    """Whether the lines from ``eye`` to ``point`` (x, y) pass through boxes; none does if the eye is in the box.
+
+    box: centre x, y [m] and heading [rad]; half: half of length and width [m]. Numbers, or arrays that broadcast.
+    """
+    c, s = np.cos(box[2]), np.sin(box[2])
+    starts, steps = [], []
+    for along, across in ((c, s), (-s, c)):
+        start = (eye[0] - box[0]) * along + (eye[1] - box[1]) * across
+        step = (point[0] - box[0]) * along + (point[1] - box[1]) * across - start
+        starts.append(start)
+        steps.append(np.where(np.abs(step) < 1e-9, 1e-9, step))
+    inside = (np.abs(starts[0]) < half[0]) & (np.abs(starts[1]) < half[1])
+    enters = [(-h - start) / step for h, start, step in zip(half, starts, steps, strict=True)]
+    leaves = [(h - start) / step for h, start, step in zip(half, starts, steps, strict=True)]
+    first = np.maximum(*(np.minimum(a, b) for a, b in zip(enters, leaves, strict=True)))
+    last = np.minimum(*(np.maximum(a, b) for a, b in zip(enters, leaves, strict=True)))
+    return np.asarray((first < last) & (last > 0.0) & (first < 1.0) & ~inside)
 
 
 @dataclass(frozen=True, slots=True)

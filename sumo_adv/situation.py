@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap
+from sumo_adv.road_users import FASTEST, RoadUser, road_user
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
 NO_ARRIVAL = 1e3  # s: an arrival that is never
@@ -64,6 +65,11 @@ def fastest_of(speed: float) -> float:
     return max(1.4 * speed, speed + 5.0)
 
 
+def top_speed(state: VehicleState) -> float:
+    """The highest speed [m/s] that a BV goes for: of a vehicle by its speed at the trigger, else that of its kind."""
+    return FASTEST.get(road_user(state)) or fastest_of(state.speed)
+
+
 MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only where their paths meet
 
 
@@ -80,14 +86,19 @@ class Target:
     sides: tuple[tuple[float, str], ...]  # lanes beside it: offset [m], "same" | "opposite"
     risk: float = 0.0
     unattacked: int | None = None  # the index of its path without an attack, None if that is unknown
+    hidden: bool = False  # whether other boxes hide it from the ego
 
     @property
     def fastest(self) -> float:
         """The speed it goes for at most [m/s]."""
-        return fastest_of(self.state.speed)
+        return top_speed(self.state)
 
     def applies(self) -> tuple[str, ...]:
-        """Words an intent's ``applies`` list is matched with."""
+        """Words an intent's ``applies`` list is matched with; of a pedestrian or cyclist the kind, and whether it is
+        hidden from the ego."""
+        user = road_user(self.state)
+        if user is not RoadUser.VEHICLE:
+            return (str(user), f"{user}_hidden") if self.hidden else (str(user),)
         words = {self.relation} - set(MEET_AHEAD)  # these are said by the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:

@@ -13,7 +13,7 @@ from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
-from sumo_adv.planners.probes import CROSSING_ANGLES, LANE_PLACES, probes
+from sumo_adv.planners.probes import CROSSING_ANGLES, LANE_PLACES, SIZES, probes
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import make_planner
 from sumo_adv.planners.trial import trial
@@ -151,7 +151,7 @@ def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> 
 
 
 def test_there_are_probes_for_every_relation() -> None:
-    assert set(LANE_PLACES) | set(CROSSING_ANGLES) == set(RELATIONS)
+    assert set(LANE_PLACES) | set(CROSSING_ANGLES) | set(SIZES) == set(RELATIONS)
     names = [probe.name for relation in RELATIONS for probe in probes(relation)]
     assert len(set(names)) == len(names) == len(RELATIONS) * 2 * 3 * 3
     behind = probes("follower")[6]  # fast, straight: 16 m behind at 25 m/s

@@ -23,6 +23,7 @@ SCENARIOS = sorted(data_folder("scenarios").glob("*.toml"))
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
     "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight", "Straight Lane Shift",
+    "Pedestrian Steps Out", "Pedestrian From Behind Obstacle", "Cyclist Crossing", "Cyclist Swerve",
 }  # fmt: skip
 BASE = (
     "--step-length", "0.1", "--seed", "1", "--time-to-teleport", "-1", "--collision.action", "warn",
@@ -61,10 +62,10 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
     return min(to_segment(a, b) for a, b in pairwise(line))
 
 
-def test_there_are_21_networks_and_29_scenarios() -> None:
-    assert len(NETWORKS) == 21
-    assert len(SCENARIOS) == 29
-    assert len(shipped_names()) == 50
+def test_there_are_22_networks_and_35_scenarios() -> None:
+    assert len(NETWORKS) == 22
+    assert len(SCENARIOS) == 35
+    assert len(shipped_names()) == 57
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 
 

@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
-    ("datatypes", "errors", "files", "geometry", "goal", "parsing", "situation"),
+    ("datatypes", "errors", "files", "geometry", "goal", "parsing", "road_users", "situation"),
     ("config", "config_model", "config_odd", "metrics", "simulation", "memory"),
     ("drivers", "llm", "transformer"),
     ("planners",),
@@ -27,7 +27,8 @@ LEVELS = (
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
-            ("geometry", "datatypes"), ("goal", "datatypes"), ("situation", "datatypes"), ("situation", "geometry"),
+            ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
+            ("situation", "geometry"), ("situation", "road_users"),
             ("cli", "api"), ("api_batch", "api"), ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"

@@ -14,6 +14,7 @@ from bank_samples import shipped_planners
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Planner, PrescribedMotion, Proposal
+from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.errors import PlannerRuntimeError, SandboxError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, PlannerObservation
@@ -24,7 +25,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
 from sumo_adv.planners.trusted import TRUSTED, InProcessSession, ask_trusted, fingerprint, is_trusted
 
-SHIPPED = list(shipped_planners().values())
+SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
 SIDE = shipped_planners()["Straight Lane Shift", "side"].source
 BESIDE = situation([neighbour()])
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Attempt, Diagnosis, Level, LibraryEntry, Verdict
-from sumo_adv.metrics.levels import SERIOUS_DELTA_V
+from sumo_adv.metrics.levels import SERIOUS_RISK
 from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION
+from sumo_adv.metrics.severity import SERIOUS_DELTA_V
 
 NEEDED = PERCEPTION + REACTION  # s that the careful driver lets pass before it brakes
 ENOUGH = 2.5  # s of warning, from which on a collision that braking does not avoid is not a matter of time
@@ -99,6 +100,7 @@ def _came_to(v: Verdict) -> str:
     if v.collided:
         side = "" if v.contact_side is None else f" at EGO's {v.contact_side}"
         hard = "" if v.delta_v is None else f", delta-v of EGO {v.delta_v:.1f} m/s"
+        hard = hard if v.impact_speed is None else f", impact at {v.impact_speed:.1f} m/s"
         return f"they collided{side}{' (the bv ran into the back of EGO)' if v.rear_end else ''}{hard}."
     course = f"least time to collision {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no collision course"
     return f"no contact; {course}, least distance of the boxes {v.min_distance:.1f} m."
@@ -127,7 +129,10 @@ def next_level(v: Verdict, start: float) -> str:
         return "a collision that also takes place if EGO keeps its recorded motion."
     if v.level >= Level.STRICT:
         missing = []
-        if v.delta_v is not None and v.delta_v < SERIOUS_DELTA_V:
+        if v.impact_speed is not None and (v.injury_risk or 0.0) < SERIOUS_RISK:
+            risk = f"a serious injury in {v.injury_risk:.0%} of cases, wanted {SERIOUS_RISK:.0%}"
+            missing.append(f"a harder contact (impact at {v.impact_speed:.1f} m/s: {risk})")
+        elif v.impact_speed is None and v.delta_v is not None and v.delta_v < SERIOUS_DELTA_V:
             missing.append(f"a harder contact (delta-v {v.delta_v:.1f}, wanted {SERIOUS_DELTA_V:.2f} m/s)")
         if v.humanlike is False:
             missing.append(f"gentler driving ({', '.join(v.beyond_human)} beyond what people do)")

@@ -13,6 +13,8 @@ import numpy as np
 
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Track
+from sumo_adv.metrics.severity import UNPROTECTED_TENTH
+from sumo_adv.road_users import LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
 MAX_OTHERS = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
@@ -190,7 +192,8 @@ def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
 
 
 def _movement(path: ReferencePath) -> str:
-    return {"left": "turning left", "right": "turning right"}.get(path.movement, "going straight on")
+    words = {"left": "turning left", "right": "turning right", "across": "going across"}
+    return words.get(path.movement, "going straight on")
 
 
 def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
@@ -205,7 +208,9 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
     meets = "crosses" if c.kind == "crossing" else "merges into"
     signals = situation.traffic.signals.get(target.state.id, ())
     rule = "it must give way there" if path.gives_way else "it has priority there"
-    if signals:
+    if path.movement == "across":
+        rule = "EGO does not expect it there"
+    elif signals:
         rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"
     return (
         f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg;"
@@ -227,6 +232,20 @@ def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
     )
 
 
+def _kind_words(target: Target) -> str:
+    """What a pedestrian or cyclist can do, and when a collision with it counts as serious."""
+    user = road_user(target.state)
+    limits, serious = LIMITS[user], UNPROTECTED_TENTH[user] / 3.6
+    turns = "on the spot" if user is RoadUser.PEDESTRIAN else f"with a radius of {1 / limits.curvature:.0f} m"
+    return (
+        f"It is a {user}: at most {target.fastest:.0f} m/s, braking {limits.braking:g}, acceleration"
+        f" {limits.acceleration:g}, lateral {limits.lateral:g} m/s2 (these count, not those of a vehicle). It turns"
+        f" {turns} and may be beside the road. A collision is serious where it is hit at {serious:.1f} m/s or more."
+        " A careful driver of EGO notices it once it is in sight and moves towards EGO's path. Its ways have the"
+        ' movements "along" (straight on, or its lane) and "across" (over EGO\'s path).'
+    )
+
+
 def _relation(target: Target, situation: Situation) -> str:
     ego, bv = situation.ego, target.state
     x, y, h = situation.frame.to_local(bv.x, bv.y, bv.heading)
@@ -244,5 +263,9 @@ def _relation(target: Target, situation: Situation) -> str:
             return f"in a lane {side}, same direction, {along}, {lateral}, {pace}."
         case "oncoming":
             return f"oncoming {side}, {along}, {lateral}, {pace}."
+        case relation if is_unprotected(bv):
+            hidden = ", hidden from EGO now" if target.hidden else ""
+            place = f"{abs(x):.1f} m {'ahead' if x > 0 else 'behind'}, {abs(y):.1f} m {side}"
+            return f"{place}{hidden}. {_kind_words(target)}"
         case relation:
             return f"{relation}, {math.hypot(x, y):.1f} m away in a straight line, from {side.removeprefix('to ')}."

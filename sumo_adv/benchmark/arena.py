@@ -169,7 +169,7 @@ class Arena:
         """What an opponent sees."""
         settings, first = self.episode.settings, found.first
         now = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
-        library, _ = read_library(bank, now, settings.seed)
+        library, _ = read_library(bank, now, settings.seed, found.situations)
         network = self.episode.task.spec.network
         return Encounter(found.situations, library, found.drivable, settings, settings.seed, network)
 

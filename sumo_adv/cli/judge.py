@@ -110,7 +110,9 @@ def _line(row: dict[str, Any]) -> str:
     words = [f"{row['run']}: {row['level']}"]
     if row["collided"]:
         by = ", ".join(row["preventable_by"] or ()) or "nobody"
-        words.append(f"delta-v {row['delta_v'] or 0.0:.1f} m/s ({row['severity']}), avoided by {by}")
+        hit = row["impact_speed"]
+        hard = f"delta-v {row['delta_v'] or 0.0:.1f} m/s" if hit is None else f"hit at {hit:.1f} m/s"
+        words.append(f"{hard} ({row['severity']}), avoided by {by}")
     words += [f"inconclusive ({row['inconclusive']})"] if row["inconclusive"] else []
     words += ["the ego stood"] if row["ego_stationary"] else []
     return ", ".join(words)

@@ -89,7 +89,7 @@ def _attempt(a: Attempt) -> str:
     if v.collided and v.preventability is not None:
         who = _preventable(v.preventability.by, v.preventability.inconclusive)
         level = "" if v.level is Level.COLLISION else f"{v.level}, "
-        what += f" ({level}delta-v {v.delta_v:.1f} m/s, {who})"
+        what += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
     rear = ", rear-end" if v.rear_end else ""
     return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}, {what}{rear}{gates}"
@@ -148,10 +148,17 @@ def _after(best: Mapping[str, Any]) -> str:
     if best["failed_gates"] or best["rear_end"] or best["preventable_by"] is None:
         return f"{words}, not counted{_flaws(best)}"
     level = [] if best["level"] == "collision" else [str(best["level"])]
-    parts = [words, *level, f"delta-v {best['delta_v']:.1f} m/s"]
+    parts = [words, *level, _hard(best["delta_v"], best.get("impact_speed"))]
     parts += ["the ego stood"] if best["ego_stationary"] else []
     parts += ["the ego stood in a junction"] if best["ego_blocking"] else []
     return ", ".join([*parts, _preventable(best["preventable_by"], best["inconclusive"])])
+
+
+def _hard(delta_v: float | None, impact_speed: float | None) -> str:
+    """How hard a collision is, in words."""
+    if impact_speed is not None:
+        return f"hit at {impact_speed:.1f} m/s"
+    return f"delta-v {delta_v:.1f} m/s"
 
 
 def _preventable(by: Sequence[str], inconclusive: str | None) -> str:

@@ -24,11 +24,13 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation
 from sumo_adv.drivers.sumo_driven import MODELS, known_model, sumo_type
+from sumo_adv.drivers.vehicle import Vehicle
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.view import HISTORY, View
+from sumo_adv.road_users import is_unprotected
 
 HALF_LANE = 1.6  # m, half of SUMO's default lane
 SIGHT = 5.0  # s of driving at both speeds within which a vehicle is watched
@@ -142,7 +144,7 @@ class CarefulEgo:
     def act(self, observation: Observation) -> Action:
         """Brake if a danger has shown for long enough; else None."""
         ego, dt = observation.ego, observation.dt
-        others = [o for o in observation.others if o.id != ego.id and _in_sight(ego, o)]
+        others = [o for o in observation.others if o.id != ego.id and _in_sight(ego, o) and is_noticed(o)]
         if self._driver is None:
             self._driver = CcHuman((1, 0), dt)
         column = {name: k for k, name in enumerate(self._watched)}
@@ -216,6 +218,11 @@ def _in_sight(ego: VehicleState, other: VehicleState) -> bool:
     """Whether the two can meet soon, in whatever direction they turn."""
     reach = LEAST_SIGHT + SIGHT * (ego.speed + other.speed)
     return abs(other.x - ego.x) < reach and abs(other.y - ego.y) < reach
+
+
+def is_noticed(other: VehicleState) -> bool:
+    """Whether a driver that watches can see another road user: not a pedestrian or cyclist that others hide."""
+    return not (isinstance(other, Vehicle) and is_unprotected(other) and not other.visible)
 
 
 def _path(observation: Observation) -> EgoPaths:

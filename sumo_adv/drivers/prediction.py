@@ -21,6 +21,7 @@ from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.road_users import unprotected
 
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 SAME_WAY = 0.5  # rad
@@ -70,6 +71,11 @@ class PredictedEgos:
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
+        self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
+        over_kerb = np.where(self._unprotected, width / 2, 0.0)
+        self._over_kerb = (
+            np.where(scenes.any_lane(1), 0.0, over_kerb), np.where(scenes.any_lane(-1), 0.0, over_kerb)
+        )  # fmt: skip
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
         self._edges = seen_edges(self._lane, scenes.ego.width, self.d)
         self._sees = np.maximum(self._lane / 2, self.model.sees)
@@ -147,7 +153,7 @@ class PredictedEgos:
         front: the adversaries' stations in SUMO, whether their fronts are ahead of the egos', and the fronts' offsets.
         """
         (_, _, h), (s, ahead, front_d) = adversary, front
-        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1])
+        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - self.s - self.scenes.ego.length / 2
@@ -165,7 +171,7 @@ class PredictedEgos:
 
         It does while the centre of the adversary's front is inside. After that SUMO has the adversary in both lanes,
         except if the other one has the opposite direction. It then stays in the lane while its side is in the strips
-        that the ego takes up.
+        that the ego takes up. A pedestrian or cyclist is narrower than a strip, so it must be in these strips always.
         """
         inside, half = self._inside(front_d, h), self._width / 2
         if self._looks_from is not self._edges_at:
@@ -173,6 +179,8 @@ class PredictedEgos:
             self._edges = seen_edges(self._lane, self.scenes.ego.width, self._edges_at)
         left, right = self._edges
         partly = (front_d - half + NUMERICAL < left) & (front_d + half - NUMERICAL > -right)
+        if not self.model.ignores_sumo_lane_rules:
+            inside &= partly | ~self._unprotected
         self._was_inside |= inside
         return inside | (self._was_inside & partly & np.where(front_d > 0.0, self._has_left, self._has_right))
 
@@ -180,10 +188,11 @@ class PredictedEgos:
         """Whether the front's centre is in the lane, or as near as the driver ``sees``.
 
         SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``).
+        Where no lane is beside it, SUMO has a pedestrian or cyclist in the lane as soon as the box could touch it.
         """
         beyond = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
-        left = self._sees + np.where(self._opposed, beyond, 0.0)
-        inside = (front_d > -self._sees) & (front_d < left)
+        left = self._sees + np.where(self._opposed, beyond, self._over_kerb[0])
+        inside = (front_d > -self._sees - self._over_kerb[1]) & (front_d < left)
         self._gone_over = ~inside & (front_d > 0.0)
         return inside
 

@@ -42,6 +42,10 @@ class Scenes:
         has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.road.sides) for s in self._distinct]
         return np.array(has, bool)[self._row]
 
+    def any_lane(self, side: int) -> Bools:
+        """Whether a lane of any direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
+        return np.array([any(o * side > 0.0 for o, _ in s.road.sides) for s in self._distinct], bool)[self._row]
+
     def opposed(self) -> Bools:
         """Whether the lane to the left of the egos' has the opposite direction, ``(n,)``; False on roads of two lanes
         that lead to no junction."""

@@ -37,8 +37,9 @@ def attempt_of(
     if result.driven.ending == "planner_failed":
         verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
     path = found.situations[proposal.delay].baseline.path
-    diagnosis = diagnose(result, found.ego, proposal.bv, path, settings.limits.limits(), settings.step_length)
     target = found.situations[proposal.delay].targets.get(proposal.bv)
+    limits = settings.limits.limits() if target is None else settings.limits.of(target.state)
+    diagnosis = diagnose(result, found.ego, proposal.bv, path, limits, settings.step_length)
     kind = "" if target is None else kind_of(proposal.label, target.relation, verdict.contact_side)
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind

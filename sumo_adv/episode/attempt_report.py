@@ -32,7 +32,7 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
     end = float(min(ego.time[-1], adversary.time[-1]))
     contact = attempt.verdict.contact_time
     gates = explained_gates(
-        adversary, list(tracks.values()), attempt.verdict.failed_gates, settings.limits.limits(), found.drivable,
+        adversary, list(tracks.values()), attempt.verdict.failed_gates, settings.limits.of(adversary), found.drivable,
         result.start, end if contact is None else contact,
     )  # fmt: skip
     target = found.situations[attempt.proposal.delay].targets.get(bv)

@@ -32,7 +32,7 @@ class BankView:
     def of(cls, episode: Episode, bank: MemoryBank, planned: PlannedEncounter) -> BankView:
         """The view of the bank as it is now, in the encounter of an episode."""
         settings, agents = episode.settings, episode.agents
-        library, _ = read_library(bank, planned.scene, settings.seed)
+        library, _ = read_library(bank, planned.scene, settings.seed, planned.found.situations)
         known = [e for e in library if not composed(e)]  # the expert composes the others anyway
         found = templates_of(planned.found.situations, known)
         templates = [(t.delay, t.target.state.id, t.entry.label, t.planner.hash) for t in found]

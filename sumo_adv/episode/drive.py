@@ -216,6 +216,10 @@ class Drive:
         """Ids of the objects of a log that are no vehicles."""
         return frozenset() if self.playback is None else self.playback.obstacles
 
+    def placed(self, obstacle: str) -> bool:
+        """Whether the scenario has put this pedestrian or cyclist there."""
+        return self.playback is not None and self.playback.placed(obstacle)
+
     def route(self) -> tuple[str, ...]:
         """The edges of the ego's whole route."""
         assert self.ego is not None

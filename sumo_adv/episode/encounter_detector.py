@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import VehicleState
+from sumo_adv.datatypes import Relation, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_place import place_of
+from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
@@ -156,19 +158,27 @@ class EncounterDetector:
         names, obstacles = [], drive.obstacles
         c, s = math.cos(ego.heading), math.sin(ego.heading)
         for name in drive.snapshot.raw:
-            if name == ego.id or name in obstacles or (self.only and name not in self.only):
+            if name == ego.id or (self.only and name not in self.only):
+                continue
+            small = may_attack(drive, name, self.only)
+            if name in obstacles and not small:
                 continue
             x, y, heading = drive.pose(name)
             dx, dy = x - ego.x, y - ego.y
             distance = math.hypot(dx, dy)
             ahead = c * dx + s * dy > 0
             far = ahead or abs(wrap(heading - ego.heading)) > 0.5
-            if distance < (ONCOMING_NEAR if far else NEAR) and drive.simulation.vehicle_class(name) in CLASSES:
+            if distance < (ONCOMING_NEAR if far else NEAR) and (
+                small or drive.simulation.vehicle_class(name) in CLASSES
+            ):
                 names.append(name)
         return names
 
     def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> RankedVehicle | None:
         bv = drive.state(name)
+        if is_unprotected(bv):
+            ways = small_ways(self.road, drive, bv, path)
+            return RankedVehicle(name, Relation.CROSSING, crossing_risk(ways, bv, ego), ways, bv.lane)
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
@@ -266,3 +276,10 @@ def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[
     """All ways on of a vehicle, each related to the ego's path."""
     position = drive.simulation.lane_position(bv.id) - bv.length / 2
     return tuple(relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH))
+
+
+def small_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[ReferencePath, ...]:
+    """The ways of a pedestrian or cyclist, each related to the ego's path."""
+    if bv.id in drive.obstacles or bv.lane not in road.lanes:
+        return unprotected_ways(bv, path)
+    return unprotected_ways(bv, path, road.ways(bv.lane, drive.simulation.lane_position(bv.id) - bv.length / 2, REACH))

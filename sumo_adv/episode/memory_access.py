@@ -6,6 +6,7 @@ import random
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
@@ -22,17 +23,19 @@ from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evid
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.search.selection import Selection, select
+from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
 CONFIRMED = 2  # the analyzer compares a new intent with this number of nearest intents
 
 
 def read_library(
-    bank: MemoryBank, now: SceneSignature, seed: int
+    bank: MemoryBank, now: SceneSignature, seed: int, situations: Mapping[float, Situation]
 ) -> tuple[list[LibraryEntry], list[dict[str, object]]]:
     """The bank's active intents as a library, and how their planners were ordered, for the manifest.
 
-    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``.
+    Thompson sampling orders an intent's planners by their evidence in scenes like ``now``. Where a pedestrian or
+    cyclist could be the adversary, the shipped intents for them are added (``unprotected_library``).
     """
     rng = random.Random(seed)
     entries, explained = [], list[dict[str, object]]()
@@ -42,7 +45,33 @@ def read_library(
             explained.append({"label": record.label, "planners": bandit.explain(arms)})
             planners = tuple(arm.planner for arm in arms)
             entries.append(LibraryEntry(record.label, record.description, record.applies, planners))
+    targets = [target for situation in situations.values() for target in situation.targets.values()]
+    near = {word for target in targets for word in target.applies()}
+    held = {record.label: record.status for record in bank.intents()}
+    for shipped in unprotected_library():
+        if near.intersection(shipped.applies) and held.get(shipped.label, "active") == "active":
+            entries = _with(entries, shipped)
     return entries, explained
+
+
+@lru_cache(maxsize=1)
+def unprotected_library() -> tuple[LibraryEntry, ...]:
+    """The shipped intents of pedestrians and cyclists. They come into a bank with their first success."""
+    with MemoryBank.open(data_folder("unprotected_bank.sqlite"), read_only=True) as shipped:
+        return tuple(
+            LibraryEntry(r.label, r.description, r.applies, tuple(shipped.planners(r.label)), "generated")
+            for r in shipped.intents()
+        )
+
+
+def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[LibraryEntry]:
+    """A library with a shipped intent; if the library has it, with the planners of it that the library lacks."""
+    known = next((e for e in entries if e.label == shipped.label), None)
+    if known is None:
+        return [*entries, shipped]
+    hashes = {p.hash for p in known.planners}
+    more = replace(known, planners=(*known.planners, *(p for p in shipped.planners if p.hash not in hashes)))
+    return [more if e is known else e for e in entries]
 
 
 def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
@@ -53,6 +82,7 @@ def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
 def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
     """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones."""
     known = [record.label for record in bank.intents() if record.status == "active"]
+    known += [entry.label for entry in unprotected_library()]
     return select(known, settings.intents, settings.exclude, scenario)
 
 

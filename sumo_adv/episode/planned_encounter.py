@@ -82,7 +82,7 @@ def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, 
     shown = {} if settings.learn == "off" else weights_of_driver(bank, episode.task.ego_driver)
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
-    library, episode.bandit = read_library(bank, scene, settings.seed)
+    library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
     search, known = searched(episode, found, predictor, library, bank, weights)
     return PlannedEncounter(found, predictor, library, scene, search, known)
 

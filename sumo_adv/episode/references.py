@@ -15,6 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Preventability, Proposal, Track, VehicleState
 from sumo_adv.drivers import Observation, Pose
+from sumo_adv.drivers.careful import is_noticed
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import on_grid, row_of
@@ -78,7 +79,7 @@ class ReferenceEgo:
             assert plan is not None
             i = min(k + 1, plan.x.shape[-1] - 1)
             return Pose(*(float(v[i]) for v in (plan.x, plan.y, plan.heading, plan.speed)))
-        self._states.append({s.id: s for s in observation.others})
+        self._states.append({s.id: s for s in observation.others if is_noticed(s)})
         station = float(self._paths.locate(np.array([[state.x]]), np.array([[state.y]]))[0][0, 0])
         commanded = float(self._driver.step(self._view(station, state.speed, self._acceleration))[0])
         index = int(np.searchsorted(self._ego.time, observation.time - 1e-6))

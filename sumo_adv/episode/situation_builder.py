@@ -14,10 +14,13 @@ from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
 from sumo_adv.episode.start_times import delays, spent
+from sumo_adv.episode.unprotected import STANDS, unprotected_ways
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.log_noise import smoothed
+from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
+from sumo_adv.simulation.sight import Sight
 from sumo_adv.situation import (
     SHIFT_STEP,
     Baseline,
@@ -30,6 +33,7 @@ from sumo_adv.situation import (
     fastest_of,
     on_path,
     relate,
+    top_speed,
 )
 
 OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
@@ -65,10 +69,11 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
     """The state of the simulation now."""
     assert drive.ego is not None
     simulation, left = drive.simulation, drive.left()
+    driving = [c.id for c in ranking if c.id not in drive.obstacles]
     return TriggerState(
         drive.ego, drive.now, model_of(drive.controller, simulation.model(drive.ego)), drive.route(),
-        {c.id: simulation.route(c.id)[0] for c in ranking},
-        {name: tuple(simulation.signals(name)) for name in (drive.ego, *(c.id for c in ranking))},
+        {name: simulation.route(name)[0] for name in driving},
+        {name: tuple(simulation.signals(name)) for name in (drive.ego, *driving)},
         math.inf if left is None else left, drive.reacting(), drive.follows_log(),
     )  # fmt: skip
 
@@ -126,6 +131,8 @@ def build_situation(
         if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
+        if target is not None and is_unprotected(target.state):
+            target = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
         if target is not None:
             targets[ranked.id] = target
     if not targets:
@@ -242,8 +249,10 @@ def _target(
 ) -> Target | None:  # fmt: skip
     """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown."""
     bv = state_at(track, time) if track is not None else None
-    if bv is None or bv.lane not in road.lanes:
+    if bv is None or (bv.lane not in road.lanes and not is_unprotected(bv)):
         return None
+    if is_unprotected(bv):
+        return _small_target(road, bv, ranked, path)
     position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
     onward = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
     ways = [
@@ -262,6 +271,23 @@ def _target(
     sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
     unattacked = _along(onward, road, bv.lane, route)
     return Target(bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked)
+
+
+def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:
+    """A pedestrian or cyclist."""
+    lanes: Sequence[Way] = ()
+    if bv.lane in road.lanes:
+        position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
+        lanes = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * top_speed(bv))
+    ways = unprotected_ways(bv, path, lanes)
+    turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(ways[0].path.heading[0]))
+    return Target(bv, ranked.relation, ways, 0.0, 0.0, turn, (), ranked.risk)
+
+
+def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
+    """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
+    there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
+    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)])[0]
 
 
 def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

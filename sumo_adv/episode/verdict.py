@@ -31,7 +31,7 @@ def gate_verdict(
     half = found.first.road.lane_width / 2
     verdict = judge(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.critical_ttc,
-        limits=settings.limits.limits(), on_road=found.drivable, lane_half_width=half,
+        limits=settings.limits.of(case.adversary), on_road=found.drivable, lane_half_width=half,
     )  # fmt: skip
     verdict = replace(verdict, log_gates=case.log_gates)
     return with_level(

@@ -317,7 +317,8 @@ class Worker:
         for _ in range(settings.steps(proposal.delay)):
             drive.tick()
         start = drive.now
-        adversary = controller_of(situation, proposal, settings.limits.limits(), ask)
+        limits = settings.limits.of(situation.targets[proposal.bv].state)
+        adversary = controller_of(situation, proposal, limits, ask)
         driven = attack(
             drive, {proposal.bv: adversary}, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),

@@ -19,8 +19,12 @@ RELATIONS = (
     "crossing_straight",
     "crossing_right",
     "merging",
+    "cyclist",
+    "cyclist_hidden",
+    "pedestrian",
+    "pedestrian_hidden",
 )
-"""Where a BV can stand to the ego; what ``applies`` of an intent is made of."""
+"""Where a BV can stand to the ego, or what it is; what ``applies`` of an intent is made of."""
 
 STATUSES = ("active", "retired")
 

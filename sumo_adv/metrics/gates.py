@@ -17,6 +17,7 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Limits, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of
+from sumo_adv.road_users import is_unprotected
 
 ACCELERATION_SLACK = 0.1  # m/s2: a speed rounded to 5 mm/s over 0.1 s
 LATERAL_SLACK = 0.1  # m/s2: a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
@@ -173,7 +174,8 @@ def failed_gates(
 
     start: the trigger. By default it is the third state, so that the first steps are judged against two states of
     history. end: the first contact with the ego, None for the end of the shorter track. ``on_road(x, y)`` says which
-    points are drivable; None leaves that gate out.
+    points are drivable; None leaves that gate out, and so does a pedestrian or cyclist: both may be
+    beside the road.
     """
     start = float(adversary.time[min(2, len(adversary.time) - 1)]) if start is None else start
     end = float(min(ego.time[-1], adversary.time[-1])) if end is None else end
@@ -184,7 +186,8 @@ def failed_gates(
     boxes = adversary.boxes()
     broken = kinematic_gates(boxes, adversary.acceleration, adversary.time, limits)
     failed = {name for name, steps in broken.items() if (steps & judged).any()}
-    if on_road is not None and off_road(boxes, judged, on_road).any():
+    on_the_carriageway = None if is_unprotected(adversary) else on_road
+    if on_the_carriageway is not None and off_road(boxes, judged, on_the_carriageway).any():
         failed.add("off_road")
     if _touches(adversary.between(start, end), others, end):
         failed.add("third_party")

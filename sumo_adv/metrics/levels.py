@@ -7,7 +7,8 @@ critical   min TTC at most the threshold, or a contact
 collision  contact
 valid      collision, conclusive, the ego neither stationary nor blocking, avoided by a reference driver
 strict     valid, and avoided by ``cc_human``
-serious    strict, human, and a delta-v of the ego of at least 5 mph (2.24 m/s)
+serious    strict, human, and a delta-v of the ego of at least 5 mph (2.24 m/s); of a pedestrian or cyclist: a risk
+           of a serious injury of at least 10 %, by the impact speed (29 and 44 km/h; ``severity.py``)
 ========== ==============================================================================================
 
 This is the kinematic form (:mod:`sumo_adv.metrics.reference.counterfactual`); the form in the simulation
@@ -30,11 +31,12 @@ from sumo_adv.metrics.human import outside
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.counterfactual import Answer, Encounters, answers
-from sumo_adv.metrics.severity import crash
+from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash
+from sumo_adv.road_users import is_unprotected
 
 SAME_WAY = 3.0  # m beside the unattacked way
 STATIONARY, STATIONARY_FOR = 0.5, 1.0  # m/s, s before the contact
-SERIOUS_DELTA_V = 2.24  # m/s, 5 mph
+SERIOUS_RISK = 0.1  # of a serious injury of a pedestrian or cyclist
 PLANNED = 0.3  # s that a track must go on after the contact to count as planned
 STOPPING = 3.0  # m/s2 with which a blocking ego could have stopped before the junction
 JUNCTION = ":"  # SUMO's internal lanes begin with it
@@ -159,10 +161,12 @@ def with_level(
     )  # fmt: skip
     impact = crash(ego, adversary, contact)
     strange = outside(adversary, trigger_time, contact, _ahead_in_lane(ego, adversary, lane_half_width))
+    strange = () if is_unprotected(adversary) else strange  # the gates' limits are those of a person already
     verdict = replace(
         verdict, preventability=found, ego_stationary=_stationary(ego, contact), ego_blocking=_blocking(ego, contact),
         humanlike=not strange, beyond_human=strange, contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v,
         adversary_delta_v=impact.adversary_delta_v, severity=str(impact.severity), injury_risk=impact.injury_risk,
+        impact_speed=impact.impact_speed,
     )  # fmt: skip
     return judged(verdict)
 
@@ -184,8 +188,14 @@ def level_of(verdict: Verdict) -> Level:
         return Level.COLLISION
     if "cc_human" not in p.by:
         return Level.VALID
-    serious = verdict.humanlike and (verdict.delta_v or 0.0) >= SERIOUS_DELTA_V
-    return Level.SERIOUS if serious else Level.STRICT
+    return Level.SERIOUS if verdict.humanlike and _hard(verdict) else Level.STRICT
+
+
+def _hard(verdict: Verdict) -> bool:
+    """Whether the collision is hard enough for the level ``serious``."""
+    if verdict.impact_speed is not None:
+        return (verdict.injury_risk or 0.0) >= SERIOUS_RISK - 1e-9
+    return (verdict.delta_v or 0.0) >= SERIOUS_DELTA_V
 
 
 def _begin(ego: Track, adversary: Track) -> float:

@@ -11,7 +11,13 @@ A sideswipe at equal speeds has almost no closing speed along its normal, and so
 Injury risk: Lubbe et al. 2022 (Traffic Safety Research 2, 000006), serious injury (MAIS3+F) of a car driver in a
 frontal collision with a car, logistic in the closing speed with a slope of 0.041 per km/h and 10 % at 112 km/h.  The
 closing speed is taken as twice the delta-v: that of two equal cars head-on.  It is a yardstick for ordering, not a
-prediction for side impacts, trucks or people on foot.
+prediction for side impacts or trucks.
+
+Where the ego hits a pedestrian or a cyclist, the risk is theirs: a serious injury (MAIS3+F) at the impact speed, which
+is the closing speed along the contact normal.  The same study gives 10 % at 29 km/h for pedestrians and at 44 km/h for
+cyclists hit by the front of a car.  Its slopes were not at hand; that of Rosen and Sander 2009 (Accident Analysis and
+Prevention 41, 536-542; fatality of adult pedestrians, 0.090 per km/h) stands for both.  The level ``serious`` depends
+on the speed of 10 % alone.
 """
 
 from __future__ import annotations
@@ -26,10 +32,14 @@ from sumo_adv.datatypes import Boxes, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations
 from sumo_adv.metrics.contact import Side, contact_point, contact_sides
+from sumo_adv.road_users import RoadUser, road_user
 
 RESTITUTION = 0.1
 MPH = 0.44704  # m/s
 RISK_SLOPE, RISK_TENTH = 0.041, 112.0  # per km/h, and the closing speed [km/h] of a risk of 10 %
+UNPROTECTED_SLOPE = 0.090  # per km/h
+UNPROTECTED_TENTH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # km/h, of a risk of 10 %
+SERIOUS_DELTA_V = 2.24  # m/s, 5 mph
 MASSES = (
     (1.0, 80.0),
     (2.2, 100.0),
@@ -63,7 +73,8 @@ class Crash:
     ego_side: Side
     adversary_side: Side
     severity: Severity
-    injury_risk: float  # of a driver of the ego, [0, 1]
+    injury_risk: float  # of the unprotected road user that is hit, else of the ego's driver, [0, 1]
+    impact_speed: float | None  # ``closing``, where the adversary is a pedestrian or cyclist; else None
 
 
 def mass_of(length: float) -> float:
@@ -83,6 +94,20 @@ def injury_risk(delta_v: float) -> float:
     """Probability of a serious injury (MAIS3+F) of a car driver at a delta-v [m/s]."""
     closing = 2 * delta_v * 3.6
     return 1.0 / (1.0 + math.exp(-(RISK_SLOPE * (closing - RISK_TENTH) + math.log(1 / 9))))
+
+
+def unprotected_risk(user: RoadUser, impact_speed: float) -> float:
+    """Probability of a serious injury (MAIS3+F) of a pedestrian or cyclist that is hit at a speed [m/s]."""
+    beyond = impact_speed * 3.6 - UNPROTECTED_TENTH[user]
+    return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE * beyond + math.log(1 / 9))))
+
+
+def hardness(crash: Crash, user: RoadUser) -> float:
+    """How hard a crash with an adversary of a kind is, 1 = serious: its share of ``SERIOUS_DELTA_V``, or of the impact
+    speed at which 10 % of pedestrians or cyclists are seriously injured."""
+    if user is RoadUser.VEHICLE:
+        return crash.ego_delta_v / SERIOUS_DELTA_V
+    return crash.closing * 3.6 / UNPROTECTED_TENTH[user]
 
 
 def crash(ego: Track, adversary: Track, contact_time: float) -> Crash:
@@ -112,8 +137,10 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
     effective = sum(1 / m + arm**2 / i for m, arm, i in zip(mass, lever, inertia, strict=True))
     impulse = (1 + RESTITUTION) * closing / effective
     deltas = [impulse / m for m in mass]
-    sides = contact_sides(a, b)
-    return Crash(deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), injury_risk(deltas[0]))
+    sides, user = contact_sides(a, b), road_user(b)  # type: ignore[arg-type]
+    driver = user is RoadUser.VEHICLE
+    risk = injury_risk(deltas[0]) if driver else unprotected_risk(user, closing)
+    return Crash(deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), risk, None if driver else closing)
 
 
 def _normal(a: Boxes, b: Boxes) -> tuple[float, float]:

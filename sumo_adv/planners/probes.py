@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from sumo_adv.geometry import wrap
+from sumo_adv.road_users import FASTEST, RoadUser
 from sumo_adv.situation import NO_ARRIVAL, fastest_of
 
 LENGTH, WIDTH, LANE_WIDTH = 5.0, 1.8, 3.2  # m
@@ -26,6 +27,13 @@ LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.
 """m ahead and to the left, along the ego's path. An oncoming BV is farther ahead and meets the ego after ``MEET``."""
 
 MEET = 6.0  # s
+
+SIZES = {
+    "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
+}  # fmt: skip
+"""m, of the road users that are no vehicles. They are ``BESIDE`` metres beside the ego's path."""
+
+BESIDE = 4.0
 
 CROSSING_ANGLES = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
 """rad: the BV's heading at the conflict, relative to the ego's path there."""
@@ -50,12 +58,13 @@ def probes(relation: str) -> list[Probe]:
 
 
 def _probes(relation: str) -> Iterator[Probe]:
+    small = relation in SIZES
     for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve")):
         for pace, speed in SPEEDS.items():
             for time in TIMES:
                 name = f"{relation}, {pace}, {shape}, after {time:.0f} s"
                 crossing = relation in CROSSING_ANGLES
-                yield (_crossing if crossing else _lane)(name, relation, curvature, speed, time)
+                yield (_small if small else _crossing if crossing else _lane)(name, relation, curvature, speed, time)
 
 
 def on_arc(station: float, left: float, curvature: float) -> Pose:
@@ -124,6 +133,42 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
     start = (cx - away * c, cy - away * s, heading)
     road = _road("merging" if relation == "merging" else "crossing", start[1], curvature, bv_speed, start, way)
     return Probe(name, bv, _ego(curvature, speed, time, [arrival]), road)
+
+
+def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
+    cyclist = relation.startswith("cyclist")
+    cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
+    heading = wrap(ch + math.pi / 2)
+    c, s = math.cos(heading), math.sin(heading)
+    pace = 4.0 if cyclist else 1.5
+    travelled = min(pace * time, 20.0)
+    conflict = {
+        "kind": "crossing", "x": cx, "y": cy, "heading": heading, "bv_distance": BESIDE, "ego_distance": CONFLICT,
+        "angle": math.pi / 2,
+    }  # fmt: skip
+    line = [[cx + (2.0 * i - BESIDE) * c, cy + (2.0 * i - BESIDE) * s] for i in range(15)]
+    across = {"movement": "across", "junction": NO_ARRIVAL, "conflict": conflict, "centreline": line}
+    along = [list(on_arc(CONFLICT + 2.0 * i, -BESIDE, curvature)[:2]) for i in range(60)]
+    ways = [{"movement": "along", "junction": NO_ARRIVAL, "conflict": None, "centreline": along}] if cyclist else []
+    x, y = cx + (travelled - BESIDE) * c, cy + (travelled - BESIDE) * s
+    if cyclist:
+        x, y, heading = on_arc(CONFLICT + travelled, -BESIDE, curvature)
+    turned = heading - ch
+    ego_left = CONFLICT - speed * time
+    arrival = ego_left / max(speed, 3.0) if ego_left <= 0 else (ego_left / speed if speed > 2.8 else NO_ARRIVAL)
+    now = pace if cyclist or time else 0.0
+    bv = _bv((x, y, heading), now, travelled, time, (x, y))
+    left = -BESIDE if cyclist else travelled - BESIDE
+    bv |= {
+        "ahead": CONFLICT + (travelled if cyclist else 0.0) - speed * time, "left": left, "relative_heading": turned,
+        "road_heading": ch, "target_left": left, "lateral_time": 0.0, "speed_along": now * math.cos(turned),
+        "length": SIZES[relation][0], "width": SIZES[relation][1],
+    }  # fmt: skip
+    start = (cx - BESIDE * c, cy - BESIDE * s, heading)
+    road = _road("crossing", -BESIDE, curvature, now, start, across)
+    road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation.removesuffix("_hidden"))]}
+    return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL] * len(ways) + [arrival]), road)
 
 
 def _bv(pose: Pose, speed: float, travelled: float, time: float, here: tuple[float, float]) -> dict[str, Any]:

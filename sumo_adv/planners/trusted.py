@@ -40,6 +40,9 @@ TRUSTED = frozenset(
         "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
         "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail of the lane shift
         "3421bf14c28f8f4a68dc8d44d9652e1116ad720bf4a3593ef8414dc2532dcff3",  # slow
+        "b4c1d56f485bf2769ab5c617628f09b737e2707fd514fdff464e69b7ab1c93f1",  # swerve
+        "c157760ef0af669d546e1d6d2844fb0e703cf843e3feba37523bdcd844ca42fb",  # cross
+        "d75adb584fe0d8160ebfc7de895261a77dabfe13b821196b7b7e22cd1b8beb41",  # freeze
     }
 )
 """Fingerprints of the planners in ``memory_bank/``. They are listed here so that no bank can claim to be trusted."""

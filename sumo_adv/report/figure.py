@@ -159,7 +159,9 @@ def _draw_summary(figure: Any, verdict: Verdict, height: float) -> None:
     end = "collision" if verdict.collided else "no contact"
     words = [f"min TTC {number(verdict.min_ttc, 's')}", f"min distance {number(verdict.min_distance, 'm')}", end]
     if verdict.preventability is not None:
-        words.append(f"{verdict.level}, delta-v {verdict.delta_v:.1f} m/s")
+        hit = verdict.impact_speed
+        hard = f"delta-v {verdict.delta_v:.1f} m/s" if hit is None else f"hit at {hit:.1f} m/s"
+        words.append(f"{verdict.level}, {hard}")
         words.append(f"preventable by {', '.join(verdict.preventability.by) or 'no reference driver'}")
     words += ["not feasible"] if not verdict.feasible else []
     words += ["rear-end"] if verdict.rear_end else []

@@ -45,7 +45,7 @@ class Judgement:
         """For tables."""
         kept = (
             "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v",
-            "severity", "simulated",
+            "severity", "impact_speed", "simulated",
         )  # fmt: skip
         return {
             "run": str(self.folder), "ego": self.ego, "how": self.how, "collided": self.now.get("collided"),

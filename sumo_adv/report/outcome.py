@@ -171,6 +171,7 @@ def level_figures(v: Verdict) -> dict[str, Any]:
         "ego_stationary": v.ego_stationary, "ego_blocking": v.ego_blocking, "humanlike": v.humanlike,
         "beyond_human": list(v.beyond_human), "contact_side": v.contact_side, "delta_v": number(v.delta_v),
         "adversary_delta_v": number(v.adversary_delta_v), "severity": v.severity, "injury_risk": number(v.injury_risk),
+        "impact_speed": number(v.impact_speed),
     }  # fmt: skip
 
 
@@ -199,7 +200,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
-        "contact_side": v.contact_side, "kind": a.kind,
+        "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
     }  # fmt: skip
 

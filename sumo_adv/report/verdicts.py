@@ -47,7 +47,7 @@ FULL_KEYS = (
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
-    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "log_gates",
+    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "impact_speed", "log_gates",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
@@ -108,7 +108,7 @@ def _tracks(
 def _full(episode: Episode, case: Case, found: FoundEncounter, result: AttemptResult) -> FullVerdict:
     return full_judge(
         case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
-        limits=episode.settings.limits.limits(), on_road=found.drivable,
+        limits=episode.settings.limits.of(case.adversary), on_road=found.drivable,
         lane_half_width=found.first.road.lane_width / 2,
     )  # fmt: skip
 

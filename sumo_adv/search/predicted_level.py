@@ -15,10 +15,11 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
 from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.human import envelope_left
-from sumo_adv.metrics.levels import SERIOUS_DELTA_V, STATIONARY, STATIONARY_FOR
+from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
-from sumo_adv.metrics.severity import crash_of
+from sumo_adv.metrics.severity import crash_of, hardness
+from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -33,13 +34,14 @@ class Danger:
     """What predicted collisions come to, row by row, arrays ``(n,)``.
 
     level: ``COLLISION`` or higher. warning: from the alarm of ``cc_human`` to the contact [s], 0 without an alarm.
-    delta_v: of the ego [m/s]. human: the adversary stays within the human envelope. careful, manoeuvre: whether this
-    reference driver avoids it. sides: the side of the ego that is hit.
+    delta_v: of the ego [m/s]. hardness: 1 or more is hard enough for ``serious``. human: the adversary stays within the
+    human envelope. careful, manoeuvre: whether this reference driver avoids it. sides: the side of the ego that is hit.
     """
 
     level: Ints
     warning: Floats
     delta_v: Floats
+    hardness: Floats
     human: Bools
     careful: Bools
     manoeuvre: Bools
@@ -68,7 +70,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
-    check = _check(collisions, onward, np.arange(n))
+    users = [road_user(now.targets[bv].state) for now, bv in zip(situations, collisions.bvs, strict=True)]
+    small = np.array([user is not RoadUser.VEHICLE for user in users])
+    check = _check(collisions, onward, np.arange(n), with_others=bool(small.any()))  # others may hide a pedestrian
     normal = check.braking(CcHuman)
     contact = last * dt
     warning = np.where(normal.alarm < contact, contact - normal.alarm, 0.0)
@@ -84,7 +88,8 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
         crash_of(*_single(collisions.at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)
     ]
     delta_v = np.array([impact.ego_delta_v for impact in impacts])
-    human = _human(check, adversary, last, dt)
+    hard = np.array([hardness(impact, user) for impact, user in zip(impacts, users, strict=True)])
+    human = small | _human(check, adversary, last, dt)
     span = np.arange(ego.x.shape[1])
     final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR / dt)
     stands = (np.where(final, ego.speed, 0.0) < STATIONARY).all(axis=1)
@@ -92,9 +97,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     counts = conclusive & ~stands
     level[counts & manoeuvre] = Level.VALID
     level[counts & careful] = Level.STRICT
-    level[counts & careful & human & (delta_v >= SERIOUS_DELTA_V)] = Level.SERIOUS
+    level[counts & careful & human & (hard >= 1.0)] = Level.SERIOUS
     sides = [str(impact.ego_side) for impact in impacts]
-    return Danger(level, warning, delta_v, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
+    return Danger(level, warning, delta_v, hard, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
 
 
 def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:

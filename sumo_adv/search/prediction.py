@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Level, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import DriverModel, Level, Limits, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
+from sumo_adv.road_users import road_user
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
 from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.rollouts import Rollouts, predict
@@ -55,8 +56,12 @@ class Predictor:
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
-        for hashes in batches_of(proposals):
-            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes]
+        users = [road_user(self._situations[p.delay].targets[p.bv].state) for p in proposals]
+        batches = [(user, hashes) for user in dict.fromkeys(users) for hashes in batches_of(proposals)]
+        for user, hashes in batches:
+            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and users[k] is user]
+            if not rows:
+                continue
             egos = None if motions is None else [motions[k] for k in rows]
             for k, p in zip(rows, self._together([proposals[k] for k in rows], egos), strict=True):
                 scored[k] = p
@@ -105,12 +110,16 @@ class Predictor:
         self.seconds += time.perf_counter() - began
         return changed
 
+    def _limits(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Limits:
+        """The limits of candidates that are all of one kind of road user."""
+        return self._settings.limits.of(situations[proposals[0].delay].targets[proposals[0].bv].state)
+
     def _all_driven_by(self, model: DriverModel) -> dict[float, Situation]:
         return {delay: situation.driven_by(model) for delay, situation in self._situations.items()}
 
     def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
         rollouts, failures = self._rolled(self._situations, proposals, motions)
-        limits = self._settings.limits.limits()
+        limits = self._limits(self._situations, proposals)
         judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
         goal, weights = self._settings.goal, self._weights
         judged = [(goal_score(goal, score, made, weights), made) for score, made in judged]
@@ -134,7 +143,7 @@ class Predictor:
         ) as sessions:  # fmt: skip
             rollouts = predict(
                 situations, proposals, lambda rows, observations: sessions.answers(proposals, rows, observations),
-                limits=settings.limits.limits(), steps=settings.steps(settings.duration),
+                limits=self._limits(situations, proposals), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan), motions=motions,
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip

@@ -19,7 +19,7 @@ from sumo_adv.metrics.boxes import between_steps, gap, on_grid, overlaps, pick, 
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
-from sumo_adv.metrics.levels import SERIOUS_DELTA_V
+from sumo_adv.road_users import unprotected
 from sumo_adv.search.novelty import TRACE_STEP
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
 from sumo_adv.search.rollouts import Rollouts, Touch
@@ -111,9 +111,10 @@ def _look_at(
         there = [proposals[k].bv for k in rows.tolist()]
         third[rows] = _third_party(situations[delay], there, some_rows(adversary, rows), rollouts.time, end_time[rows])
     least, nearest, nearest_step = _least(ego, adversary, last)
+    bound = judged & ~unprotected(lengths, widths)  # to the carriageway
     return _Seen(
         ego, adversary, dt, contact, hit, end, last, at_contact, third,
-        _leaves_road(adversary, judged, drivable), _beyond_limits(adversary, before, rollouts.time, judged, limits),
+        _leaves_road(adversary, bound, drivable), _beyond_limits(adversary, before, rollouts.time, judged, limits),
         hit & rear_end(*at_contact), least, nearest, nearest_step,
     )  # fmt: skip
 
@@ -174,7 +175,7 @@ def _first(holds: Bools) -> Any:
 def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
     warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
-    hard = np.clip(danger.delta_v / SERIOUS_DELTA_V, 0.0, 1.0)
+    hard = np.clip(danger.hardness, 0.0, 1.0)
     to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human
     to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
     to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)

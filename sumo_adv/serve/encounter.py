@@ -123,7 +123,10 @@ class LiveAttempts:
         settings, roads = self._settings, Roads({proposal.delay: situation})
         with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
             adversary = controller_of(
-                situation, proposal, settings.limits.limits(), partial(answer_of, proposal, planners)
+                situation,
+                proposal,
+                settings.limits.of(situation.targets[proposal.bv].state),
+                partial(answer_of, proposal, planners),
             )
             return attack(
                 session, {proposal.bv: adversary}, steps=settings.steps(settings.duration),
@@ -153,6 +156,7 @@ def release(session: Session, vehicle: str, edges: Sequence[str], events: Events
         session.remove(vehicle)
         how = "removed: it has hit the ego" if hit else "removed: it was off the road"
     else:
+        session.simulation.released(vehicle)
         session.simulation.set_speed(vehicle, None)
         Stage(session.simulation).direct(vehicle, tuple(edges))
         how = "driven on by SUMO"

@@ -188,7 +188,7 @@ def _from_scenario(path: Path) -> RunInput:
     routes, additional = scenario.demand.files, (*scenario.signals.files, *scenario.additional)
     edges, scans = _scan_all(path, network, (*routes, *additional))
     playback = scenario_playback(scenario)
-    recorded = frozenset() if playback is None else playback.vehicles
+    recorded = frozenset() if playback is None else playback.vehicles | playback.obstacles
     if routes or recorded:
         _check_ids(path, scenario, scans, recorded)
     for edge in scenario.ego.route:

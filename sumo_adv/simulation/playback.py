@@ -52,6 +52,7 @@ class Playback:
         self._standing = {p.id: (p, road.lanes[at[0]].edge) for p in spec.props if (at := under.get(p.id))}
         others = {name: r for name, r in recorded.items() if name not in self._vehicles}
         self._boxes = {n: p for n, p in {**props, **others}.items() if n not in self._standing}
+        self._placed = {p.id: p.kind for p in spec.props}
         self._lanes = road.lanes
         self._signals: SignalLog | None = read_signals(spec.signals) if spec.signals is not None else None
         self._step = step
@@ -60,7 +61,7 @@ class Playback:
         """Nothing has been played back yet in ``simulation``."""
         self._stage = Stage(simulation)
         self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
-        self._attacks: set[str] = set()  # vehicles of the log that an attack drives
+        self._attacks: set[str] = set()  # vehicles of the log and boxes that an attack drives
         self._attack: tuple[Pose, ...] = ()  # where it puts them in the present step
         self._kept: set[str] = set()  # never handed over: a replayed ego
         self._moved: dict[str, Pose] = {}  # by the log, in the present step
@@ -78,7 +79,12 @@ class Playback:
     def kind(self, obstacle: str) -> str:
         """What an object that is no vehicle is: ``pedestrian``, ``bicycle`` or ``obstacle``."""
         logged = None if self.log is None else self.log.tracks.get(obstacle)
-        return "obstacle" if logged is None else OBJECTS.get(logged.kind, "obstacle")
+        kind = self._placed.get(obstacle, "other") if logged is None else logged.kind
+        return OBJECTS.get(kind, "obstacle")
+
+    def placed(self, obstacle: str) -> bool:
+        """Whether the scenario itself, not a log, has put this pedestrian or cyclist there."""
+        return self._placed.get(obstacle) in OBJECTS
 
     # -- who drives -------------------------------------------------------------------------------------------------
 
@@ -142,6 +148,10 @@ class Playback:
                 continue
             driven[name] = self._moved[name] = pose
         self._stand(raw, then, driven)
+        for name in sorted(self._boxes.keys() & driven.keys() - self._free):
+            self._spawn(self._boxes[name], (), driven[name])  # from now on SUMO's drivers see it
+            self._free.add(name)
+            self._attacks.add(name)
         if self._signals is not None:
             self._show(self._signals, then)
 
@@ -174,6 +184,9 @@ class Playback:
 
     def _stand(self, raw: Mapping[str, RawState], then: float, driven: dict[str, Pose]) -> None:
         for name, (prop, edge) in self._standing.items():
+            if name in driven or name in self._free:
+                self._free.add(name)
+                continue
             pose = prop.pose(then)
             if pose is None:
                 if name in raw:
@@ -210,7 +223,7 @@ class Playback:
                 found[name] = (x, y, angle_deg, pose.speed, lane)
         for name, box in self._boxes.items():
             there = box.pose(time)
-            if there is not None:
+            if there is not None and name not in self._free:
                 found[name] = raw_of(there.x, there.y, there.heading, there.speed, box.length)
         return found
 

@@ -101,12 +101,12 @@ def with_background(
 def scenario_playback(scenario: Scenario) -> PlaybackSpec | None:
     """What a scenario plays back. Raises UsageError as :func:`make_playback` does."""
     kinds = {"parked": scenario.parked, "pedestrian": scenario.pedestrians, "cyclist": scenario.cyclists}
-    props = [_prop(f"{kind}{k}", box) for kind, boxes in kinds.items() for k, box in enumerate(boxes)]
+    props = [_prop(kind, k, box) for kind, boxes in kinds.items() for k, box in enumerate(boxes)]
     return make_playback(
         scenario.tracks, scenario.background, scenario.signals.log, props, scenario.demand.files
     )  # fmt: skip
 
 
-def _prop(name: str, b: Box) -> Prop:
+def _prop(kind: str, k: int, b: Box) -> Prop:
     start, end = b.times or (0.0, math.inf)
-    return Prop(name, b.x, b.y, b.heading, b.speed, b.length, b.width, start, end)
+    return Prop(f"{kind}{k}", b.x, b.y, b.heading, b.speed, b.length, b.width, start, end, kind)

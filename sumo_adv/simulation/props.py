@@ -26,6 +26,7 @@ class Prop:
     width: float
     start: float = 0.0
     end: float = math.inf
+    kind: str = "other"  # pedestrian | cyclist | parked | other
 
     def pose(self, time: float) -> Pose | None:
         """Where it is at ``time`` [s]; None before it comes and after it left."""

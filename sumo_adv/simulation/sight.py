@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
+from sumo_adv.geometry import crosses_box
 
 BUILDING = "building"  # types of SUMO's polygons that begin with it are buildings, as polyconvert names them
 
@@ -48,7 +49,8 @@ class Sight:
         targets = np.stack([_targets(box) for box in boxes])  # (n, 5, 2)
         blocked = np.zeros(targets.shape[:2], bool)
         for k, box in enumerate(boxes):
-            through = _passes(eye, targets, box)
+            half = (box.length / 2, box.width / 2)
+            through = crosses_box(eye, (targets[..., 0], targets[..., 1]), (box.x, box.y, box.heading), half)
             through[k] = False
             blocked |= through
         if self._tree is not None:
@@ -65,19 +67,3 @@ def _targets(box: VehicleState) -> Floats:
     c, s = np.cos(box.heading), np.sin(box.heading)
     local = np.array([(0, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]) * (box.length / 2, box.width / 2)
     return np.asarray(local @ np.array([[c, s], [-s, c]]) + (box.x, box.y))
-
-
-def _passes(eye: tuple[float, float], targets: Floats, box: VehicleState) -> Bools:
-    """Whether the lines from ``eye`` to points ``(..., 2)`` pass through a box; none do if ``eye`` is in it."""
-    c, s = np.cos(box.heading), np.sin(box.heading)
-    turn = np.array([[c, -s], [s, c]])
-    half = np.array([box.length / 2, box.width / 2])
-    start = (np.asarray(eye) - (box.x, box.y)) @ turn
-    if (np.abs(start) < half).all():
-        return np.zeros(targets.shape[:-1], bool)
-    step = (targets - (box.x, box.y)) @ turn - start
-    step = np.where(np.abs(step) < 1e-9, 1e-9, step)
-    a, b = (-half - start) / step, (half - start) / step
-    first = np.minimum(a, b).max(axis=-1)
-    last = np.maximum(a, b).min(axis=-1)
-    return np.asarray((first < last) & (last > 0.0) & (first < 1.0))

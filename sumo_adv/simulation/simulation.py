@@ -27,6 +27,10 @@ BASE_FLAGS = (
     "--no-warnings", "--duration-log.disable", "--default.speeddev", "0",
 )  # fmt: skip
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+LANELESS = ("bicycle", "pedestrian")
+"""Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
+drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
+the step after that, drivers in the lane beside brake for it (measured, 0.3 to 0.5 m/s)."""
 SEARCHED = 10.0  # m around a pose in which moveToXY looks for a lane: its own 100 m cost seven times as much
 FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
@@ -115,6 +119,7 @@ class Simulation:
         self.unrouted: frozenset[str] = frozenset()  # vehicles that somebody else moves as he likes
         self._remote = remote
         self._moved = MovedSpeeds()
+        self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
         self._errors: tuple[type[Exception], ...]
         self._sumo: Any
         if remote is not None:
@@ -148,7 +153,7 @@ class Simulation:
         if self._remote is not None:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
-        self._moved = MovedSpeeds()
+        self._moved, self._as_cars = MovedSpeeds(), set()
         try:
             self._sumo.load(self.spec.arguments())
         except self._errors as error:
@@ -313,6 +318,9 @@ class Simulation:
             try:
                 if name not in self.fleet.sizes:
                     self._measure(name)
+                if name not in self._as_cars and self.vehicle_class(name) in LANELESS:
+                    vehicle.setVehicleClass(name, "passenger")
+                    self._as_cars.add(name)
                 ahead = self.fleet.sizes[name][0] / 2
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
@@ -321,6 +329,12 @@ class Simulation:
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self._errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
+
+    def released(self, vehicle: str) -> None:
+        """Give a vehicle that is moved no more its own class back."""
+        if vehicle in self._as_cars:
+            self._as_cars.discard(vehicle)
+            self._sumo.vehicle.setVehicleClass(vehicle, self.vehicle_class(vehicle))
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
         """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.

@@ -16,7 +16,10 @@ delays and the same braking:
   two meet within 3 s;
 - a crossing vehicle is a danger once it can no longer stop short of the ego's corridor at 3 m/s2 and the two meet
   within 4 s, or it is in the corridor and they meet within 3 s; in both cases only if the ego would have to brake at
-  3 m/s2 or more, because an ego that is about to yield is not alarmed.
+  3 m/s2 or more, because an ego that is about to yield is not alarmed;
+- a pedestrian or cyclist is judged as a vehicle that cuts in, whatever way it faces: it has left its place by 0.375 m
+  towards the ego's path, it is reached within 2.0 s, and it is in the way before it is passed.  It is perceived from
+  when it is in the line of sight, because the views leave out what is hidden.
 
 The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
 driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
@@ -38,6 +41,7 @@ from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION
 from sumo_adv.metrics.reference.brakers import needed_braking
 from sumo_adv.metrics.reference.view import View
+from sumo_adv.road_users import unprotected
 
 WANDERING = 0.375  # m, UN R157
 KEEPS_ITS_PLACE = 0.1  # m/s sideways, below it a vehicle keeps its lateral place
@@ -137,7 +141,8 @@ class CcHuman:
 
     def _is_danger(self, view: View) -> Bools:
         moving = view.ego_speed >= 0.1
-        found = moving & view.ahead & view.same_direction & (self._cuts_in(view) | self._leads_too_slowly(view))
+        cuts_in = (view.same_direction | unprotected(view.length, view.width)) & self._cuts_in(view)
+        found = moving & view.ahead & (cuts_in | (view.same_direction & self._leads_too_slowly(view)))
         found |= moving & view.same_direction & self._comes_from_beside(view)
         turned = np.abs(view.heading)
         comes = moving & view.ahead & (view.speed >= 0.1) & (view.gap > 0.0)

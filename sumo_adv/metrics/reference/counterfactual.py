@@ -6,6 +6,9 @@ goes on as the ego went without the attack, or straight), at least as hard as th
 does not brake, the ego's speed changes as it was recorded, up to the recorded speed.  Contact is swept between steps.
 A driver avoids the collision if it touches no vehicle but those that run into it from behind in its lane.
 
+A pedestrian or cyclist is seen only while nothing is in the way of the line of sight from the unchanged ego's centre to
+its centre or a corner (``metrics/sight.py``): until then no danger shows to any driver.
+
 The unchanged ego (recorded motion, then constant speed) is rolled out by the same code: a collision that it does not
 have in this check is inconclusive.
 """
@@ -26,6 +29,7 @@ from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Br
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.manoeuvre import escapes
 from sumo_adv.metrics.reference.view import Views
+from sumo_adv.metrics.sight import seen
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
@@ -81,7 +85,8 @@ class Counterfactual:
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
         )
         self.paths = EgoPaths(self.ego)
-        self.views = Views(self.paths, self._everybody(), self._ego_size(), dt, given.lane_half_width)
+        visible = seen(self.ego, self.adversary, self.others)
+        self.views = Views(self.paths, self._everybody(visible), self._ego_size(), dt, given.lane_half_width)
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
@@ -183,9 +188,9 @@ class Counterfactual:
         )
         return np.asarray(~(np.isfinite(when) & ~behind[None, :]).any(axis=1))
 
-    def _everybody(self) -> Boxes:
-        """The adversary and the others, ``(N, 1 + K, steps)``."""
-        a, n = self.adversary, len(self.ego.x)
+    def _everybody(self, adversary: Boxes | None = None) -> Boxes:
+        """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
+        a, n = self.adversary if adversary is None else adversary, len(self.ego.x)
         sizes = [_size(a.length, n), _size(a.width, n)]
         if self.others is None:
             x, y, heading, speed = (v[:, None, :] for v in (a.x, a.y, a.heading, a.speed))

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.road_users import RoadUser, road_user
 
 CENTRE = 0.3  # of the length, from the rear axle to the box's centre
 WHEELBASE, TRACK_WIDTH = 0.6, 0.85  # of length and width
@@ -20,14 +21,16 @@ WHEEL = 0.65  # m
 LARGEST_STEER = 0.6  # rad
 HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none either
 MASS = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}  # kg
-SHORTEST_TRUCK, NARROWEST_CAR, LARGEST_PERSON = 6.5, 1.0, 1.2  # m
+SHORTEST_TRUCK, NARROWEST_CAR = 6.5, 1.0  # m
 FASTEST, ACCELERATION, BRAKING = 70.0, 4.0, 9.0  # m/s, m/s2: wide enough for every trajectory
 
 
 def kind(track: Track) -> str:
     """car, truck, bicycle, pedestrian or obstacle, by role and size."""
+    if road_user(track) is RoadUser.PEDESTRIAN:
+        return "pedestrian"
     if track.role is Role.OBSTACLE:
-        return "pedestrian" if max(track.length, track.width) <= LARGEST_PERSON else "obstacle"
+        return "obstacle"
     if track.width < NARROWEST_CAR:
         return "bicycle"
     return "truck" if track.length >= SHORTEST_TRUCK else "car"

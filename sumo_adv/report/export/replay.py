@@ -20,6 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.report.export.fcd import Row, fcd_text, track_rows, type_name
 from sumo_adv.report.export.piece import Piece
+from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
 
 CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
@@ -89,8 +90,11 @@ def _types(piece: Piece) -> str:
 
 
 def _shape(track: Track) -> str:
+    user = road_user(track)
+    if user is not RoadUser.VEHICLE:
+        return "pedestrian" if user is RoadUser.PEDESTRIAN else "bicycle"
     if track.role is Role.OBSTACLE:
-        return "pedestrian" if track.length < 1.2 else "passenger/van"
+        return "passenger/van"
     return "passenger" if track.length < 6.5 else "truck"
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track
+from sumo_adv.road_users import RoadUser, road_user
 
 EGO, ADVERSARY, OTHER = "#0072B2", "#D55E00", "#8C8C8C"
 ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
@@ -110,8 +111,8 @@ def draw_box(
     filled: bool = True,
     style: Style = LARGE,
 ) -> None:
-    """The vehicle as it stands at ``time`` [s]; nothing if it is not there."""
-    from matplotlib.patches import Polygon
+    """The vehicle as it stands at ``time`` [s], a circle for a pedestrian; nothing if it is not there."""
+    from matplotlib.patches import Circle, Polygon
 
     pose = pose_at(track, time)
     if pose is None:
@@ -121,6 +122,9 @@ def draw_box(
     half = np.array([track.length, track.width]) / 2
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half @ turn + (x, y)
     face, edge, width = (colour, "black", style.box) if filled else ("none", colour, style.hollow)
+    if road_user(track) is RoadUser.PEDESTRIAN:
+        axes.add_patch(Circle((x, y), half.max(), facecolor=face, edgecolor=edge, linewidth=width, zorder=zorder))
+        return
     axes.add_patch(Polygon(corners, closed=True, facecolor=face, edgecolor=edge, linewidth=width, zorder=zorder))
     if filled:
         arrow = np.array([[0.92, 0.0], [0.35, 0.62], [0.35, -0.62]]) * half @ turn + (x, y)

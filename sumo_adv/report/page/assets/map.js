@@ -226,12 +226,8 @@ class MapView {
       const x = ox + p.x * s, y = oy - p.y * s;
       if (x < panel.left - margin || x > panel.left + panel.width + margin || y < panel.top - margin || y > panel.top + panel.height + margin) continue;
       const fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s, l = v.length / 2, w = v.width / 2;
-      corner(c, x, y, fx, fy, l, w, true);
-      corner(c, x, y, fx, fy, l, -w);
-      corner(c, x, y, fx, fy, -l, -w);
-      corner(c, x, y, fx, fy, -l, w);
-      c.closePath();
-      if (v.role === "obstacle") continue;
+      outline(c, v, x, y, fx, fy);
+      if (v.role === "obstacle" || onFoot(v)) continue;
       corner(c, x, y, fx, fy, l * 0.15, w * 0.7, true);
       corner(c, x, y, fx, fy, l * 0.75, 0);
       corner(c, x, y, fx, fy, l * 0.15, -w * 0.7);
@@ -249,11 +245,7 @@ class MapView {
       const x = ox + p.x * s, y = oy - p.y * s, fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s;
       const l = v.length / 2, w = v.width / 2;
       c.beginPath();
-      corner(c, x, y, fx, fy, l, w, true);
-      corner(c, x, y, fx, fy, l, -w);
-      corner(c, x, y, fx, fy, -l, -w);
-      corner(c, x, y, fx, fy, -l, w);
-      c.closePath();
+      outline(c, v, x, y, fx, fy);
       c.lineWidth = ghost ? 1.6 : Math.min(1.4, 0.2 * s);
       c.setLineDash(ghost ? (a.key === "raw" ? [2, 3] : [6, 3]) : []);
       c.strokeStyle = ghost ? colour : k.ink;
@@ -266,7 +258,7 @@ class MapView {
         corner(c, x, y, fx, fy, l * 0.2, w * 0.7, true);
         corner(c, x, y, fx, fy, l * 0.85, 0);
         corner(c, x, y, fx, fy, l * 0.2, -w * 0.7);
-      } else {
+      } else if (!onFoot(v)) {
         for (const [b, f] of [[0.35, 0.6], [-0.2, 0.05]]) {
           corner(c, x, y, fx, fy, l * b, w * 0.75, true);
           corner(c, x, y, fx, fy, l * f, 0);
@@ -321,6 +313,28 @@ function ring(c, word, x, y, colour) {
   c.lineWidth = 2;
   c.strokeStyle = colour;
   c.stroke();
+}
+
+const PERSON = 1.2;  // m: what is no longer and no wider is a pedestrian
+
+function onFoot(v) {
+  return Math.max(v.length, v.width) <= PERSON;
+}
+
+/** A box, or a circle of its size for a pedestrian. */
+function outline(c, v, x, y, fx, fy) {
+  const l = v.length / 2, w = v.width / 2;
+  if (onFoot(v)) {
+    const r = Math.max(l, w) * Math.hypot(fx, fy);
+    c.moveTo(x + r, y);
+    c.arc(x, y, r, 0, 2 * Math.PI);
+  } else {
+    corner(c, x, y, fx, fy, l, w, true);
+    corner(c, x, y, fx, fy, l, -w);
+    corner(c, x, y, fx, fy, -l, -w);
+    corner(c, x, y, fx, fy, -l, w);
+  }
+  c.closePath();
 }
 
 function corner(c, x, y, fx, fy, along, left, first) {

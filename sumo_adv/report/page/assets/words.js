@@ -33,7 +33,8 @@ function headline(outcome) {
   const v = outcome.outcome, badges = [];
   if (v) {
     if (v.level) badges.push([`level: ${answer(v.level)}`, ["valid", "strict", "serious"].includes(v.level) ? "level good" : "level"]);
-    if (v.severity) badges.push([`severity: ${answer(v.severity)}, delta-v ${number(v.delta_v, 1, "m/s")}`, "level"]);
+    const hard = v.impact_speed == null ? `delta-v ${number(v.delta_v, 1, "m/s")}` : `hit at ${number(v.impact_speed, 1, "m/s")}`;
+    if (v.severity) badges.push([`severity: ${answer(v.severity)}, ${hard}`, "level"]);
     if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", "level"]);
     badges.push([v.collided ? "collision" : "no contact", v.collided ? "bad" : ""]);
     badges.push([`min TTC ${number(v.min_ttc, 2, "s")}`, ""]);

@@ -1,0 +1,76 @@
+"""Kinds of road users by the size of their box: vehicle, cyclist, pedestrian; and what each kind can do.
+
+Recordings, logs and tracks of users hold sizes and no class, so the size decides everywhere.  SUMO's pedestrians are at
+most 0.6 m wide, its bicycles 1.6 m by 0.65 m, its mopeds 2.1 m by 0.8 m; a cyclist of a log has about 1.8 m by 0.8 m.
+
+=========== ========= ============ =====================================================================
+kind        fastest   start, stop  source
+=========== ========= ============ =====================================================================
+pedestrian  4.0 m/s   3, 5 m/s2    walking at about 1.4 m/s (Bohannon 1997, comfortable gait speed of
+                                   adults); Euro NCAP's running adult has 2.2 m/s, a run to beat a car is
+                                   taken to reach 4 m/s; a walk begins and ends within half a second
+cyclist     8.0 m/s   1.5, 4 m/s2  Euro NCAP's cyclists ride at 4.2 to 6.9 m/s; AASHTO, Guide for the
+                                   Development of Bicycle Facilities: starts with up to 1.5 m/s2, brakes
+                                   with about 4.9 m/s2 on a dry road, 2.4 to 3 m/s2 on a wet one
+=========== ========= ============ =====================================================================
+
+A pedestrian turns on the spot, so that its curvature is not limited in practice.  A cyclist leans at most about 20
+degrees (3.5 m/s2 sideways) and turns with a radius of 2 m or more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from sumo_adv.datatypes import Limits
+
+
+class RoadUser(StrEnum):
+    """What a road user is; a vehicle protects its driver, the others are unprotected."""
+
+    VEHICLE = "vehicle"
+    CYCLIST = "cyclist"
+    PEDESTRIAN = "pedestrian"
+
+
+LARGEST_PEDESTRIAN = 1.2  # m, of both sides of the box
+LONGEST_BICYCLE, WIDEST_BICYCLE = 2.0, 0.85  # m
+LIMITS: Mapping[RoadUser, Limits] = {
+    RoadUser.PEDESTRIAN: Limits(braking=5.0, acceleration=3.0, lateral=4.0, curvature=50.0, jerk=20.0),
+    RoadUser.CYCLIST: Limits(braking=4.0, acceleration=1.5, lateral=3.5, curvature=0.5, jerk=12.0),
+}
+"""Limits of the motion of an unprotected road user."""
+FASTEST: Mapping[RoadUser, float] = {RoadUser.PEDESTRIAN: 4.0, RoadUser.CYCLIST: 8.0}
+"""The highest speed [m/s] of an unprotected road user."""
+
+
+class Sized(Protocol):
+    """Something with the size of a box [m]."""
+
+    @property
+    def length(self) -> float: ...
+
+    @property
+    def width(self) -> float: ...
+
+
+def road_user(box: Sized) -> RoadUser:
+    """The kind of a road user with this box."""
+    if max(box.length, box.width) <= LARGEST_PEDESTRIAN:
+        return RoadUser.PEDESTRIAN
+    return RoadUser.CYCLIST if unprotected(box.length, box.width) else RoadUser.VEHICLE
+
+
+def unprotected(length: Any, width: Any) -> Any:
+    """Whether boxes of these sizes [m] are pedestrians or cyclists; numbers or arrays of one shape."""
+    small = np.maximum(length, width) <= LARGEST_PEDESTRIAN
+    return small | ((np.asarray(length) <= LONGEST_BICYCLE) & (np.asarray(width) <= WIDEST_BICYCLE))
+
+
+def is_unprotected(box: Sized) -> bool:
+    """Whether the box is that of a pedestrian or a cyclist."""
+    return road_user(box) is not RoadUser.VEHICLE

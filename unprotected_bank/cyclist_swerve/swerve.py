@@ -1,0 +1,26 @@
+# Cyclist Swerve, mode "swerve"
+# Rides on at its own pace until the ego is about to pass, and then swings out into the ego's path.
+PARAMETERS = {
+    "before": (1.5, 0.6, 4.0, "s", "how long before the ego's front reaches its rear wheel it swings out"),
+    "swing": (1.8, 1.0, 4.0, "s", "how long that takes"),
+    "across": (0.0, -0.9, 0.9, "m", "where it ends, to the left of the ego's path"),
+    "slower": (0.0, 0.0, 2.5, "m/s", "how much slower than before it then rides"),
+}
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    gap = bv["ahead"] - (bv["length"] + ego["length"]) / 2
+    closing = max(ego["speed"] - bv["speed_along"], 0.1)
+    began = bv["last"] is not None and abs(bv["target_left"] - parameters["across"]) < 0.5
+    own = road["start"]["speed"]
+    if not began and gap / closing > parameters["before"]:
+        return ahead(bv, bv["target_left"] - bv["left"], own, 2.0)
+    time = max(bv["lateral_time"], 0.8) if began else parameters["swing"]
+    return ahead(bv, parameters["across"] - bv["left"], max(own - parameters["slower"], 1.0), time)
+
+
+def ahead(bv, left, speed, time):
+    """Further along the road by what it rides in the time, and to the left."""
+    pose = (bv["x"], bv["y"], bv["road_heading"])
+    x, y = offset(pose, (bv["speed"] + speed) / 2 * time, left)
+    return {"x": x, "y": y, "heading": bv["road_heading"], "speed": speed, "time": time}
