@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Proposal, VehicleState
+from sumo_adv.datatypes import Limits, Proposal, VehicleState
 from sumo_adv.drivers import Action, LaneSpeed
 from sumo_adv.episode.attempt import Command, Driven, OngoingAttempt, apart_of
 from sumo_adv.episode.controllers import AdversaryController, PlannedAdversary, controller_of
@@ -164,9 +164,13 @@ class Playing:
         poses: dict[str, Pose] = {}
         me = self._there(self._play.bv)
         if self._play.adversary == "controls" and self._play.bv is not None and me is not None:
-            limits = self._here.settings.limits.limits()
+            limits = self._limits()
             poses[self._play.bv] = controlled(self._actions["adversary"], me, limits, self._target().fastest, self._dt)
         self._attempt.step(Command(poses, self._ego_action()))
+
+    def _limits(self) -> Limits:
+        """The adversary's, by the kind of road user that it is."""
+        return self._here.settings.limits.of(self._target().state)
 
     def _replan(self) -> int:
         settings = self._here.settings
@@ -175,7 +179,7 @@ class Playing:
     def _controller(self) -> AdversaryController | None:
         """What drives the adversary; None: the agent's controls do."""
         play, here = self._play, self._here
-        situation, limits = here.found.situations[play.delay], here.settings.limits.limits()
+        situation, limits = here.found.situations[play.delay], self._limits()
         if play.proposal is not None and self._ask is not None:
             return controller_of(situation, play.proposal, limits, self._ask)
         assert play.bv is not None
