@@ -39,7 +39,7 @@ def train(
     scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Progress, steps: int | None = None,
     keep_every: int = KEEP_EVERY,
 ) -> Path:  # fmt: skip
-    """Train from where the folder's training stands; returns the weights' file.
+    """Train from where the folder's training stands; returns the weights' file, which is written with every state.
 
     steps: ends after this number of steps in all, in place of that of the ``epochs``.
 
@@ -80,9 +80,9 @@ def train(
         step += 1
         if step % keep_every == 0 or step == end:
             _keep(stored, what, step, parameters, jax.tree_util.tree_leaves(state))
+            write_weights(parameters, folder / "weights.npz")
             progress(step, end, sum(lately) / len(lately))
             lately.clear()
-    write_weights(parameters, folder / "weights.npz")
     return folder / "weights.npz"
 
 
