@@ -281,7 +281,7 @@ def test_wrong_use_is_refused_in_a_sentence(name: str, options: dict[str, Any], 
 
 
 def test_the_example_trains(tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed (extra train)")
+    pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed (extra ppo)")
     import subprocess
     import sys
 

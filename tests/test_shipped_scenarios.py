@@ -8,6 +8,7 @@ import pytest
 from bank_samples import shipped_planners
 
 import sumo_adv
+from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.search.composed_intents import COMPOSED
 from sumo_adv.simulation.shipped import ShippedScenario, shipped_scenarios
 
@@ -20,7 +21,9 @@ WORDS = {
     "turn_right": {"Intersection Rush-through Turn Right"}, "merge_rush": {"Ramp Merge Rush"},
     "roundabout_entry": {"Ramp Merge Rush"}, "straight": {"Intersection Rush-through Go-straight"},
     "red_light": {"Intersection Rush-through Go-straight"}, "blind_side": {"Straight Lane Shift", "neighbour"},
-    "from_right": {"crossing"},
+    "from_right": {"crossing"}, "cyclist_swerve": {"Cyclist Swerve"}, "cyclist_crossing": {"Cyclist Crossing"},
+    "cyclist_from_behind": {"Cyclist Crossing"}, "steps_out": {"Pedestrian Steps Out"},
+    "parked": {"Pedestrian From Behind Obstacle"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 
@@ -49,7 +52,9 @@ def test_a_name_says_of_which_kind_the_best_attack_is(name: str) -> None:
 def test_all_intents_of_the_paper_and_two_found_ones_are_best_somewhere() -> None:
     of_the_paper = {label for label, _ in shipped_planners()}
     assert len(of_the_paper) == 7 and len(COMPOSED) == 2
-    assert {scenario.intents[0] for scenario in SHIPPED.values()} == of_the_paper | COMPOSED
+    on_foot_and_bicycle = {entry.label for entry in unprotected_library()}
+    assert len(on_foot_and_bicycle) == 4
+    assert {scenario.intents[0] for scenario in SHIPPED.values()} == of_the_paper | COMPOSED | on_foot_and_bicycle
 
 
 @pytest.mark.parametrize("name", ["follower_closes_up", "leader_brakes_hard", "signals_left_turn"])
