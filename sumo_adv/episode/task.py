@@ -46,11 +46,12 @@ class Task:
     driven_from: float | None = None
     delay: float | None = None
 
-    def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
+    def roles(self, ego: str, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
         obstacles = frozenset[str]() if self.playback is None else self.playback.obstacles
-        others = {} if adversary is None else {adversary: Role.ADVERSARY}
-        return {**dict.fromkeys(obstacles, Role.OBSTACLE), **others, ego: Role.EGO}
+        return {
+            **dict.fromkeys(obstacles, Role.OBSTACLE), **dict.fromkeys(adversaries, Role.ADVERSARY), ego: Role.EGO
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
 from sumo_adv.search.goal_score import goal_score
-from sumo_adv.search.rollouts import Rollouts, predict
+from sumo_adv.search.rollouts import Rollouts, lined_up, predict
 from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -55,8 +55,11 @@ class Predictor:
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
-        for hashes in batches_of(proposals):
-            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes]
+        sizes = dict.fromkeys(len(p.supports) for p in proposals)
+        for size, hashes in ((size, hashes) for size in sizes for hashes in batches_of(proposals)):
+            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and len(p.supports) == size]
+            if not rows:
+                continue
             egos = None if motions is None else [motions[k] for k in rows]
             for k, p in zip(rows, self._together([proposals[k] for k in rows], egos), strict=True):
                 scored[k] = p
@@ -128,20 +131,21 @@ class Predictor:
     ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
         """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
+        members, n = lined_up(proposals), len(proposals)
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, in_process=True,
+            self._sandbox, self._roads, members, settings.seed, failures, drivable=road, in_process=True,
             stopped=self.stopped,
         ) as sessions:  # fmt: skip
             rollouts = predict(
-                situations, proposals, lambda rows, observations: sessions.answers(proposals, rows, observations),
+                situations, proposals, lambda rows, observations: sessions.answers(members, rows, observations),
                 limits=settings.limits.limits(), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan), motions=motions,
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures
             self.stopped = sessions.stopped
-        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}
-        return rollouts, {**sessions.broken, **failed}
+        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(members) if p.planner.hash in self.failures}
+        return rollouts, {k % n: why for k, why in {**sessions.broken, **failed}.items()}
 
 
 def _is_valid(p: Proposal) -> float:
