@@ -29,8 +29,8 @@ JAM = 60.0 / 3.6  # m/s: slower drivers overtake on the right (SUMO's ``congeste
 
 
 class Leaders:
-    """Leaders of ``n`` egos against adversaries with names and lengths [m], ``(N,)``: one each, or the first ones of all
-    egos, then their second ones. They drive as Krauss's drivers."""
+    """Leaders of ``n`` egos against adversaries with names and lengths [m], ``(N,)``: one each, or the first ones of
+    all egos, then their second ones. They drive as Krauss's drivers."""
 
     def __init__(self, scenes: Scenes, names: Sequence[str], length: Floats, driver: CarFollowing) -> None:
         """``driver``: the car following of the ego."""

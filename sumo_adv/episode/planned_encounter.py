@@ -99,7 +99,7 @@ def searched(
         predictor, found.situations, library,
         weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
-        recalled=None if known is None else known[1],
+        recalled=None if known is None else known[1], adversaries=settings.adversaries,
     )  # fmt: skip
     return search, None if known is None else known[0]
 

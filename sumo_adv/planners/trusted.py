@@ -40,9 +40,12 @@ TRUSTED = frozenset(
         "d25d0f866d39ce2fc9e483f480f39a629f9968eb8d80a0f9aef8b569fb64de64",  # nudge
         "dbc945d6672740b2396dc8354633ab1b1672f1c19a478c836270063d66399e54",  # tail of the lane shift
         "3421bf14c28f8f4a68dc8d44d9652e1116ad720bf4a3593ef8414dc2532dcff3",  # slow
+        "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
+        "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports
+        "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
     }
 )
-"""Fingerprints of the planners in ``memory_bank/``. They are listed here so that no bank can claim to be trusted."""
+"""Fingerprints of the planners in ``memory_bank/`` and ``search/support_intents.py``. They are listed here so that no bank can claim to be trusted."""
 
 FIELDS = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)

@@ -77,12 +77,12 @@ def judge_best(episode: Episode) -> Judged | None:
     if case is None:
         return Judged(None, (), {}, ())
     recorded = {t.id: t for t in tracks}
-    rows = series_rows(case.ego.between(result.start, np.inf), tracks, best.proposal.bv)
+    rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
     full = _full(episode, case, found, result)
     full = replace(full, verdict=_leveled(full.verdict, best.verdict))
     contact = full.verdict.contact_time
-    end = float(min(case.ego.time[-1], recorded[best.proposal.bv].time[-1])) if contact is None else contact
-    moved = recorded[best.proposal.bv].between(result.start + episode.settings.step_length / 2, end)
+    end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
+    moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
     strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
     return Judged(
         full, markings_crossed(moved, strips, found.drivable), _realism(episode, moved, found, prefix), rows

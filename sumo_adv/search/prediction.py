@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Level, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import DriverModel, Duty, Level, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
+from sumo_adv.search.escapes import predicted_escapes
 from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.rollouts import Rollouts, lined_up, predict
 from sumo_adv.search.scoring import judge_all, touch_of
@@ -90,6 +91,18 @@ class Predictor:
             told = replace(p.prediction, likely=valid)
             results.append(replace(p, score=own, nominal=p.nominal_score, prediction=told))
         return results
+
+    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
+        """What supports have to do against the predicted escape of the ego from each candidate."""
+        began = time.perf_counter()
+        duties: dict[int, tuple[Duty, ...]] = {}
+        for size in dict.fromkeys(len(p.supports) for p in proposals):
+            rows = [k for k, p in enumerate(proposals) if len(p.supports) == size]
+            same = [proposals[k] for k in rows]
+            rolled = self.rolled(self._situations, same)
+            duties |= zip(rows, predicted_escapes(self._situations, same, rolled), strict=True)
+        self.seconds += time.perf_counter() - began
+        return [duties[k] for k in range(len(proposals))]
 
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         """Hold the driver models against the ego's motion in an attempt; whether another one is believed from now on,

@@ -5,6 +5,9 @@ their neighbours (``robustness``), and draws more while none is good. ``propose`
 price: its score, and what else counts (``settings.PriceSettings``). ``observe`` corrects the pool by how the ego really
 drove (``correction``). It plays the analyzer where no language model does (``ranking``).
 
+Where no candidate promises a valid collision, colliders that nearly succeed get supports, if more than one adversary is
+allowed (``supports``).
+
 An attempt is only made if it can bring something new. Its prediction must promise a higher level than the attempts so
 far reached, and its adversary must not move as in an attempt that has failed (``novelty``). Where nothing is left the
 search ends, long before the budget of attempts.
@@ -29,6 +32,7 @@ from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
 from sumo_adv.search.sampling import Sampler, elites
 from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.supports import SupportSearch
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 
@@ -49,6 +53,7 @@ class AttackSearch:
         unknown_driver: bool = False,
         exact_driver: bool = False,
         recalled: Proposal | None = None,
+        adversaries: int = 1,
     ) -> None:
         """Predict the first candidates.
 
@@ -56,7 +61,7 @@ class AttackSearch:
         intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
         the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
-        has failed.
+        has failed. adversaries: the most of a candidate.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -72,6 +77,7 @@ class AttackSearch:
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
+        self._support = SupportSearch(scorer, self._situations, self._sampler.random, settings.supports, adversaries)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self.pool: list[Proposal] = []
         if recalled is not None:
@@ -118,7 +124,7 @@ class AttackSearch:
             return p.score
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
-        return p.score + late + weights.harsh * seen.braking
+        return p.score + late + weights.harsh * seen.braking + weights.support * len(p.supports)
 
     def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
         """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
@@ -168,8 +174,10 @@ class AttackSearch:
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         if motion is None:
             return
+        if reached < Level.VALID:
+            self._support.observe(tried, motion)
         self.pool = self._predicted_again(tried, motion)
-        if (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
+        if not tried.supports and (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
     def succeeded(self, kind: str) -> None:
@@ -219,6 +227,9 @@ class AttackSearch:
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
+        if self._support.due or not any(p.score < self._settings.avoidable for p in open_):
+            self.pool += self._support.candidates(self.pool, self.price)
+            open_ = self._open()
         if not open_:
             return None
         opened = {id(q) for q in open_}
@@ -255,8 +266,12 @@ class AttackSearch:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
-        """The cheapest candidate; every few attempts, the cheapest of the template that was tried least."""
+        """The cheapest candidate; every few attempts, the cheapest of the template that was tried least. Every other
+        attempt has supports, where candidates with supports promise a valid collision."""
         every, weights = self._settings.diverse_every, self._settings.price
+        supported = [p for p in open_ if p.supports and p.score < self._settings.avoidable]
+        if supported and len(self._tried) % 2 == 1:
+            open_ = supported
         if len(self._tried) % every == every - 1:
             promising = [p for p in open_ if p.score < self._settings.reaches] or list(open_)
             least = min(self._by_family[p.family] for p in promising)

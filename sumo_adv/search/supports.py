@@ -1,0 +1,126 @@
+"""Supports for colliders that nearly succeed.
+
+Where no candidate with one adversary promises a valid collision, the colliders that come nearest get a support against
+the escape that saves the ego: brake, swerve left, swerve right, or a third party in the collider's way. The candidates
+that still miss may get another one. Compositions that the bank knows are tried in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+from random import Random
+
+from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
+from sumo_adv.search.escapes import observed_escape
+from sumo_adv.search.protocols import Scorer
+from sumo_adv.search.sampling import varied
+from sumo_adv.search.settings import SupportSettings
+from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.search.templates import AttackTemplate
+from sumo_adv.situation import Situation
+
+MOST_OF_A_FAMILY = 2  # bases of one vehicle, intent and mode
+
+
+class SupportSearch:
+    """Adds supports in one encounter; ``most``: adversaries of a candidate."""
+
+    def __init__(
+        self, scorer: Scorer, situations: Mapping[float, Situation], random: Random, settings: SupportSettings,
+        most: int,
+    ) -> None:  # fmt: skip
+        self._scorer, self._situations, self._random, self._settings = scorer, situations, random, settings
+        self._most, self._rounds = most, 0
+        self._failures = 0  # attempts since the last round
+        self._failed: list[tuple[Proposal, tuple[Duty, ...]]] = []
+
+    def observe(self, tried: Proposal, motion: ObservedMotion) -> None:
+        """Take note of an attempt that failed, and of how the ego escaped in it."""
+        if len(tried.supports) < self._most - 1:
+            self._failed.append((tried, observed_escape(self._situations[tried.delay], motion)))
+        self._failures += 1
+
+    @property
+    def due(self) -> bool:
+        """Whether enough attempts have failed since the last round."""
+        return self._most > 1 and self._failures >= self._settings.after
+
+    def candidates(self, pool: Sequence[Proposal], price: Callable[[Proposal], float]) -> list[Proposal]:
+        """Predicted candidates with supports that come nearer to a collision than their colliders alone; none if only
+        one adversary is allowed, or if no attempt has failed since the last round."""
+        settings = self._settings
+        if self._most < 2 or self._rounds >= settings.rounds or (self._rounds > 0 and not self._failures):
+            return []
+        self._failures, self._rounds = 0, self._rounds + 1
+        failed = sorted(self._failed, key=lambda each: price(each[0]))[: settings.tried]
+        self._failed = []
+        alone = nearly_succeeding((p for p in pool if not p.supports), price, settings.bases - len(failed))
+        bases = [*failed, *zip(alone, self._scorer.escapes(alone) if alone else (), strict=True)]
+        found = self._predicted(bases)
+        if self._most > 2:
+            missing = nearly_succeeding(found, price, settings.again)
+            found += self._predicted(zip(missing, self._scorer.escapes(missing) if missing else (), strict=True))
+        return found
+
+    def _predicted(self, bases: Iterable[tuple[Proposal, tuple[Duty, ...]]]) -> list[Proposal]:
+        """The candidates of these bases with one support more that are predicted to fail no gate."""
+        drawn = supported(bases, self._situations, self._random, self._settings)
+        scored = self._scorer.score(drawn) if drawn else []
+        return [p for p in scored if p.prediction is not None and not p.prediction.hopeless]
+
+
+def nearly_succeeding(pool: Iterable[Proposal], price: Callable[[Proposal], float], most: int) -> list[Proposal]:
+    """The best colliders that miss or have a third party in their way, at most ``most``, and of a family at most
+    ``MOST_OF_A_FAMILY``."""
+    count: dict[tuple[str, str, str], int] = {}
+    selected = list[Proposal]()
+    for p in sorted(pool, key=price):
+        seen = p.prediction
+        if seen is None or seen.failure or seen.off_road or seen.beyond_limits or (seen.hit and not seen.third_party):
+            continue
+        count[p.family] = count.get(p.family, 0) + 1
+        if count[p.family] <= MOST_OF_A_FAMILY and len(selected) < most:
+            selected.append(p)
+    return selected
+
+
+def supported(
+    bases: Iterable[tuple[Proposal, tuple[Duty, ...]]], situations: Mapping[float, Situation], random: Random,
+    settings: SupportSettings,
+) -> list[Proposal]:  # fmt: skip
+    """Candidates that give each base one support more, for each of its duties; without predictions."""
+    made = []
+    for base, duties in bases:
+        others = [t for t in situations[base.delay].target_list() if t.state.id not in base.bvs]
+        for duty, target in product(duties, others):
+            for entry in SUPPORT_INTENTS[duty]:
+                if fits(duty, entry, target):
+                    template = AttackTemplate(base.delay, target, entry, entry.planners[0])
+                    made += _drawn(base, template, duty, random, settings)
+    return made
+
+
+def _drawn(
+    base: Proposal, template: AttackTemplate, duty: Duty, random: Random, settings: SupportSettings
+) -> list[Proposal]:
+    """Candidates with a support of that template; every other one with other numbers of the base, too."""
+    made = []
+    for k in range(settings.drawn):
+        support = replace(template.proposal(None if k == 0 else random), duty=duty)
+        collider = varied(base, random, settings.spread) if k % 2 else replace(base.unscored(), is_neighbour=False)
+        supports = (*collider.supports, support)
+        made.append(replace(collider, supports=supports, composition=label_of(collider, supports), by="tuner"))
+    return made
+
+
+def label_of(collider: Proposal, supports: Sequence[Proposal]) -> str:
+    """The label of a composition that has none yet: those of its parts, the collider's first."""
+    return " + ".join([collider.label, *(p.label for p in supports)])
+
+
+def description_of(p: Proposal, library: Sequence[LibraryEntry]) -> str:
+    """The description of a candidate's composition, made of those of its parts."""
+    known = {e.label: e.description for e in (*library, *(e for those in SUPPORT_INTENTS.values() for e in those))}
+    return " ".join(known[q.label] for q in p.members if q.label in known)
