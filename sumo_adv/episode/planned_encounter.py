@@ -100,6 +100,7 @@ def searched(
         weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if known is None else known[1], adversaries=settings.adversaries,
+        colliders=episode.task.colliders,
     )  # fmt: skip
     return search, None if known is None else known[0]
 

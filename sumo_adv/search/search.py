@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
@@ -54,6 +54,7 @@ class AttackSearch:
         exact_driver: bool = False,
         recalled: Proposal | None = None,
         adversaries: int = 1,
+        colliders: Collection[str] = (),
     ) -> None:
         """Predict the first candidates.
 
@@ -61,7 +62,7 @@ class AttackSearch:
         intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
         the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
-        has failed. adversaries: the most of a candidate.
+        has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for all.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -78,6 +79,7 @@ class AttackSearch:
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
         self._support = SupportSearch(scorer, self._situations, self._sampler.random, settings.supports, adversaries)
+        self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self.pool: list[Proposal] = []
         if recalled is not None:
@@ -95,7 +97,7 @@ class AttackSearch:
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
         settings, count = self._settings, self._settings.proposals
-        templates = templates_of(self._situations, library, [e.label for e in self._selection.of(library)])
+        templates = self._templates_of(library, [e.label for e in self._selection.of(library)])
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
@@ -142,7 +144,7 @@ class AttackSearch:
         """
         open_ = [e.label for e in self._selection.of(library)]
         drawn_from = open_ if in_their_order else [i.label for i in intents]
-        self._templates = templates_of(self._situations, library, drawn_from)
+        self._templates = self._templates_of(library, drawn_from)
         self._ranks = {}
         for i in intents if in_their_order else ():
             self._ranks.setdefault((i.bv, i.label), len(self._ranks))
@@ -303,6 +305,11 @@ class AttackSearch:
     def _share_of(self, planner: Planner) -> str:
         """The name of the share of attempts that a planner counts towards."""
         return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
+
+    def _templates_of(self, library: Sequence[LibraryEntry], allowed: Collection[str]) -> list[AttackTemplate]:
+        """The templates of vehicles that may be the collider."""
+        templates = templates_of(self._situations, library, allowed)
+        return [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
 
     # -- predicting ---------------------------------------------------------------------------------------------
 

@@ -19,7 +19,7 @@ from sumo_adv.search.sampling import varied
 from sumo_adv.search.settings import SupportSettings
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.search.templates import AttackTemplate
-from sumo_adv.situation import Situation
+from sumo_adv.situation import MEET_AHEAD, Situation
 
 MOST_OF_A_FAMILY = 2  # bases of one vehicle, intent and mode
 
@@ -93,8 +93,10 @@ def supported(
     """Candidates that give each base one support more, for each of its duties; without predictions."""
     made = []
     for base, duties in bases:
+        targets = situations[base.delay].targets
         others = [t for t in situations[base.delay].target_list() if t.state.id not in base.bvs]
-        for duty, target in product(duties, others):
+        meets = targets[base.bv].relation in MEET_AHEAD  # only such a collider can be hidden by a vehicle beside the ego
+        for duty, target in product((d for d in duties if meets or d is not Duty.HIDE), others):
             for entry in SUPPORT_INTENTS[duty]:
                 if fits(duty, entry, target):
                     template = AttackTemplate(base.delay, target, entry, entry.planners[0])
