@@ -22,6 +22,7 @@ from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
+from sumo_adv.memory.compositions import Composition
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
 from sumo_adv.search.first_attempt import why_first
@@ -55,6 +56,7 @@ class AttackSearch:
         recalled: Proposal | None = None,
         adversaries: int = 1,
         colliders: Collection[str] = (),
+        compositions: Sequence[Composition] = (),
     ) -> None:
         """Predict the first candidates.
 
@@ -62,7 +64,8 @@ class AttackSearch:
         intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
         the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
-        has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for all.
+        has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for
+        all; compositions: composed intents that the bank knows.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -78,7 +81,9 @@ class AttackSearch:
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
-        self._support = SupportSearch(scorer, self._situations, self._sampler.random, settings.supports, adversaries)
+        self._support = SupportSearch(
+            scorer, self._situations, self._sampler.random, settings.supports, adversaries, compositions, library
+        )
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self.pool: list[Proposal] = []

@@ -7,12 +7,15 @@ that still miss may get another one. Compositions that the bank knows are tried 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from random import Random
 
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
+from sumo_adv.memory.compositions import Composition
+from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, named
 from sumo_adv.search.escapes import observed_escape
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.sampling import varied
@@ -29,8 +32,10 @@ class SupportSearch:
 
     def __init__(
         self, scorer: Scorer, situations: Mapping[float, Situation], random: Random, settings: SupportSettings,
-        most: int,
+        most: int, known: Sequence[Composition] = (), library: Sequence[LibraryEntry] = (),
     ) -> None:  # fmt: skip
+        """known: compositions, those that are tried first come first; library: intents that their parts may name."""
+        self._known, self._library = (*known, *EXPERT_COMPOSITIONS), library
         self._scorer, self._situations, self._random, self._settings = scorer, situations, random, settings
         self._most, self._rounds = most, 0
         self._failures = 0  # attempts since the last round
@@ -59,6 +64,8 @@ class SupportSearch:
         alone = nearly_succeeding((p for p in pool if not p.supports), price, settings.bases - len(failed))
         bases = [*failed, *zip(alone, self._scorer.escapes(alone) if alone else (), strict=True)]
         found = self._predicted(bases)
+        if self._rounds == 1:
+            found += self._composed(pool, price)
         if self._most > 2:
             missing = nearly_succeeding(found, price, settings.again)
             found += self._predicted(zip(missing, self._scorer.escapes(missing) if missing else (), strict=True))
@@ -66,63 +73,100 @@ class SupportSearch:
 
     def _predicted(self, bases: Iterable[tuple[Proposal, tuple[Duty, ...]]]) -> list[Proposal]:
         """The candidates of these bases with one support more that are predicted to fail no gate."""
-        drawn = supported(bases, self._situations, self._random, self._settings)
+        return self._scored(supported(bases, self._situations, self._random, self._settings, self._label))
+
+    def _composed(self, pool: Sequence[Proposal], price: Callable[[Proposal], float]) -> list[Proposal]:
+        """The candidates of known compositions, each with the best colliders of its intent and mode."""
+        drawn = list[Proposal]()
+        alone = sorted((p for p in pool if not p.supports and p.prediction is not None), key=price)
+        for composition in (c for c in self._known if len(c.parts) <= self._most):
+            first = composition.parts[0]
+            fitting = [p for p in alone if p.label == first.intent and first.mode in (ANY, p.planner.mode)]
+            for base in fitting[:MOST_OF_A_FAMILY]:
+                situation = self._situations[base.delay]
+                drawn += carried_out(
+                    composition, base, situation, self._library, self._random, self._settings, self._label
+                )
+        return self._scored(drawn)
+
+    def _label(self, collider: Proposal, supports: Sequence[Proposal]) -> str:
+        return named(collider, supports, self._known)
+
+    def _scored(self, drawn: Sequence[Proposal]) -> list[Proposal]:
+        """The candidates with predictions, without those that fail a gate."""
         scored = self._scorer.score(drawn) if drawn else []
         return [p for p in scored if p.prediction is not None and not p.prediction.hopeless]
 
 
 def nearly_succeeding(pool: Iterable[Proposal], price: Callable[[Proposal], float], most: int) -> list[Proposal]:
-    """The best colliders that miss or have a third party in their way, at most ``most``, and of a family at most
-    ``MOST_OF_A_FAMILY``."""
-    count: dict[tuple[str, str, str], int] = {}
+    """The best colliders that miss or have a third party in their way, at most ``most``; of a family at most
+    ``MOST_OF_A_FAMILY`` of each."""
+    count = Counter[tuple[tuple[str, str, str], bool]]()
     selected = list[Proposal]()
     for p in sorted(pool, key=price):
         seen = p.prediction
         if seen is None or seen.failure or seen.off_road or seen.beyond_limits or (seen.hit and not seen.third_party):
             continue
-        count[p.family] = count.get(p.family, 0) + 1
-        if count[p.family] <= MOST_OF_A_FAMILY and len(selected) < most:
+        count[p.family, seen.third_party] += 1
+        if count[p.family, seen.third_party] <= MOST_OF_A_FAMILY and len(selected) < most:
             selected.append(p)
     return selected
 
 
 def supported(
     bases: Iterable[tuple[Proposal, tuple[Duty, ...]]], situations: Mapping[float, Situation], random: Random,
-    settings: SupportSettings,
+    settings: SupportSettings, label: Callable[[Proposal, Sequence[Proposal]], str],
 ) -> list[Proposal]:  # fmt: skip
-    """Candidates that give each base one support more, for each of its duties; without predictions."""
+    """Candidates that give each base one support more, for each of its duties; without predictions. ``label``: what the
+    composition of a collider and its supports is called."""
     made = []
     for base, duties in bases:
         targets = situations[base.delay].targets
         others = [t for t in situations[base.delay].target_list() if t.state.id not in base.bvs]
-        meets = targets[base.bv].relation in MEET_AHEAD  # only such a collider can be hidden by a vehicle beside the ego
+        meets = (
+            targets[base.bv].relation in MEET_AHEAD
+        )  # only such a collider can be hidden by a vehicle beside the ego
         for duty, target in product((d for d in duties if meets or d is not Duty.HIDE), others):
             for entry in SUPPORT_INTENTS[duty]:
                 if fits(duty, entry, target):
                     template = AttackTemplate(base.delay, target, entry, entry.planners[0])
-                    made += _drawn(base, template, duty, random, settings)
+                    made += _drawn(base, template, duty, random, settings, label)
     return made
 
 
 def _drawn(
-    base: Proposal, template: AttackTemplate, duty: Duty, random: Random, settings: SupportSettings
-) -> list[Proposal]:
+    base: Proposal, template: AttackTemplate, duty: Duty, random: Random, settings: SupportSettings,
+    label: Callable[[Proposal, Sequence[Proposal]], str],
+) -> list[Proposal]:  # fmt: skip
     """Candidates with a support of that template; every other one with other numbers of the base, too."""
     made = []
     for k in range(settings.drawn):
         support = replace(template.proposal(None if k == 0 else random), duty=duty)
         collider = varied(base, random, settings.spread) if k % 2 else replace(base.unscored(), is_neighbour=False)
         supports = (*collider.supports, support)
-        made.append(replace(collider, supports=supports, composition=label_of(collider, supports), by="tuner"))
+        made.append(replace(collider, supports=supports, composition=label(collider, supports), by="tuner"))
     return made
 
 
-def label_of(collider: Proposal, supports: Sequence[Proposal]) -> str:
-    """The label of a composition that has none yet: those of its parts, the collider's first."""
-    return " + ".join([collider.label, *(p.label for p in supports)])
-
-
-def description_of(p: Proposal, library: Sequence[LibraryEntry]) -> str:
-    """The description of a candidate's composition, made of those of its parts."""
-    known = {e.label: e.description for e in (*library, *(e for those in SUPPORT_INTENTS.values() for e in those))}
-    return " ".join(known[q.label] for q in p.members if q.label in known)
+def carried_out(
+    composition: Composition, base: Proposal, situation: Situation, library: Sequence[LibraryEntry], random: Random,
+    settings: SupportSettings, label: Callable[[Proposal, Sequence[Proposal]], str],
+) -> list[Proposal]:  # fmt: skip
+    """Candidates in which vehicles support a base as a composition says; none where one of the parts fits no vehicle."""
+    made = []
+    for _ in range(settings.drawn):
+        supports = list[Proposal]()
+        for part in composition.parts[1:]:
+            used = (base.bv, *(p.bv for p in supports))
+            templates = [
+                AttackTemplate(base.delay, target, entry, planner)
+                for target in situation.target_list() if target.state.id not in used
+                for entry in (*SUPPORT_INTENTS[part.duty], *library) if entry.label == part.intent
+                for planner in entry.planners if part.mode in (ANY, planner.mode) and fits(part.duty, entry, target)
+            ]  # fmt: skip
+            if not templates:
+                return []
+            supports.append(replace(random.choice(templates).proposal(random), duty=part.duty))
+        collider = varied(base, random, settings.spread)
+        made.append(replace(collider, supports=tuple(supports), composition=label(collider, supports)))
+    return made
