@@ -2,7 +2,7 @@
 
 A composition names the intent and the mode that each adversary carries out, the collider's first; planners stay with
 their intents. It is kept under the settings of the bank (``COMPOSITION``), is found by its own label or description,
-and is forgotten once it was tried ``FORGET`` times without a success.
+and is forgotten once ``FORGET`` attempts in a row have failed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sumo_adv.memory.records import canonical
 from sumo_adv.memory.similarity import TextAndSlots
 
 COMPOSITION = "composition."  # keys of the bank's settings begin with it
-FORGET = 20  # attempts without a success
+FORGET = 20  # attempts that failed in a row
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Composition:
-    """A composed intent. ``parts``: the collider's first. ``tried``, ``succeeded``: attempts so far.
+    """A composed intent. ``parts``: the collider's first. ``succeeded``: attempts so far; ``failed``: since the last
+    success.
 
     Raises BankError for an empty label or description, and for parts that are no collider with supports.
     """
@@ -40,8 +41,8 @@ class Composition:
     label: str
     description: str
     parts: tuple[Part, ...]
-    tried: int = 0
     succeeded: int = 0
+    failed: int = 0
 
     def __post_init__(self) -> None:
         if not canonical(self.label) or not self.description.strip():
@@ -54,8 +55,8 @@ class Composition:
 
     @property
     def hopeless(self) -> bool:
-        """Whether it never succeeded in many attempts."""
-        return self.tried >= FORGET and not self.succeeded
+        """Whether many attempts in a row have failed."""
+        return self.failed >= FORGET
 
 
 def compositions(bank: MemoryBank) -> list[Composition]:
@@ -86,12 +87,14 @@ def record_composition(bank: MemoryBank, composition: Composition, attempts: Seq
     known = _read(bank.settings(key).get(key))
     if known is None and not any(attempts):
         return False
-    before = known or replace(composition, tried=0, succeeded=0)
-    after = replace(before, tried=before.tried + len(attempts), succeeded=before.succeeded + sum(attempts))
+    after = known or replace(composition, succeeded=0, failed=0)
+    for succeeded in attempts:
+        more, failed = (1, 0) if succeeded else (0, after.failed + 1)
+        after = replace(after, succeeded=after.succeeded + more, failed=failed)
     parts = [{"role": str(p.duty), "intent": p.intent, "mode": p.mode} for p in after.parts]
     bank.keep(key, {
-        "label": after.label, "description": after.description, "parts": parts, "tried": after.tried,
-        "succeeded": after.succeeded,
+        "label": after.label, "description": after.description, "parts": parts, "succeeded": after.succeeded,
+        "failed": after.failed,
     })  # fmt: skip
     return True
 
@@ -101,7 +104,7 @@ def _read(value: Any) -> Composition | None:
         return None
     try:
         parts = tuple(Part(Duty(p["role"]), str(p["intent"]), str(p["mode"])) for p in value["parts"])
-        tried, succeeded = int(value["tried"]), int(value["succeeded"])
-        return Composition(str(value["label"]), str(value["description"]), parts, tried, succeeded)
+        counts = int(value["succeeded"]), int(value["failed"])
+        return Composition(str(value["label"]), str(value["description"]), parts, *counts)
     except (BankError, KeyError, TypeError, ValueError):
         return None
