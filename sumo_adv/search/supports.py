@@ -152,7 +152,7 @@ def carried_out(
     composition: Composition, base: Proposal, situation: Situation, library: Sequence[LibraryEntry], random: Random,
     settings: SupportSettings, label: Callable[[Proposal, Sequence[Proposal]], str],
 ) -> list[Proposal]:  # fmt: skip
-    """Candidates in which vehicles support a base as a composition says; none where one of the parts fits no vehicle."""
+    """Candidates in which vehicles support a base as a composition says; none where a part fits no vehicle."""
     made = []
     for _ in range(settings.drawn):
         supports = list[Proposal]()
