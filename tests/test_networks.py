@@ -60,10 +60,10 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
     return min(to_segment(a, b) for a, b in pairwise(line))
 
 
-def test_there_are_twenty_networks_and_25_scenarios() -> None:
+def test_there_are_twenty_networks_and_26_scenarios() -> None:
     assert len(NETWORKS) == 20
-    assert len(SCENARIOS) == 25
-    assert len(shipped_names()) == 45
+    assert len(SCENARIOS) == 26
+    assert len(shipped_names()) == 46
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 
 

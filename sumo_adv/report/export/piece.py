@@ -17,8 +17,8 @@ from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
 class Piece:
     """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
 
-    network: the net.xml they drive on. step [s]. adversary: the collider. takeover: when it begins to be driven [s], None
-    if unattacked. written: when the run was made.
+    network: the net.xml they drive on. step [s]. adversary: the collider. takeover: when it begins to be driven [s],
+    None if unattacked. written: when the run was made.
     """
 
     name: str
