@@ -123,7 +123,7 @@ BESIDE = cruise("support", 5, 3.2, 15)
 
 def test_a_support_that_keeps_clear_fails_nothing_and_one_that_touches_the_ego_first_fails() -> None:
     assert judge(EGO, COLLIDER, [BESIDE], trigger_time=1.0, supports=[BESIDE]).failed_gates == ()
-    drifting = replace(BESIDE, y=np.maximum(3.2 - np.maximum(EGO.time - 1.5, 0.0), 0.5), x=EGO.x + 1.0)
+    drifting = replace(BESIDE, y=np.maximum(3.2 - np.maximum(EGO.time - 1.5, 0.0), 0.5), x=EGO.x - 2.0)
     verdict = judge(EGO, COLLIDER, [drifting], trigger_time=1.0, supports=[drifting])
     assert "third_party" in verdict.failed_gates
     assert not verdict.feasible

@@ -37,7 +37,7 @@ class PredictedEgos:
     disturbed: whether it has left its unattacked profile. All are ``(n,)``.
 
     With ``each`` adversaries per ego there are ``N = each * n`` pairs: the first adversaries of all egos, then their
-    second ones. What is said of the adversaries is ``(N,)``, and the cost grows with N.
+    second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
     """
 
     def __init__(

@@ -34,8 +34,8 @@ class SupportSearch:
         self, scorer: Scorer, situations: Mapping[float, Situation], random: Random, settings: SupportSettings,
         most: int, known: Sequence[Composition] = (), library: Sequence[LibraryEntry] = (),
     ) -> None:  # fmt: skip
-        """known: compositions, those that are tried first come first; library: intents that their parts may name."""
-        self._known, self._library = (*known, *EXPERT_COMPOSITIONS), library
+        """known: compositions that are tried whatever the escape; library: intents that their parts may name."""
+        self._known, self._library = known, library
         self._scorer, self._situations, self._random, self._settings = scorer, situations, random, settings
         self._most, self._rounds = most, 0
         self._failures = 0  # attempts since the last round
@@ -90,7 +90,7 @@ class SupportSearch:
         return self._scored(drawn)
 
     def _label(self, collider: Proposal, supports: Sequence[Proposal]) -> str:
-        return named(collider, supports, self._known)
+        return named(collider, supports, (*self._known, *EXPERT_COMPOSITIONS))
 
     def _scored(self, drawn: Sequence[Proposal]) -> list[Proposal]:
         """The candidates with predictions, without those that fail a gate."""
