@@ -19,7 +19,7 @@ from pydantic_settings import (
 
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Level, Limits, Relation
+from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Limits, Relation
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
@@ -80,6 +80,7 @@ class Settings(ModelSettings, BaseSettings):
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
     adversary: str | None = None
+    adversaries: int = Field(1, ge=1, le=MOST_ADVERSARIES)  # of an attack at most: a collider and supports
     trigger: float | None = Field(None, ge=0)
     begin: float | None = Field(None, ge=0)
     end: float | None = Field(None, ge=0)

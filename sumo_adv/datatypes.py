@@ -35,6 +35,20 @@ class Role(StrEnum):
     OBSTACLE = "obstacle"
 
 
+class Duty(StrEnum):
+    """What an adversary does in an attack. Exactly one is the collider; the others support it."""
+
+    COLLIDER = "collider"  # it is to collide with the ego
+    BLOCK_LEFT = "block_left"  # it takes the room into which the ego would swerve to the left
+    BLOCK_RIGHT = "block_right"  # the same to the right
+    SLOW = "slow"  # it holds the ego up from ahead
+    HIDE = "hide"  # it keeps between the ego and the collider
+    OPEN = "open"  # it makes room into which the collider can go
+
+
+MOST_ADVERSARIES = 3  # of an attack: a collider and two supports
+
+
 class Relation(StrEnum):
     """How a background vehicle stands to the ego when an encounter begins."""
 
@@ -480,7 +494,10 @@ class Proposal:
     ``course``: driven as it stands instead of by the planner, which then only names who made it. ``score``: what the
     search goes by, lower is better. ``nominal``: the score before its neighbours counted, None if they were not
     predicted. ``uncorrected``: the score before observed motions of the ego counted, None if none did.
-    ``is_neighbour``: predicted only to tell how robust another candidate is.
+    ``is_neighbour``: predicted only to tell how robust another candidate is. ``duty``: what the vehicle does in the
+    attack; ``supports``: what the other adversaries do, each a candidate of its own with the same delay and without
+    supports. ``composition``: the label of the composed intent that they carry out together, empty for a single
+    adversary.
     """
 
     bv: str
@@ -496,6 +513,19 @@ class Proposal:
     nominal: float | None = None
     uncorrected: float | None = None
     is_neighbour: bool = False
+    duty: Duty = Duty.COLLIDER
+    supports: tuple[Proposal, ...] = ()
+    composition: str = ""
+
+    @property
+    def members(self) -> tuple[Proposal, ...]:
+        """All adversaries, the collider first."""
+        return (self, *self.supports)
+
+    @property
+    def bvs(self) -> tuple[str, ...]:
+        """The ids of all adversaries, the collider's first."""
+        return tuple(p.bv for p in self.members)
 
     def unscored(self) -> Proposal:
         """The same candidate without what was predicted of it; ``score`` then means nothing."""
@@ -508,8 +538,8 @@ class Proposal:
 
     @property
     def family(self) -> tuple[str, str, str]:
-        """What the tuner spreads its tries over."""
-        return (self.bv, self.label, self.planner.mode)
+        """What the tuner spreads its tries over: vehicle, intent and mode, and the composition if there is one."""
+        return (self.bv, self.composition or self.label, self.planner.mode)
 
 
 @dataclass(frozen=True, slots=True)

@@ -356,7 +356,7 @@ def test_a_box_that_the_adversary_hits_first_is_a_third_party(tmp_path: Path) ->
             for k in range(60):
                 y = RIGHT + 3.2 * min((k + 1) / 30, 1.0)
                 drive.tick({"lead": Pose(118.0 + 1.4 * (k + 1), y, 0.0, 14.0)})
-            case = make_case(drive.tracks("lead"), "e", "lead", 2.0, None)
+            case = make_case(drive.tracks("lead"), "e", ["lead"], 2.0, {})
             assert case is not None
             verdict = judge(case.ego, case.adversary, case.others, trigger_time=2.0)
             assert ("third_party" in verdict.failed_gates) is there
@@ -369,7 +369,7 @@ def test_a_vehicle_unseen_before_the_attack_is_judged_by_what_came_after(tmp_pat
         go(drive, 2.0)
         for k in range(30):
             drive.tick({"lead": Pose(118.0 + 1.4 * (k + 1), RIGHT, 0.0, 14.0)})
-        case = make_case(drive.tracks("lead"), "e", "lead", 2.0, None)
+        case = make_case(drive.tracks("lead"), "e", ["lead"], 2.0, {})
         assert case is not None
         assert case.adversary.time == pytest.approx(np.arange(15, 51) * 0.1)
         assert judge(case.ego, case.adversary, case.others, trigger_time=2.0).feasible

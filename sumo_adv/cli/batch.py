@@ -83,6 +83,7 @@ def batch(
     until: shared.UntilLevel = None,
     ttc: shared.Ttc = None, critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None,
     intents: shared.Intents = None, exclude: shared.Exclude = None, kind: shared.Kind = None,
+    adversaries: shared.Adversaries = None,
     diverse: shared.Diverse = None, attempts: shared.Attempts = None, learn: Learning = None, memory: Memory = None,
     workers: Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: Ray = None,
     retry_failed: Retry = False, dry_run: DryRun = False, force: Force = False, figures: Figures = None,

@@ -13,7 +13,7 @@ from sumo_adv.config import Settings, Until
 INPUT, EGO, ATTACK, SEARCH, MODEL, OUTPUT = "Input", "Ego", "Attack", "Search", "Language model", "Output"
 """Panels of the help."""
 CHOICE = (
-    "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts",
+    "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts", "adversaries",
 )  # fmt: skip
 """Settings that say which attack is wanted; ``run`` and ``batch`` have an option for each."""
 
@@ -71,6 +71,10 @@ Kind = Annotated[
         "several with commas between.", metavar="RELATION", default="all",
     ),
 ]  # fmt: skip
+Adversaries = Annotated[
+    int | None,
+    option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
+]
 Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per encounter.", setting="attempts")]
 
 # -- where it is looked for

@@ -92,7 +92,8 @@ def _attempt(a: Attempt) -> str:
         what += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
     rear = ", rear-end" if v.rear_end else ""
-    return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}, {what}{rear}{gates}"
+    helped = "".join(f" + {q.bv}: {q.label}" for q in p.supports)
+    return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}{helped}, {what}{rear}{gates}"
 
 
 def summary(result: Mapping[str, Any], folder: Path) -> str:

@@ -32,6 +32,7 @@ def run(
     ego_id: own.EgoId = None, until: shared.UntilLevel = None, ttc: shared.Ttc = None,
     critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
     exclude: shared.Exclude = None, kind: shared.Kind = None, adversary: own.Adversary = None,
+    adversaries: shared.Adversaries = None,
     trigger: own.Trigger = None, diverse: shared.Diverse = None, attempts: shared.Attempts = None,
     tuner: own.Tuner = None, seed: own.Seed = None, learn: own.Learn = None, recall: own.Recall = None,
     memory: own.Memory = None, metric: own.Metric = None, no_fork: own.NoFork = False, llm: own.Llm = None,

@@ -102,6 +102,8 @@ def serve(
         until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm, learn=learn, memory=memory,
         density=density, seed=seed, horizon=given.horizon,
     )  # fmt: skip
+    if settings.adversaries > 1:
+        raise UsageError("serve drives one adversary against your ego: leave out the setting adversaries.")
     if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})
     options = Options(

@@ -28,7 +28,8 @@ LATERAL_ACCELERATION = 1.0  # m/s2, SUMO's lcAccelLat: to move over and to stop 
 
 
 class LateralGap:
-    """Egos beside adversaries of a length and width [m], ``(n,)``.
+    """Egos ``(n,)`` beside adversaries of a length and width [m], ``(N,)``: one each, or the first ones of all egos,
+    then their second ones. An ego makes room for the nearest of those that were in its lane.
 
     front: offsets of the middle of the front bumpers [m]; d: offsets of the centres [m]; turn: headings against the
     path [rad]. All are ``(n,)``.
@@ -40,18 +41,23 @@ class LateralGap:
         self._room = np.maximum(self._half_lane - scenes.ego.width / 2, 0.0)
         self._has_left, self._has_right = scenes.has_lane(1), scenes.has_lane(-1)
         self._min_gap = scenes.driver.min_gap
-        self.front, self.d, self.turn, self._speed = np.zeros((4, len(length)))
+        self.front, self.d, self.turn, self._speed = np.zeros((4, len(self._half_lane)))
 
     def step(self, ahead: Floats, front_d: Floats, was_inside: Bools, v: Floats) -> None:
         """Advance the egos by a step.
 
         ahead: from the ego's centre to the adversary's along the path after the step [m]; front_d: offset of the
         adversary's front [m]; was_inside: whether that front has been in the ego's lane; v: speeds of the egos after
-        the step [m/s]. All are ``(n,)``.
+        the step [m/s] ``(n,)``. The others are ``(N,)``.
         """
-        left, near_side = front_d > 0.0, np.abs(front_d) - self._width / 2
+        length, width = self._length, self._width
+        if len(ahead) > len(v):
+            of_ego = np.where(was_inside, np.abs(ahead), np.inf).reshape(-1, len(v)).argmin(axis=0)
+            row = of_ego * len(v) + np.arange(len(v))
+            ahead, front_d, was_inside, length, width = (q[row] for q in (ahead, front_d, was_inside, length, width))
+        left, near_side = front_d > 0.0, np.abs(front_d) - width / 2
         inside, partly = np.abs(front_d) <= self._half_lane, was_inside & (near_side < self._half_lane)
-        half, ego_half = self._length / 2, self._ego.length / 2
+        half, ego_half = length / 2, self._ego.length / 2
         beside = np.where(ahead + half > ego_half, ahead < half + ego_half + self._min_gap, ahead + half > 0.0)
         makes_room = partly & ~inside & beside & np.where(left, self._has_left, self._has_right)
         if not makes_room.any() and not self.front.any() and not self.d.any():

@@ -1,6 +1,6 @@
 """The lattice driver as it is predicted: many egos at once, in the frame of their unattacked paths.
 
-Each ego expects one other vehicle, its adversary.  It follows its unattacked profile until the adversary disturbs it.
+Each ego expects its adversaries and no other vehicle.  It follows its unattacked profile until one of them disturbs it.
 Left out are bends (the profile contains them), all other vehicles, and what happened before the attack began.
 """
 
@@ -33,15 +33,16 @@ MOVED = 0.02  # m and m/s: less is still on the lane's centre
 
 
 class LatticeDrivers:
-    """One lattice driver against each adversary of a length and width [m], ``(n,)``.
+    """``n`` lattice drivers against adversaries of a length and width [m], ``(N,)``: one each, or the first ones of all
+    egos, then their second ones.
 
     ``d``: offset [m] from the path, ``turn``: heading against it [rad], ``disturbed``: whether the ego has left its
     unattacked profile; all ``(n,)``.
     """
 
     def __init__(self, scenes: Scenes, length: Floats, width: Floats, model: DriverModel) -> None:
-        n = len(length)
-        self._scenes, self._length, self._width = scenes, length[:, None], width[:, None]
+        n = len(scenes.of)
+        self._scenes, self._length, self._width = scenes, _by_ego(length, n), _by_ego(width, n)
         idm = Idm(tau=model.tau, accel=model.acceleration, decel=model.deceleration, minGap=model.min_gap)
         self._settings, self._fastest = LatticeSettings(idm=idm), np.full(n, max(model.speed, 1.0))
         self._size = Size(scenes.ego.length, scenes.ego.width)
@@ -86,7 +87,7 @@ class LatticeDrivers:
     def _expected(self, egos: Egos, adversary: Poses, speed: Floats) -> Expected:
         """Where the adversaries are expected."""
         before, dt = self._before, self._scenes.dt
-        s, d, h, v = (q[:, None] for q in (*adversary, speed))
+        s, d, h, v = (_by_ego(q, len(egos.s)) for q in (*adversary, speed))
         if before is None:
             drift, yaw_rate, acceleration = v * np.sin(h), np.zeros_like(s), np.zeros_like(s)
         else:
@@ -118,3 +119,8 @@ class LatticeDrivers:
         direction = self.turn + slip + turned / 2
         self.d, self.turn = self.d + way * np.sin(direction), self.turn + turned
         return slip, way * np.cos(direction), speed
+
+
+def _by_ego(values: Floats, n: int) -> Floats:
+    """What is said of the adversaries ``(N,)``, in a row for each ego ``(n, N / n)``."""
+    return values.reshape(-1, n).T

@@ -29,24 +29,26 @@ JAM = 60.0 / 3.6  # m/s: slower drivers overtake on the right (SUMO's ``congeste
 
 
 class Leaders:
-    """Leaders of egos against adversaries with names and lengths [m], ``(n,)``. They drive as Krauss's drivers."""
+    """Leaders of ``n`` egos against adversaries with names and lengths [m], ``(N,)``: one each, or the first ones of
+    all egos, then their second ones. They drive as Krauss's drivers."""
 
     def __init__(self, scenes: Scenes, names: Sequence[str], length: Floats, driver: CarFollowing) -> None:
         """``driver``: the car following of the ego."""
-        keys = [(id(s), name) for s, name in zip(scenes.of, names, strict=True)]
+        n = len(scenes.of)
+        keys = [(id(s), tuple(names[k::n])) for k, s in enumerate(scenes.of)]
         first = {key: k for k, key in reversed(list(enumerate(keys)))}
         group = {key: g for g, key in enumerate(first)}
-        self._group = np.array([group[key] for key in keys], np.intp)  # same situation and adversary
+        self._group = np.array([group[key] for key in keys], np.intp)  # same situation and adversaries
         self._ego_half, self._ego_driver, self._dt = scenes.ego.length / 2, driver, scenes.dt
         self._driver = CarFollowing(DEFAULT_DRIVER, scenes.dt)
-        cases = [(scenes.of[k], names[k]) for k in first.values()]
-        held_up = [_held_up_by(s, name, driver) for s, name in cases]
+        cases = [(scenes.of[k], names[k::n]) for k in first.values()]
+        held_up = [np.any([_held_up_by(s, name, driver) for name in those], axis=0) for s, those in cases]
         self._held_up = [
             (np.flatnonzero(self._group == g), s.baseline.s, held)
             for g, ((s, _), held) in enumerate(zip(cases, held_up, strict=True))
             if held.any()
         ]
-        others = [[o for o in s.traffic.ahead if o.id != name] for s, name in cases]
+        others = [[o for o in s.traffic.ahead if o.id not in those] for s, those in cases]
         steps, count = max(len(s.baseline.s) for s, _ in cases), max(map(len, others))
         self._unattacked = np.full((3, len(cases), count, steps), FAR)  # station, offset, speed
         lengths = np.zeros((len(cases), count))
@@ -75,14 +77,17 @@ class Leaders:
     def step(self, now: float, adversary: Floats, front_d: Floats, speed: Floats) -> None:
         """Advance the leaders by a step.
 
-        adversary: stations of the adversaries [m]; front_d: offsets of their fronts [m]; speed [m/s]; all ``(n,)``.
+        adversary: stations of the adversaries [m]; front_d: offsets of their fronts [m]; speed [m/s]; all ``(N,)``.
         """
         if not self._lag.shape[1]:
             return
         dt = self._dt
         unattacked, d, pace = self._unattacked_at(now)
         s, v = unattacked - self._lag, np.where(self._lag > 0.0, self._v, pace)
-        bound = self._behind(s, d, v, (adversary, front_d, speed, self._adversary_half))
+        bound, n = np.full(s.shape, np.inf), len(s)
+        for k in range(0, len(adversary), n):  # the first adversaries, then the second ones
+            place, half = (adversary[k : k + n], front_d[k : k + n]), self._adversary_half[k : k + n]
+            bound = np.minimum(bound, self._behind(s, d, v, (*place, speed[k : k + n], half)))
         for k in np.flatnonzero(self._lag.any(axis=0)).tolist():
             lagging = np.where(self._lag[:, k] > 0.0, s[:, k], -FAR)
             bound = np.minimum(bound, self._behind(s, d, v, (lagging, d[:, k], v[:, k], self._half[:, k])))

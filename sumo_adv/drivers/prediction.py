@@ -32,20 +32,25 @@ LEAST_STEP = 0.05  # m: over a shorter step the heading of an observed ego is ne
 
 
 class PredictedEgos:
-    """Copies of the ego along its path, one against each adversary, ``(n,)``.
+    """``n`` copies of the ego along its path, each against one adversary or more.
 
     s, d: station and offset [m]; v: speed [m/s]; a: acceleration [m/s2]; turn: heading against the path [rad];
     disturbed: whether it has left its unattacked profile. All are ``(n,)``.
+
+    With ``each`` adversaries per ego there are ``N = each * n`` pairs: the first adversaries of all egos, then their
+    second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
     """
 
     def __init__(
         self, scenes: Scenes, names: Sequence[str], length: Floats, width: Floats,
-        observed: Sequence[ObservedMotion] | None = None,
+        observed: Sequence[ObservedMotion] | None = None, each: int = 1,
     ) -> None:  # fmt: skip
-        """``names``, ``length``, ``width`` [m]: of the adversaries. ``observed``: the egos repeat these motions."""
+        """``scenes``, ``names``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``. ``observed``: the egos repeat
+        these motions, ``(n,)``."""
         self._observed = None if observed is None else np.stack([np.stack([m.s, m.d, m.v]) for m in observed])
-        self.scenes, self._length, self._width = scenes, length, width
-        n = len(length)
+        self._pairs, self._each, self._length, self._width = scenes, each, length, width
+        n, pairs = len(length) // each, len(length)
+        self.scenes = scenes = scenes if each == 1 else Scenes(scenes.of[:n])
         self.model = scenes.driver
         self.s = scenes.each(lambda s: float(s.baseline.s[0]))
         self.v = scenes.each(lambda s: float(s.baseline.v[0]))
@@ -53,16 +58,16 @@ class PredictedEgos:
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
         self._front_before: Floats | None = None
-        self._was_inside, self._was_beside, self._gone_over = (np.zeros(n, bool) for _ in range(3))
+        self._was_inside, self._was_beside, self._gone_over = (np.zeros(pairs, bool) for _ in range(3))
         size = (scenes.ego.length, scenes.ego.width)
-        self._lane = scenes.each(lambda s: s.road.lane_width)
-        self._has_left, self._has_right = scenes.has_lane(1), scenes.has_lane(-1)
-        self._opposed = scenes.opposed()
+        self._lane = self._pairs.each(lambda s: s.road.lane_width)
+        self._has_left, self._has_right = self._pairs.has_lane(1), self._pairs.has_lane(-1)
+        self._opposed = self._pairs.opposed()
         if self.model.ignores_sumo_lane_rules:
-            self._has_left, self._has_right = np.ones(n, bool), np.ones(n, bool)
-            self._opposed = np.zeros(n, bool)
+            self._has_left, self._has_right = np.ones(pairs, bool), np.ones(pairs, bool)
+            self._opposed = np.zeros(pairs, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
-        self._junctions = Junctions(scenes, self._driver)
+        self._junctions = Junctions(self._pairs, self._driver)
         self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model.kind == "careful"
         self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
@@ -77,7 +82,7 @@ class PredictedEgos:
             np.where(scenes.any_lane(1), 0.0, over_kerb), np.where(scenes.any_lane(-1), 0.0, over_kerb)
         )  # fmt: skip
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
-        self._edges = seen_edges(self._lane, scenes.ego.width, self.d)
+        self._edges = seen_edges(self._lane, scenes.ego.width, self._of_pairs(self.d))
         self._sees = np.maximum(self._lane / 2, self.model.sees)
 
     def step(
@@ -87,7 +92,7 @@ class PredictedEgos:
         """Advance all by a step.
 
         now: time since the trigger [s]; adversary: station, offset, heading of the box centres in the frame of the
-        ego's path; speed [m/s]; each ``(n,)``. at_junction: None if the ways meet at no junction.
+        ego's path; speed [m/s]; each ``(N,)``. at_junction: None if the ways meet at no junction.
         """
         dt = self.scenes.dt
         if self._observed is not None:
@@ -99,8 +104,8 @@ class PredictedEgos:
             return
         (s, d, h), half = adversary, self._length / 2
         front_d = d + half * np.sin(h)
-        sumo_s = s if self.model.ignores_sumo_lane_rules else self.scenes.sumo_station(s, front_d)
-        ahead = sumo_s + half * np.cos(h) > self.s + self.scenes.ego.length / 2
+        sumo_s = s if self.model.ignores_sumo_lane_rules else self._pairs.sumo_station(s, front_d)
+        ahead = sumo_s + half * np.cos(h) > self._of_pairs(self.s) + self.scenes.ego.length / 2
         bound = self._bound(adversary, speed, (sumo_s, ahead, front_d), at_junction)
         if self._lattice is not None:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
@@ -120,7 +125,7 @@ class PredictedEgos:
             self.disturbed, np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt), next_v
         )
         v = np.maximum(v, 0.0)
-        next_ahead = sumo_s - self.s + dt * (speed * np.cos(h) - v)
+        next_ahead = sumo_s - self._of_pairs(self.s) + dt * (speed * np.cos(h) - self._of_pairs(v))
         self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
         self.d, self.turn, self.a = self._lateral_gap.d, self._lateral_gap.turn, (v - self.v) / dt
         self._looks_from = self._lateral_gap.front
@@ -148,26 +153,32 @@ class PredictedEgos:
         self, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Floats, Bools, Floats],
         at_junction: AtJunction | None,
     ) -> Floats:  # fmt: skip
-        """The highest speed [m/s] that the adversaries leave to the drivers, inf without a reason to brake.
+        """The highest speed [m/s] that the adversaries leave to the drivers ``(n,)``, inf without a reason to brake.
 
         front: the adversaries' stations in SUMO, whether their fronts are ahead of the egos', and the fronts' offsets.
         """
+        own_s, own_d, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.d, self.v, self.a))
         (_, _, h), (s, ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
-        gap = nose - self._length - self.s - self.scenes.ego.length / 2
-        bound = np.where(leads, self._driver.behind(self.v, gap, speed), np.inf)
+        gap = nose - self._length - own_s - self.scenes.ego.length / 2
+        bound = np.where(leads, self._driver.behind(own_v, gap, speed), np.inf)
         if self._careful is not None:
-            bound = np.minimum(bound, self._careful.bound((self.s, self.v, self.a), adversary, speed))
+            bound = np.minimum(bound, self._careful.bound((own_s, own_v, own_a), adversary, speed))
         if self._guards is not None:
-            bound = np.minimum(bound, self._guards.bound((self.s, self.d, self.v), adversary, speed))
+            bound = np.minimum(bound, self._guards.bound((own_s, own_d, own_v), adversary, speed))
         if at_junction is not None:
-            bound = np.minimum(bound, self._junctions.bound(at_junction, self.s, self.v))
-        return np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY)))
+            bound = np.minimum(bound, self._junctions.bound(at_junction, own_s, own_v))
+        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY), own_v))
+        return bound if self._each == 1 else bound.reshape(self._each, -1).min(axis=0)
+
+    def _of_pairs(self, of_egos: Floats) -> Floats:
+        """What is said of the egos ``(n,)``, said of each pair ``(N,)``."""
+        return of_egos if self._each == 1 else np.tile(of_egos, self._each)
 
     def _in_lane(self, front_d: Floats, h: Floats) -> Bools:
-        """Whether the driver takes the adversary to be in its lane, ``(n,)``.
+        """Whether the driver takes the adversary to be in its lane, ``(N,)``.
 
         It does while the centre of the adversary's front is inside. After that SUMO has the adversary in both lanes,
         except if the other one has the opposite direction. It then stays in the lane while its side is in the strips
@@ -176,7 +187,7 @@ class PredictedEgos:
         inside, half = self._inside(front_d, h), self._width / 2
         if self._looks_from is not self._edges_at:
             self._edges_at = self._looks_from
-            self._edges = seen_edges(self._lane, self.scenes.ego.width, self._edges_at)
+            self._edges = seen_edges(self._lane, self.scenes.ego.width, self._of_pairs(self._edges_at))
         left, right = self._edges
         partly = (front_d - half + NUMERICAL < left) & (front_d + half - NUMERICAL > -right)
         if not self.model.ignores_sumo_lane_rules:
@@ -196,21 +207,21 @@ class PredictedEgos:
         self._gone_over = ~inside & (front_d > 0.0)
         return inside
 
-    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools) -> Floats:
+    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools, own_v: Floats) -> Floats:
         """The highest speed [m/s] behind an adversary in the lane to the left; inf without a limit.
 
         Above ``JAM`` SUMO's drivers do not overtake on the right. They stay behind a slower vehicle that is in the lane
         to the left, or was there and is still partly in it. They brake gently for it.
         """
         if self.model.ignores_sumo_lane_rules:
-            return np.full(len(self.s), np.inf)
+            return np.full(len(own_v), np.inf)
         before = front_d if self._front_before is None else self._front_before  # lanes change at the end of a step
         front_d, self._front_before = before, front_d
         beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
         self._was_beside |= beside
         beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
-        limits = beside & ahead & (self.v > JAM) & self._has_left & (speed < self._driver.desired_speed)
-        return np.where(limits, self._driver.staying_behind(self.v, gap, speed), np.inf)
+        limits = beside & ahead & (own_v > JAM) & self._has_left & (speed < self._driver.desired_speed)
+        return np.where(limits, self._driver.staying_behind(own_v, gap, speed), np.inf)
 
 
 def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floats]:

@@ -32,15 +32,16 @@ class AttemptRunner:
 
     def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of the proposals, in order. They run at the same time if the engine can fork."""
-        opened: dict[int, Sessions] = {}
+        opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
-        def answer(question: tuple[int, Any]) -> Answer | str:
-            k, observation = question
-            if k not in opened:
-                session = Sessions(self._sandbox, roads, [proposals[k]], self._seed, drivable=self._found.drivable)
-                opened[k] = session.__enter__()
-            return answer_of(proposals[k], opened[k], observation)
+        def answer(question: tuple[int, int, Any]) -> Answer | str:
+            k, member, observation = question
+            adversary = proposals[k].members[member]
+            if (k, member) not in opened:
+                session = Sessions(self._sandbox, roads, [adversary], self._seed, drivable=self._found.drivable)
+                opened[k, member] = session.__enter__()
+            return answer_of(adversary, opened[k, member], observation)
 
         try:
             results: list[AttemptResult] = self._engine.request("attempts", list(proposals), answer=answer)

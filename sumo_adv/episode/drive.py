@@ -196,17 +196,16 @@ class Drive:
         poses = ((n, self.pose(n)) for n in self.snapshot.raw if n != vehicle.id)
         return [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
 
-    def tracks(self, adversary: str | None = None, start: int = 0) -> list[Track]:
+    def tracks(self, *adversaries: str, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""
         part = Recording(self.recording.step_length)
         part.snapshots = self.recording.snapshots[start:]
-        return part.tracks(self.simulation.fleet.sizes, self.roles(adversary))
+        return part.tracks(self.simulation.fleet.sizes, self.roles(*adversaries))
 
-    def roles(self, adversary: str | None = None) -> dict[str, Role]:
+    def roles(self, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
         roles = dict.fromkeys(self.obstacles, Role.OBSTACLE)
-        if adversary:
-            roles[adversary] = Role.ADVERSARY
+        roles |= dict.fromkeys(adversaries, Role.ADVERSARY)
         if self.ego is not None:
             roles[self.ego] = Role.EGO
         return roles

@@ -158,6 +158,7 @@ def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, ski
         raise UsageError(
             f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
         )
-    if proposal.bv not in found.situations[proposal.delay].targets:
-        raise UsageError(f"The manifest's vehicle '{proposal.bv}' is none of the run's, so it cannot be replayed.")
+    for bv in proposal.bvs:
+        if bv not in found.situations[proposal.delay].targets:
+            raise UsageError(f"The manifest's vehicle '{bv}' is none of the run's, so it cannot be replayed.")
     return found

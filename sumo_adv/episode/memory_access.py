@@ -18,8 +18,10 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.compositions import Composition, Part, record_composition
 from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.search.composed_attacks import description_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.search.selection import Selection, select
@@ -224,13 +226,30 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
         name = attempt.proposal.planner.hash
         if attempt.ending in ("ego_lost", "crashed"):  # it was not driven to its end: that says nothing of the planner
             continue
+        if attempt.proposal.supports:  # that says something of the composition, see below
+            continue
         if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
             tried[name] = attempt
     try:
         for attempt in tried.values():
             episode.learnt |= _learn_one(episode, bank, entries, attempt)
+        _learn_compositions(episode, bank, entries)
     except BankError as error:
         episode.notes.append(f"Nothing was learnt: {error}")
+
+
+def _learn_compositions(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
+    """Count the attempts of several adversaries for their compositions; a new one is added by a success."""
+    tried: dict[str, list[Attempt]] = {}
+    for attempt in episode.refinement.attempts:
+        if attempt.proposal.supports and attempt.ending not in ("ego_lost", "crashed"):
+            tried.setdefault(attempt.proposal.composition, []).append(attempt)
+    for label, attempts in tried.items():
+        best = min(attempts, key=lambda a: rank(a.verdict)).proposal
+        parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
+        composition = Composition(label, description_of(best, entries), parts)
+        met = [episode.settings.goal.met(a.verdict) for a in attempts]
+        episode.learnt |= record_composition(bank, composition, met) and any(met)
 
 
 def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:

@@ -61,7 +61,7 @@ def minimise_episode(
             f"The attack reaches the level {first.verdict.level}, not {settings.goal}; choose a lower --until."
         )
     predictor = Predictor(sandbox, settings, found.drivable, found.situations)
-    starts = [delay for delay, situation in found.situations.items() if proposal.bv in situation.targets]
+    starts = [delay for delay, now in found.situations.items() if now.targets.keys() >= set(proposal.bvs)]
     search = Minimiser(predictor, proposal, math.inf, level, starts, settings.seed)
     search.harshness = before = _harshness(search, first, result, settings)
     done.chosen, done.ending, episode.ending = 0, Ending.CRITICAL, Ending.CRITICAL

@@ -23,6 +23,7 @@ from sumo_adv.episode.memory_access import (
 )
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.compositions import compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.composed_intents import composed
@@ -99,7 +100,8 @@ def searched(
         predictor, found.situations, library,
         weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
-        recalled=None if known is None else known[1],
+        recalled=None if known is None else known[1], adversaries=settings.adversaries,
+        colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
     )  # fmt: skip
     return search, None if known is None else known[0]
 

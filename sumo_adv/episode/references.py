@@ -32,13 +32,14 @@ MEMORY = HISTORY + 0.1  # s of past states that a view needs
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """The encounter that a reference driver drives. The ``course`` of ``proposal`` is the recorded motion.
+    """The encounter that a reference driver drives. ``courses``: by adversary its recorded and planned motion.
 
     ego: the ego of the attempt, from some steps before ``start`` [s] to the end of the check; roster: length and width
     [m] of the vehicles that drivers may see; plan: poses of the ego by step after ``start``, for ``manoeuvre``.
     """
 
     proposal: Proposal
+    courses: Mapping[str, PrescribedMotion]
     ego: Track
     start: float
     steps: int
@@ -154,8 +155,8 @@ def order_of(
     unattacked: Track | None,
 ) -> Order:  # fmt: skip
     """The order for an attempt that collided; ``case``: the tracks that were judged."""
-    foe = case.adversary.between(result.start + 1e-3, np.inf)
-    course = PrescribedMotion(foe.x, foe.y, foe.heading, foe.speed)
+    driven = [t.between(result.start + 1e-3, np.inf) for t in (case.adversary, *case.supports)]
+    courses = {t.id: PrescribedMotion(t.x, t.y, t.heading, t.speed) for t in driven if len(t.time)}
     given = encounter_of(
         case.ego, case.adversary, case.others, result.start, contact_time, lane_half_width, unattacked
     )  # fmt: skip
@@ -171,7 +172,7 @@ def order_of(
     )  # fmt: skip
     steps = check.steps - 1 - int(given.start[0])
     return Order(
-        replace(proposal, course=course), ego, result.start, steps, roster, lane_half_width,
+        proposal, courses, ego, result.start, steps, roster, lane_half_width,
         _manoeuvre_plan(check, on_road),
     )  # fmt: skip
 

@@ -29,6 +29,7 @@ class Task:
     ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
     driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
     delay: the only delay after the trigger at which an attack may begin; None = those of ``start_times.py``.
+    only: the vehicles that may be adversaries; colliders: those that may be the collider. Empty means all.
     """
 
     spec: SimulationSpec
@@ -45,12 +46,14 @@ class Task:
     ego_given: GivenEgo | None = field(default=None, repr=False)
     driven_from: float | None = None
     delay: float | None = None
+    colliders: tuple[str, ...] = ()
 
-    def roles(self, ego: str, adversary: str | None = None) -> dict[str, Role]:
+    def roles(self, ego: str, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
         obstacles = frozenset[str]() if self.playback is None else self.playback.obstacles
-        others = {} if adversary is None else {adversary: Role.ADVERSARY}
-        return {**dict.fromkeys(obstacles, Role.OBSTACLE), **others, ego: Role.EGO}
+        return {
+            **dict.fromkeys(obstacles, Role.OBSTACLE), **dict.fromkeys(adversaries, Role.ADVERSARY), ego: Role.EGO
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,10 +160,19 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
     if trigger != "auto" and not begin <= float(trigger) < end:
         raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
+    colliders = (settings.adversary,) if settings.adversary else source.candidates
     own = dict(source.ego_parameters) if source.ego_controller in (None, settings.ego) else {}
     return Task(
         spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
         {**own, **settings.ego_parameters},
-        (settings.adversary,) if settings.adversary else source.candidates,
+        _adversaries(colliders, source.supports, settings.adversaries),
         None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
+        colliders=colliders,
     )  # fmt: skip
+
+
+def _adversaries(colliders: tuple[str, ...], supports: tuple[str, ...], most: int) -> tuple[str, ...]:
+    """The vehicles that may be adversaries, empty for all: where supports are not named, any vehicle may be one."""
+    if most == 1 or not colliders:
+        return colliders
+    return (*colliders, *(name for name in supports if name not in colliders)) if supports else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sumo_adv.config import Settings
@@ -16,22 +17,24 @@ from sumo_adv.simulation.recording import tracks_of
 
 
 def gate_verdict(
-    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bv: str, start: float, driven: Driven
-) -> Verdict | None:
-    """The verdict on the attempt that began at ``start`` [s]; None if ego or adversary left before it moved.
+    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bvs: Sequence[str], start: float,
+    driven: Driven,
+) -> Verdict | None:  # fmt: skip
+    """The verdict on the attempt that began at ``start`` [s]; None if ego or collider left before it moved.
 
-    ``trigger_step``: how many snapshots the recording had at the trigger.
+    ``bvs``: all adversaries, the collider first. ``trigger_step``: how many snapshots the recording had at the trigger.
     """
     assert drive.ego is not None
     first = first_judged(found, settings, trigger_step, start)
     logged = settings.limits.limits() if drive.follows_log() else None
-    case = make_case(drive.tracks(bv, first), drive.ego, bv, start, driven.beyond.get(bv), logged)
+    case = make_case(drive.tracks(*bvs, start=first), drive.ego, bvs, start, driven.beyond, logged)
     if case is None:
         return None
     half = found.first.road.lane_width / 2
     verdict = judge(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.critical_ttc,
         limits=settings.limits.of(case.adversary), on_road=found.drivable, lane_half_width=half,
+        supports=case.supports,
     )  # fmt: skip
     verdict = replace(verdict, log_gates=case.log_gates)
     return with_level(

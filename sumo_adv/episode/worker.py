@@ -35,7 +35,7 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
-from sumo_adv.planners.answers import PlannerObservation
+from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
 from sumo_adv.simulation.engine import can_fork, in_forks
 from sumo_adv.simulation.lights import LightsNear
@@ -215,9 +215,9 @@ class Worker:
         first = first_judged(self._encounter, settings, self._trigger_step, result.start)
         snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
-        tracks = tracks_of(snapshots, sizes, drive.roles(proposal.bv), settings.step_length)
+        tracks = tracks_of(snapshots, sizes, drive.roles(*proposal.bvs), settings.step_length)
         logged = settings.limits.limits() if drive.follows_log() else None
-        return make_case(tracks, drive.ego, proposal.bv, result.start, result.driven.beyond.get(proposal.bv), logged)
+        return make_case(tracks, drive.ego, proposal.bvs, result.start, result.driven.beyond, logged)
 
     def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
         """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
@@ -226,15 +226,14 @@ class Worker:
         for _ in range(settings.steps(order.proposal.delay)):
             drive.tick()
         first = max(0, len(drive.recording.snapshots) - settings.steps(settings.history))
-        drive.controller = ReferenceEgo(order, driver, drive.tracks(order.proposal.bv, first))
-        course, bv = order.proposal.course, order.proposal.bv
-        assert course is not None
-        adversary = PrescribedAdversary(self._situation_for(order.proposal), bv, course)
+        drive.controller = ReferenceEgo(order, driver, drive.tracks(*order.courses, start=first))
+        situation = self._situation_for(order.proposal)
+        adversaries = {bv: PrescribedAdversary(situation, bv, course) for bv, course in order.courses.items()}
         try:
-            attack(drive, {bv: adversary}, steps=drive.within(order.steps), replan=order.steps + 1)
+            attack(drive, adversaries, steps=drive.within(order.steps), replan=order.steps + 1)
         finally:
             drive.controller = tested
-        return avoids(order, drive.tracks(order.proposal.bv, first))
+        return avoids(order, drive.tracks(*order.courses, start=first))
 
     @property
     def _map(self) -> RoadMap:
@@ -302,36 +301,42 @@ class Worker:
     # -- attempts -----------------------------------------------------------------------------------------------
 
     def _work(self, index: int, proposal: Proposal, slot: Connection) -> Callable[[], AttemptResult]:
-        def ask_front(observation: PlannerObservation) -> Any:
-            slot.send((index, observation))
+        def ask_front(member: int, observation: PlannerObservation) -> Any:
+            slot.send((index, member, observation))
             return slot.recv()
 
         situation = self._situation_for(proposal)
-        ask = ask_trusted(proposal, situation, ask_front)  # before the fork: the planner's text is read once
-        return partial(self._attempt, proposal, ask)
+        asks = [  # before the fork: a planner's text is read once
+            ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)
+        ]
+        return partial(self._attempt, proposal, asks)
 
-    def _attempt(self, proposal: Proposal, ask: Callable[[PlannerObservation], Any]) -> AttemptResult:
+    def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         drive, settings = self._drive, self._settings
         situation = self._situation_for(proposal)
         drive.replay(self._baseline_ego)
         for _ in range(settings.steps(proposal.delay)):
             drive.tick()
         start = drive.now
-        limits = settings.limits.of(situation.targets[proposal.bv].state)
-        adversary = controller_of(situation, proposal, limits, ask)
+        members = {
+            p.bv: controller_of(situation, p, settings.limits.of(situation.targets[p.bv].state), ask)
+            for p, ask in zip(proposal.members, asks, strict=True)
+        }
         driven = attack(
-            drive, {proposal.bv: adversary}, steps=drive.within(settings.steps(settings.duration)),
+            drive, members, steps=drive.within(settings.steps(settings.duration)),
             replan=settings.steps(settings.replan),
         )  # fmt: skip
-        verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bv, start, driven)
+        verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
         snapshots = drive.recording.snapshots[self._trigger_step :]
         sizes = dict(drive.simulation.fleet.sizes)
         return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())
 
     def _situation_for(self, proposal: Proposal) -> Situation:
         situation = self._encounter.situations.get(proposal.delay)
-        if situation is None or proposal.bv not in situation.targets:
-            raise SimulationError(f"Vehicle '{proposal.bv}' cannot attack {proposal.delay:g} s after the trigger.")
+        for bv in proposal.bvs:
+            if situation is None or bv not in situation.targets:
+                raise SimulationError(f"Vehicle '{bv}' cannot attack {proposal.delay:g} s after the trigger.")
+        assert situation is not None
         return situation
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,8 @@ LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The arguments of both verdicts. ``adversary`` goes on past a contact as it was planned.
+    """The arguments of both verdicts. ``adversary``: the collider; it goes on past a contact as it was planned, and so
+    do the ``supports``, which are among the ``others``, too.
 
     log_gates: the gates that the log of the adversary breaks before the take-over; empty if no log moved it."""
 
@@ -25,19 +26,21 @@ class Case:
     adversary: Track
     others: tuple[Track, ...]
     log_gates: tuple[str, ...] = ()
+    supports: tuple[Track, ...] = ()
 
 
 def make_case(
-    tracks: Sequence[Track], ego: str, adversary: str, start: float, beyond: Track | None, logged: Limits | None = None
-) -> Case | None:
-    """The case of one attempt that began at ``start`` [s]; None where one of the two is gone before it moved.
+    tracks: Sequence[Track], ego: str, adversaries: Sequence[str], start: float, beyond: Mapping[str, Track],
+    logged: Limits | None = None,
+) -> Case | None:  # fmt: skip
+    """The case of one attempt that began at ``start`` [s]; None where the ego or the collider is gone before it moved.
 
-    ``tracks`` lie on one grid and begin some steps before ``start``; ``beyond`` is the adversary's planned motion from
-    the last recorded step on. ``logged``: the vehicle's limits, if a log moved the adversary up to ``start``; its noise
-    there is smoothed, because the gates judge what the adversary adds.
+    ``tracks`` lie on one grid and begin some steps before ``start``. ``adversaries``: their ids, the collider's first;
+    ``beyond``: their planned motions from the last recorded step on. ``logged``: the vehicles' limits, if a log moved
+    them up to ``start``; the noise there is smoothed, because the gates judge what the adversaries add.
     """
     named = {t.id: t for t in tracks}
-    one, two = named.get(ego), named.get(adversary)
+    one, two = named.get(ego), named.get(adversaries[0])
     if one is None or two is None:
         return None
     one, two = unbroken(one, start), unbroken(two, start)
@@ -45,11 +48,13 @@ def make_case(
         return None
     others = tuple(
         t for n, t in named.items()
-        if n not in (ego, adversary) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
+        if n not in (ego, *adversaries) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
     )  # fmt: skip
     breaches = () if logged is None else log_breaches(two, start, logged)
-    two = two if logged is None else smoothed(two, start, logged)
-    return Case(one, two if beyond is None else joined(two, beyond), others, breaches)
+    helpers = [unbroken(named[n], start) for n in adversaries[1:] if n in named]
+    driven = [t if logged is None else smoothed(t, start, logged) for t in (two, *helpers) if len(t.time)]
+    two, *helpers = (joined(t, beyond[t.id]) if t.id in beyond else t for t in driven)
+    return Case(one, two, (*others, *helpers), breaches, tuple(helpers))
 
 
 def unbroken(track: Track, time: float) -> Track:

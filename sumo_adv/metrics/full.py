@@ -57,11 +57,12 @@ def full_judge(
     on_road: Callable[[Floats, Floats], Bools] | None = None,
     lane_half_width: float = 1.6,
     end: float | None = None,
+    supports: Sequence[Track] = (),
 ) -> FullVerdict:
     """:func:`~sumo_adv.metrics.validity.judge` and everything that only the attempt that counts needs."""
     verdict = judge(
         ego, adversary, others, trigger_time=trigger_time, ttc_threshold=ttc_threshold, limits=limits, on_road=on_road,
-        lane_half_width=lane_half_width, end=end,
+        lane_half_width=lane_half_width, end=end, supports=supports,
     )  # fmt: skip
     e = align(ego, adversary, trigger_time, end, verdict.contact_time)
     stop = float(e.time[-1])

@@ -194,6 +194,28 @@ def failed_gates(
     return tuple(name for name in GATES if name in failed)
 
 
+def all_failed_gates(
+    adversary: Track,
+    supports: Sequence[Track],
+    limits: Limits,
+    *,
+    on_road: OnRoad | None,
+    ego: Track,
+    others: Sequence[Track],
+    end: float,
+    start: float,
+) -> tuple[str, ...]:
+    """As :func:`failed_gates`, also for the supports, which are among the ``others``.
+
+    Adversaries that touch each other, and a support that touches the ego first, fail ``third_party``.
+    """
+    failed = set(failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=end, start=start))
+    for support in supports:
+        third = [ego, adversary, *(t for t in others if t.id != support.id)]
+        failed |= set(failed_gates(support, limits, on_road=on_road, ego=ego, others=third, end=end, start=start))
+    return tuple(name for name in GATES if name in failed)
+
+
 def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
     """Whether the adversary touches any of the others before ``end`` [s]."""
     if not others or len(adversary.time) < 2:

@@ -17,7 +17,7 @@ from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid
 from sumo_adv.metrics.contact import CollisionClass, collision_class, rear_end
 from sumo_adv.metrics.criticality import drac, pet, ttc
 from sumo_adv.metrics.fault import fault as fault_of
-from sumo_adv.metrics.gates import failed_gates
+from sumo_adv.metrics.gates import all_failed_gates
 from sumo_adv.metrics.hazard import KINDS, Kind, hazard_index
 
 MANOEUVRE_DELAY = 0.8  # s after the hazard shows at which a manoeuvre begins
@@ -163,11 +163,13 @@ def judge(
     on_road: Callable[[Floats, Floats], Bools] | None = None,
     lane_half_width: float = 1.6,
     end: float | None = None,
+    supports: Sequence[Track] = (),
 ) -> Verdict:
     """The gate verdict of one attempt, on recorded motion.
 
     The tracks lie on one grid and begin at least two steps before the trigger. The adversary's may go on past the
-    contact with its planned motion. ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the
+    contact with its planned motion. ``supports``: those of the others that are adversaries, too; their motion is judged
+    by the gates as well. ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the
     trigger to the first contact or ``end``. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
     """
     e = align(ego, adversary, trigger_time, end)
@@ -178,7 +180,9 @@ def judge(
     any_ttc = _least_ttc(e, others)
     threat = drac(e.ego, other)[0, e.trigger :]
     driven = trigger_time + e.dt / 2  # SUMO itself drove up to the state at the trigger
-    gates = failed_gates(adversary, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven)
+    gates = all_failed_gates(
+        adversary, supports, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven
+    )  # fmt: skip
     hazard, _ = _hazard(e, lane_half_width)
     from_behind = e.contact_time is not None and bool(rear_end(*(at_time(t, e.contact_time) for t in (ego, adversary))))
     avoidable = _avoidable(e, hazard, on_road, others) if collided else None

@@ -170,7 +170,7 @@ class Run:
             drive.tick()
         snapshots = drive.recording.snapshots
         first = next(k for k, s in enumerate(snapshots) if ego in s.raw and s.time >= start - HISTORY - 1e-6)
-        case = make_case(drive.tracks(other, first), ego, other, start, None)
+        case = make_case(drive.tracks(other, start=first), ego, [other], start, {})
         level = Level.NONE
         if case is not None:
             verdict = judge(case.ego, case.adversary, case.others, trigger_time=start, limits=UNLIMITED)

@@ -45,6 +45,8 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
     """
     recorded, outcome = read_manifest(run), read_outcome(run)
     level = level_of(outcome)
+    if recorded.proposal.supports:
+        raise UsageError(f"The attack of {run} has several adversaries and a case holds one: run with --adversaries 1.")
     if level is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
     encounter = outcome.get("encounter") or {}

@@ -14,13 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Track, Verdict
+from sumo_adv.datatypes import Role, Track, Verdict
 from sumo_adv.report.figures.parts import (
     ADVERSARY,
     EGO,
     GROUND,
     LEAST_EXTENT,
     OTHER,
+    SUPPORT,
     Lanes,
     closest_time,
     draw_box,
@@ -53,6 +54,7 @@ def draw_encounter(
 ) -> None:
     """Write a PNG, 1600 px wide, to ``target``.
 
+    ``others``: those with an adversary's role are drawn as its supports.
     ``lanes``: centreline (n, 2) [m], width [m], inside a junction or not. ``raw_*``: the same vehicles unattacked.
     ``trigger_time`` [s] on the tracks' clock. ``title`` is shown as it is, cut to one line. Raises OSError if
     the file cannot be written.
@@ -72,8 +74,13 @@ def draw_encounter(
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
+    supports = [other for other in others if other.role is Role.ADVERSARY]
     for other in others:
-        draw_box(axes, other, shown, OTHER, zorder=5)
+        draw_box(axes, other, shown, OTHER if other.role is not Role.ADVERSARY else SUPPORT, zorder=5)
+    for support in supports:
+        part = support.between(trigger_time, ego.time[-1])
+        axes.plot(part.x, part.y, color=SUPPORT, lw=1.8, zorder=5, solid_capstyle="round")
+        draw_box(axes, support, trigger_time, SUPPORT, zorder=5, filled=False)
     for track, part, colour in ((ego, ego_part, EGO), (adversary, adversary_part, ADVERSARY)):
         axes.plot(part.x, part.y, color=colour, lw=2.2, zorder=6, solid_capstyle="round")
         draw_box(axes, track, trigger_time, colour, zorder=5, filled=False)
@@ -82,7 +89,8 @@ def draw_encounter(
     _frame(axes, view, height)
     corner = _free_corner((ego_part, adversary_part), view)
     unattacked = raw_ego is not None or raw_adversary is not None
-    _legend(axes, unattacked, bool(others), verdict, shown - trigger_time, corner)
+    groups = unattacked, bool(supports), len(others) > len(supports)
+    _legend(axes, groups, verdict, shown - trigger_time, corner)
     line = shortened(title, LONGEST)
     figure.text(0.055, 1.0 - 0.15 / height, line, ha="left", va="top", fontsize=15, parse_math=False)
     _draw_summary(figure, verdict, height)
@@ -125,7 +133,8 @@ def _frame(axes: Any, view: tuple[float, float, float, float], height: float) ->
     draw_scale_bar(axes, view, height - HEAD)
 
 
-def _legend(axes: Any, raw: bool, others: bool, verdict: Verdict, after: float, corner: str) -> None:
+def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after: float, corner: str) -> None:
+    """``groups``: whether there are unattacked motions, supports and other vehicles."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -136,6 +145,9 @@ def _legend(axes: Any, raw: bool, others: bool, verdict: Verdict, after: float, 
         Patch(facecolor="none", edgecolor="black", label="at the trigger"),
         Line2D([], [], color="black", marker="o", mfc="white", lw=2.2, label="attacked, s since the trigger"),
     ]
+    raw, supports, others = groups
+    if supports:
+        entries.append(Patch(facecolor=SUPPORT, edgecolor="black", label="support"))
     if raw:
         entries.append(Line2D([], [], color="black", alpha=0.5, lw=1.6, ls=(0, (4, 3)), label="unattacked"))
     if others:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Track
+from sumo_adv.datatypes import MOST_ADVERSARIES, Track
 from sumo_adv.episode.episode import Episode
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import json_text
@@ -29,7 +29,7 @@ from sumo_adv.simulation.simulation import Snapshot
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts
 SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
-PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact
+PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact, and one for each support
 
 
 class RunFolder:
@@ -96,7 +96,7 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     if episode.found is not None and episode.prefix is not None:
         _tables(stage, episode)
         if episode.best is not None:
-            _plan(stage / PLAN, episode)
+            _plans(stage, episode)
         if judged is not None:
             write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
         if episode.best is not None and figure:
@@ -143,7 +143,7 @@ def _tables(stage: Path, episode: Episode) -> None:
     if episode.found.baseline:
         write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.baseline], sizes, roles, step)
     if best is not None:
-        roles = episode.task.roles(episode.found.ego, best.proposal.bv)
+        roles = episode.task.roles(episode.found.ego, *best.proposal.bvs)
     write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
     write_signals(stage / SIGNALS, _attempt_snapshots(episode))
     if episode.refinement.best:
@@ -151,22 +151,27 @@ def _tables(stage: Path, episode: Episode) -> None:
 
 
 def _first(target: Path, episode: Episode, sizes: Mapping[str, tuple[float, float]]) -> None:
-    """The ego and the adversary of the first attempt, from the step before the trigger on."""
+    """The ego and the adversaries of the first attempt, from the step before the trigger on."""
     assert episode.found is not None and episode.prefix is not None
     after = episode.refinement.results[0].snapshots
-    names = (episode.found.ego, episode.refinement.attempts[0].proposal.bv)
+    names = (episode.found.ego, *episode.refinement.attempts[0].proposal.bvs)
     if after:
         snapshots = [*episode.prefix.snapshots[-2:], *after]
         write_states(target, snapshots, sizes, episode.task.roles(*names), episode.settings.step_length, names)
 
 
-def _plan(target: Path, episode: Episode) -> None:
-    """What the adversary was to do after the contact, as the verdict takes it."""
+def _plans(stage: Path, episode: Episode) -> None:
+    """What the adversaries were to do after the contact, as the verdict takes it."""
     best = episode.refinement.best or 0
-    bv = episode.refinement.attempts[best].proposal.bv
-    beyond = episode.refinement.results[best].driven.beyond.get(bv)
-    if beyond is not None:
-        write_plan(target, beyond)
+    beyond = episode.refinement.results[best].driven.beyond
+    for name, bv in zip(plan_names(), episode.refinement.attempts[best].proposal.bvs, strict=False):
+        if bv in beyond:
+            write_plan(stage / name, beyond[bv])
+
+
+def plan_names() -> tuple[str, ...]:
+    """The files of the planned motions: the collider's, then the supports'."""
+    return (PLAN, *(PLAN.replace(".", f"_{number}.", 1) for number in range(2, MOST_ADVERSARIES + 1)))
 
 
 def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
@@ -230,7 +235,7 @@ def _figure(target: Path, episode: Episode) -> None:
     best, found, prefix = episode.best, episode.found, episode.prefix
     assert best is not None and found is not None and prefix is not None
     names = (found.ego, best.proposal.bv)
-    roles = episode.task.roles(*names)
+    roles = episode.task.roles(found.ego, *best.proposal.bvs)
     sizes, step = all_sizes(episode), episode.settings.step_length
     history = episode.settings.steps(episode.settings.history)
     attacked = {

@@ -21,7 +21,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.parsing import parse_json
-from sumo_adv.report.folder import PLAN
+from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
 from sumo_adv.report.tables import PLAN_HEADER
@@ -105,8 +105,10 @@ def _case(run: RunRead) -> tuple[Case | None, float]:
         return None, 0.0
     tracks = [t.between(float(start) - HISTORY, np.inf) for t in run.best]
     kept = [t for t in tracks if len(t.time)]
-    beyond = read_plan(run.folder / PLAN, str(adversaries[0]["id"]), kept)
-    return make_case(kept, str(ego), str(adversaries[0]["id"]), float(start), beyond), float(start)
+    ids = [str(adversary["id"]) for adversary in adversaries]
+    plans = [read_plan(run.folder / file, bv, kept) for file, bv in zip(plan_names(), ids, strict=False)]
+    beyond = {plan.id: plan for plan in plans if plan is not None}
+    return make_case(kept, str(ego), ids, float(start), beyond), float(start)
 
 
 def read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, load_settings
-from sumo_adv.datatypes import Proposal, acceleration_of
+from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import parse_json
@@ -72,15 +72,23 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         m["warm_up"], m["end"], _playback(folder, m.get("playback"), spec.routes),
         driven_from=m.get("driven_from"), delay=m.get("delay"),
     )  # fmt: skip
-    a = m["attempt"]
-    p = m["planners"][a["planner"]]
+    proposal = _proposal(folder, m["attempt"], m["planners"])
+    source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
+    return Recorded(source, settings, task, proposal, m["skips"])
+
+
+def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Proposal:
+    """An attack as the manifest has it, with its supports."""
+    p = planners[a["planner"]]
     planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
     if planner.hash != a["planner"]:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
     numbers = {str(k): float(v) for k, v in a["parameters"].items()}
-    proposal = Proposal(a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"])
-    source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
-    return Recorded(source, settings, task, proposal, m["skips"])
+    return Proposal(
+        a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"],
+        duty=Duty(a.get("role", Duty.COLLIDER)), composition=a.get("composition", ""),
+        supports=tuple(_proposal(folder, q, planners) for q in a.get("supports", ())),
+    )  # fmt: skip
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:

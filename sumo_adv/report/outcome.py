@@ -16,6 +16,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     ENDING_SENTENCES,
     Attempt,
+    Duty,
     Intent,
     Level,
     Planner,
@@ -53,7 +54,7 @@ def outcome(
         "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
         "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
-        "adversaries": [{"id": best.proposal.bv}] if best else [],
+        "adversaries": [_adversary(p) for p in best.proposal.members] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if found is None else _encounter(found),
         "agents": _agents(episode),
@@ -69,6 +70,11 @@ def outcome(
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
         "bank_change": episode.bank_change or None, "notes": episode.notes,
     }  # fmt: skip
+
+
+def _adversary(p: Proposal) -> dict[str, Any]:
+    """One adversary: what it does in the attack, and how."""
+    return {"id": p.bv, "role": str(p.duty), "intent": p.label, "mode": p.planner.mode}
 
 
 def _encounter(found: FoundEncounter) -> dict[str, Any]:
@@ -188,7 +194,7 @@ def _intent(intent: Intent | None, recall: str) -> dict[str, Any] | None:
 def _attempt(a: Attempt) -> dict[str, Any]:
     v, p = a.verdict, a.proposal
     return {
-        "index": a.index, "by": p.by, "phase": a.phase, "adversaries": [p.bv], "intent": p.label,
+        "index": a.index, "by": p.by, "phase": a.phase, "adversaries": list(p.bvs), "intent": p.label,
         "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
         "parameters": {k: number(q) for k, q in p.parameters.items()},
         "acceleration": plain_acceleration(p.acceleration),
@@ -201,8 +207,18 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
         "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
-        "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis),
+        "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis), **_composed(p),
     }  # fmt: skip
+
+
+def _composed(p: Proposal) -> dict[str, Any]:
+    """What an attempt with supports has besides: the label of the composition, and what each support did."""
+    if not p.supports:
+        return {}
+    supports: list[dict[str, Any]] = [
+        _adversary(q) | {"parameters": {k: number(v) for k, v in q.parameters.items()}} for q in p.supports
+    ]
+    return {"composition": p.composition, "supports": supports}
 
 
 def _predicted(made: Prediction | None) -> dict[str, Any]:
@@ -239,7 +255,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
     task, best = episode.task, episode.best
     asked = episode.agents if episode.agents is not None and episode.agents.models else None
-    used = {a.proposal.planner.hash: a.proposal.planner for a in episode.refinement.attempts}
+    used = {p.planner.hash: p.planner for a in episode.refinement.attempts for p in a.proposal.members}
     spec = task.spec
     return {
         "schema": SCHEMA, "versions": versions(), "name": episode.source.name,
@@ -287,7 +303,10 @@ def _planner(p: Planner) -> dict[str, Any]:
 
 
 def _proposal(p: Proposal) -> dict[str, Any]:
-    return {
+    written: dict[str, Any] = {
         "bv": p.bv, "label": p.label, "planner": p.planner.hash, "parameters": dict(p.parameters),
         "acceleration": plain_acceleration(p.acceleration), "delay": p.delay, "by": p.by,
     }  # fmt: skip
+    if p.supports:
+        written |= {"composition": p.composition, "supports": [_proposal(q) for q in p.supports]}
+    return written if p.duty is Duty.COLLIDER else {**written, "role": str(p.duty)}

@@ -73,16 +73,16 @@ def judge_best(episode: Episode) -> Judged | None:
     played = episode.task.playback
     logged = episode.settings.limits.limits() if played is not None and played.follows_log else None
     bv = best.proposal.bv
-    case = make_case(tracks, found.ego, bv, result.start, result.driven.beyond.get(bv), logged)
+    case = make_case(tracks, found.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
     if case is None:
         return Judged(None, (), {}, ())
     recorded = {t.id: t for t in tracks}
-    rows = series_rows(case.ego.between(result.start, np.inf), tracks, best.proposal.bv)
+    rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
     full = _full(episode, case, found, result)
     full = replace(full, verdict=_leveled(full.verdict, best.verdict))
     contact = full.verdict.contact_time
-    end = float(min(case.ego.time[-1], recorded[best.proposal.bv].time[-1])) if contact is None else contact
-    moved = recorded[best.proposal.bv].between(result.start + episode.settings.step_length / 2, end)
+    end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
+    moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
     strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
     return Judged(
         full, markings_crossed(moved, strips, found.drivable), _realism(episode, moved, found, prefix), rows
@@ -101,7 +101,7 @@ def _tracks(
     settings = episode.settings
     first = first_judged(found, settings, len(prefix.snapshots), result.start)
     snapshots = [*prefix.snapshots, *result.snapshots][first:]
-    roles = episode.task.roles(found.ego, best.proposal.bv)
+    roles = episode.task.roles(found.ego, *best.proposal.bvs)
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
@@ -109,7 +109,7 @@ def _full(episode: Episode, case: Case, found: FoundEncounter, result: AttemptRe
     return full_judge(
         case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
         limits=episode.settings.limits.of(case.adversary), on_road=found.drivable,
-        lane_half_width=found.first.road.lane_width / 2,
+        lane_half_width=found.first.road.lane_width / 2, supports=case.supports,
     )  # fmt: skip
 
 

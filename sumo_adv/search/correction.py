@@ -53,7 +53,7 @@ class PredictionCorrection:
 
     def _concerns(self, p: Proposal, only: Key | None) -> bool:
         key, hopeless = (p.bv, p.delay), p.prediction is not None and p.prediction.hopeless
-        return key in self._observed and only in (None, key) and not hopeless
+        return key in self._observed and only in (None, key) and not hopeless and not p.supports
 
 
 def _most_similar(p: Proposal, observed: Sequence[tuple[Proposal, ObservedMotion]]) -> ObservedMotion:

@@ -55,7 +55,7 @@ class Minimiser:
             spread = settings.spreads[self._round % len(settings.spreads)]
             self._round += 1
             variants = [varied(self.best, self._random, spread) for _ in range(settings.drawn)]
-            variants = [replace(p, delay=self._start(p)) for p in variants]
+            variants = [_begun(p, self._start(p)) for p in variants]
             scored = [(self._predicted(p), k, p) for k, p in enumerate(self._scorer.score(variants))]
             harshness, _, mildest = min(scored, key=lambda each: each[:2])
             if harshness < self.harshness * (1.0 - settings.least_gain):
@@ -81,3 +81,8 @@ class Minimiser:
         if seen is None or seen.failure or seen.level < self._level:
             return float("inf")
         return self.harshness_of(seen.acceleration, seen.delta_v, p.delay)
+
+
+def _begun(p: Proposal, delay: float) -> Proposal:
+    """The variant with another start, of its supports, too."""
+    return replace(p, delay=delay, supports=tuple(replace(support, delay=delay) for support in p.supports))

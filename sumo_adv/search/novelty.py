@@ -22,10 +22,10 @@ def kind_of(label: str, relation: str, side: str | None) -> str:
 
 
 def is_copy(p: Proposal, tried: Proposal, differs: float) -> bool:
-    """Whether the adversary of ``p`` is predicted to stay within ``differs`` [m] of that of an attempt in the last
-    second before the latter's contact or closest approach."""
+    """Whether the collider of ``p`` is predicted to stay within ``differs`` [m] of that of an attempt in the last
+    second before the latter's contact or closest approach, with the same supports."""
     new, old = p.prediction, tried.prediction
-    if p.bv != tried.bv or new is None or old is None or not new.trace or not old.trace:
+    if p.bvs != tried.bvs or new is None or old is None or not new.trace or not old.trace:
         return False
     times = tried.delay + old.closest + BEFORE
     apart = _places(p.delay, new, times) - _places(tried.delay, old, times)

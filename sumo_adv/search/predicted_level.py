@@ -53,16 +53,18 @@ class Danger:
 class Collisions:
     """Predicted collisions, row by row.
 
-    situations: those at the start of the attacks; bvs: the adversaries. ego, adversary: ``(n, steps)`` from the start
-    on. last: the step of the contact ``(n,)``; at_contact: both boxes then, ``(n,)``.
+    situations: those at the start of the attacks; bvs: the adversaries, the colliders first. ego, adversary (the
+    collider) and each of ``supports``: ``(n, steps)`` from the start on. last: the step of the contact ``(n,)``;
+    at_contact: both boxes then, ``(n,)``.
     """
 
     situations: Sequence[Situation]
-    bvs: Sequence[str]
+    bvs: Sequence[tuple[str, ...]]
     ego: Boxes
     adversary: Boxes
     last: Ints
     at_contact: tuple[Boxes, Boxes]
+    supports: Sequence[Boxes] = ()
 
 
 def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
@@ -70,9 +72,11 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
-    users = [road_user(now.targets[bv].state) for now, bv in zip(situations, collisions.bvs, strict=True)]
+    users = [road_user(now.targets[bvs[0]].state) for now, bvs in zip(situations, collisions.bvs, strict=True)]
     small = np.array([user is not RoadUser.VEHICLE for user in users])
-    check = _check(collisions, onward, np.arange(n), with_others=bool(small.any()))  # others may hide a pedestrian
+    check = _check(  # others may hide a pedestrian; drivers see supports
+        collisions, onward, np.arange(n), with_others=bool(small.any()) or len(collisions.supports) > 0
+    )
     normal = check.braking(CcHuman)
     contact = last * dt
     warning = np.where(normal.alarm < contact, contact - normal.alarm, 0.0)
@@ -142,22 +146,23 @@ def _onward(situations: Sequence[Situation], ego: Boxes, last: Ints) -> Floats:
 
 
 def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
-    """The other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if there are none."""
+    """The supports, and the other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if
+    there are none."""
     steps = collisions.ego.x.shape[1]
-    found: dict[tuple[int, str], Boxes | None] = {}
+    found: dict[tuple[int, tuple[str, ...]], Boxes | None] = {}
     names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
     for key, row in zip(names, rows.tolist(), strict=True):
         if key in found:
             continue
-        situation, (_, bv) = collisions.situations[row], key
+        situation, (_, bvs) = collisions.situations[row], key
         same = rows[[n == key for n in names]]
         tracks = [
             t for t in situation.traffic.others
-            if t.id != bv and _comes_near(t.x, t.y, collisions.ego, collisions.last, same)
+            if t.id not in bvs and _comes_near(t.x, t.y, collisions.ego, collisions.last, same)
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
         found[key] = on_grid(tracks, time) if tracks else None
-    most = max(0 if b is None else len(b.x) for b in found.values())
+    most = max(0 if b is None else len(b.x) for b in found.values()) + len(collisions.supports)
     if not most:
         return None
     motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
@@ -165,6 +170,9 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
         if (b := found[key]) is not None:
             motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
             size[:, row, : len(b.x)] = [np.broadcast_to(v, (len(b.x), 1)) for v in (b.length, b.width)]
+    for place, b in enumerate(collisions.supports, start=most - len(collisions.supports)):
+        motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows]
+        size[:, :, place] = np.asarray(b.length)[rows], np.asarray(b.width)[rows]
     return Boxes(*motion, *size)
 
 

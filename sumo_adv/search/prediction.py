@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Level, Limits, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import DriverModel, Duty, Level, Limits, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.road_users import road_user
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
+from sumo_adv.search.escapes import predicted_escapes
 from sumo_adv.search.goal_score import goal_score
-from sumo_adv.search.rollouts import Rollouts, predict
+from sumo_adv.search.rollouts import Rollouts, lined_up, predict
 from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -57,9 +58,9 @@ class Predictor:
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
         users = [road_user(self._situations[p.delay].targets[p.bv].state) for p in proposals]
-        batches = [(user, hashes) for user in dict.fromkeys(users) for hashes in batches_of(proposals)]
-        for user, hashes in batches:
-            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and users[k] is user]
+        kinds = list(zip(users, (len(p.supports) for p in proposals), strict=True))
+        for kind, hashes in ((kind, hashes) for kind in dict.fromkeys(kinds) for hashes in batches_of(proposals)):
+            rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and kinds[k] == kind]
             if not rows:
                 continue
             egos = None if motions is None else [motions[k] for k in rows]
@@ -92,6 +93,18 @@ class Predictor:
             told = replace(p.prediction, likely=valid)
             results.append(replace(p, score=own, nominal=p.nominal_score, prediction=told))
         return results
+
+    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
+        """What supports have to do against the predicted escape of the ego from each candidate."""
+        began = time.perf_counter()
+        duties: dict[int, tuple[Duty, ...]] = {}
+        for size in dict.fromkeys(len(p.supports) for p in proposals):
+            rows = [k for k, p in enumerate(proposals) if len(p.supports) == size]
+            same = [proposals[k] for k in rows]
+            rolled = self.rolled(self._situations, same)
+            duties |= zip(rows, predicted_escapes(self._situations, same, rolled), strict=True)
+        self.seconds += time.perf_counter() - began
+        return [duties[k] for k in range(len(proposals))]
 
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
         """Hold the driver models against the ego's motion in an attempt; whether another one is believed from now on,
@@ -137,20 +150,21 @@ class Predictor:
     ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
         """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
+        members, n = lined_up(proposals), len(proposals)
         with Sessions(
-            self._sandbox, self._roads, proposals, settings.seed, failures, drivable=road, in_process=True,
+            self._sandbox, self._roads, members, settings.seed, failures, drivable=road, in_process=True,
             stopped=self.stopped,
         ) as sessions:  # fmt: skip
             rollouts = predict(
-                situations, proposals, lambda rows, observations: sessions.answers(proposals, rows, observations),
+                situations, proposals, lambda rows, observations: sessions.answers(members, rows, observations),
                 limits=self._limits(situations, proposals), steps=settings.steps(settings.duration),
                 replan=settings.steps(settings.replan), motions=motions,
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures
             self.stopped = sessions.stopped
-        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(proposals) if p.planner.hash in self.failures}
-        return rollouts, {**sessions.broken, **failed}
+        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(members) if p.planner.hash in self.failures}
+        return rollouts, {k % n: why for k, why in {**sessions.broken, **failed}.items()}
 
 
 def _is_valid(p: Proposal) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from sumo_adv.datatypes import ObservedMotion, Proposal, Verdict
+from sumo_adv.datatypes import Duty, ObservedMotion, Proposal, Verdict
 
 
 class Scorer(Protocol):
@@ -17,6 +17,10 @@ class Scorer(Protocol):
 
     def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         """Predicted candidates with the scores that are expected over all drivers that the ego may be."""
+        ...
+
+    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
+        """What supports have to do against the predicted escape of the ego from each candidate."""
         ...
 
     def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,17 +23,21 @@ from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
 Touch = Callable[[Floats, Floats, Bools], Bools]
-"""Whether egos and adversaries (x, y, heading, speed: ``(4, n)``) touch, of the rows given, ``(n,)``."""
+"""Whether egos and colliders (x, y, heading, speed: ``(4, n)``) touch, of the rows given, ``(n,)``."""
+Motions = tuple[Floats, Floats, Floats, Floats]
+"""x, y, heading, speed, each ``(n, steps)``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rollouts:
-    """Predicted motions. ``ego`` and ``adversary``: x, y, heading, speed, each ``(n, steps)``; row k is candidate k."""
+    """Predicted motions; row k is candidate k. ``adversary``: the colliders; ``supports``: the first supports of all
+    candidates, then their second ones."""
 
     time: Floats
-    ego: tuple[Floats, Floats, Floats, Floats]
-    adversary: tuple[Floats, Floats, Floats, Floats]
+    ego: Motions
+    adversary: Motions
     disturbed: Bools
+    supports: tuple[Motions, ...] = ()
 
 
 def predict(
@@ -49,43 +54,55 @@ def predict(
 ) -> Rollouts:
     """Roll all candidates out for ``steps`` steps; their planners are asked every ``replan`` steps.
 
+    All candidates have the same number of supports. The rows are those of :func:`lined_up`, so that the cost grows with
+    the number of adversaries.
+
     situations: by delay [s], the moment at which a candidate's attack begins. ask(rows, observations): the answers of
     the planners of ``rows``, None where a planner fails, and for all other rows. motions: the egos drive so.
-    A candidate is asked no more once the two have touched or parted for good: the adversary then follows its last plan,
-    as in an attempt. Once that holds for all, the egos go on at constant speed; ``to_the_end``: by their drivers.
+    A candidate is asked no more once ego and collider have touched or parted for good: the adversaries then follow
+    their last plans, as in an attempt. Once that holds for all, the egos go on at constant speed; ``to_the_end``: by
+    their drivers.
     """
-    ground = AdversaryBatch([situations[p.delay] for p in proposals], [p.bv for p in proposals])
-    n, scenes, dt = len(proposals), ground.scenes, ground.scenes.dt
+    members, n = lined_up(proposals), len(proposals)
+    ground, each = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members]), len(members) // n
+    scenes, dt = ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, motions)
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, motions, each)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
-    last: list[Mapping[str, float] | None] = [None] * n
-    adversary, ego = np.empty((2, steps, 4, n))
+    last: list[Mapping[str, float] | None] = [None] * len(members)
+    adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
     over, parting, driven, asked = np.zeros(n, bool), EarlyTermination(ground), -1, egos.v
     for k in range(steps):
         now = k * dt
         if k % replan == 0:
-            over |= parting.gone(motion, egos.s)
+            over |= parting.gone(motion, np.tile(egos.s, each))[:n]
         if k % replan == 0 and not over.all():
-            rows = np.flatnonzero(~over).tolist()
+            rows = np.flatnonzero(np.tile(~over, each)).tolist()
             mean = egos.a if k == 0 else (egos.v - asked) / (replan * dt)  # as in an attempt
-            goal, motion = _replan(
-                ground, motion, (egos.s, egos.d, egos.v, mean), goal, last, followers, now, rows, ask
-            )
+            own = tuple(np.tile(q, each) for q in (egos.s, egos.d, egos.v, mean))
+            goal, motion = _replan(ground, motion, own, goal, last, followers, now, rows, ask)  # type: ignore[arg-type]
             asked = egos.v
         adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
             ego[k] = egos.pose()
             driven = k
             if touch is not None:
-                over |= touch(ego[k], adversary[k], ~over)
+                over |= touch(ego[k], adversary[k, :, :n], ~over)
             egos.step(now, ground.relative(motion), motion.v, ground.at_junction(motion))
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
-    mine, others = (tuple(np.ascontiguousarray(q.transpose(1, 2, 0))) for q in (ego, adversary))
-    return Rollouts(np.arange(steps) * dt, mine, others, egos.disturbed)  # type: ignore[arg-type]
+    mine, others = (np.ascontiguousarray(q.transpose(1, 2, 0)) for q in (ego, adversary))
+    parts: list[Any] = [tuple(others[:, first : first + n]) for first in range(0, len(members), n)]
+    own_motions: Any = tuple(mine)
+    time = np.asarray(np.arange(steps) * dt, float)
+    return Rollouts(time, own_motions, parts[0], egos.disturbed, tuple(parts[1:]))
+
+
+def lined_up(proposals: Sequence[Proposal]) -> list[Proposal]:
+    """The adversaries of candidates that have the same number each: all colliders, all first supports, and so on."""
+    return [p for rank in zip(*(p.members for p in proposals), strict=True) for p in rank]
 
 
 def _replan(

@@ -64,12 +64,13 @@ def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
 
 def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
-    range, within the bounds. It counts as proposed by the search."""
+    range, within the bounds; so have its supports. It counts as proposed by the search."""
     numbers = {}
     for q in p.planner.parameters:
         value = p.parameters[q.name] + random.gauss(0.0, spread * (q.high - q.low))
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
-    return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner")
+    supports = tuple(varied(support, random, spread) for support in p.supports)
+    return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner", supports=supports)
 
 
 def _originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:

@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role
 from sumo_adv.drivers.third_parties import braking
-from sumo_adv.metrics.boxes import between_steps, gap, on_grid, overlaps, pick, sweep, touching
+from sumo_adv.metrics.boxes import between_steps, gap, half_diagonal, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.road_users import unprotected
 from sumo_adv.search.novelty import TRACE_STEP
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
-from sumo_adv.search.rollouts import Rollouts, Touch
+from sumo_adv.search.rollouts import Motions, Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
@@ -30,6 +31,7 @@ from sumo_adv.situation import Situation
 GENTLY = 1.0  # m/s2: gentler braking does not count
 ROAD_INSET = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
 ROAD_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
+NEARBY = 5.0  # m between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
 LEAST_STEPS = 3  # before a contact, for a hazard to show
 
 
@@ -46,11 +48,11 @@ def judge_all(
     predictions = [_prediction(seen, k) for k in range(len(proposals))]
     rows = np.flatnonzero(seen.counts & (seen.contact >= LEAST_STEPS))
     if len(rows):
-        own, foe = (some_rows(b, rows) for b in (seen.ego, seen.adversary))
+        own, foe, *helpers = (some_rows(b, rows) for b in (seen.ego, seen.adversary, *seen.supports))
         one, other = (pick(b, rows) for b in seen.at_contact)
-        names = [proposals[k].bv for k in rows.tolist()]
+        names = [proposals[k].bvs for k in rows.tolist()]
         begun = [situations[proposals[k].delay] for k in rows.tolist()]
-        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other)), drivable)
+        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other), helpers), drivable)
         score[rows] = _score(danger, weights)
         for i, k in enumerate(rows.tolist()):
             predictions[k] = _with_danger(predictions[k], danger, i)
@@ -61,9 +63,9 @@ def judge_all(
 class _Seen:
     """What rollouts come to, row by row.
 
-    contact: the step of the first contact; last: that step or the last one that is judged; end: the last one that may
-    be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third, leaves, beyond, rear:
-    what rules a row out.
+    contact: the step of the first contact with the collider; last: that step or the last one that is judged; end: the
+    last one that may be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third,
+    leaves, beyond, rear: what rules a row out; the first three also by a support.
     """
 
     ego: Boxes
@@ -81,6 +83,7 @@ class _Seen:
     least: Floats
     nearest: Floats
     nearest_step: Ints
+    supports: tuple[Boxes, ...] = ()
 
     @property
     def counts(self) -> Bools:
@@ -93,30 +96,62 @@ def _look_at(
     limits: Limits, weights: ScoreSettings,
 ) -> _Seen:  # fmt: skip
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
-    states = [now.targets[p.bv].state for now, p in zip(begun, proposals, strict=True)]
-    mine, dt = begun[0].ego, begun[0].dt
-    lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
-    ego, adversary = Boxes(*rollouts.ego, mine.length, mine.width), Boxes(*rollouts.adversary, lengths, widths)
+    mine, dt, time = begun[0].ego, begun[0].dt, rollouts.time
+    ego = Boxes(*rollouts.ego, mine.length, mine.width)
+    ranks = zip(
+        zip(*(p.members for p in proposals), strict=True), (rollouts.adversary, *rollouts.supports), strict=True
+    )
+    driven = [_Driven.of(begun, members, motions) for members, motions in ranks]
+    adversary, supports = driven[0].boxes, tuple(each.boxes for each in driven[1:])
     left = np.array([now.left for now in begun])
     contact = _first(touching(ego, adversary))
     hit = contact < np.minimum(steps, left + 1)
     end = np.minimum(steps - 1, left).astype(np.intp)
     last = np.minimum(contact, end)
-    end_time, at_contact = _ends(ego, adversary, last, hit, rollouts.time)
-    judged = (rollouts.time > 0) & (rollouts.time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
-    before = np.array([s.acceleration for s in states])
-    third = np.zeros(len(proposals), bool)
-    for delay in dict.fromkeys(p.delay for p in proposals):
-        rows = np.array([k for k, p in enumerate(proposals) if p.delay == delay])
-        there = [proposals[k].bv for k in rows.tolist()]
-        third[rows] = _third_party(situations[delay], there, some_rows(adversary, rows), rollouts.time, end_time[rows])
+    end_time, at_contact = _ends(ego, adversary, last, hit, time)
+    judged = (time > 0) & (time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
+    third, leaves, beyond = np.zeros((3, len(proposals)), bool)
+    for each in driven:
+        for delay in dict.fromkeys(p.delay for p in proposals):
+            rows = np.array([k for k, p in enumerate(proposals) if p.delay == delay])
+            there = [proposals[k].bvs for k in rows.tolist()]
+            third[rows] |= _third_party(situations[delay], there, some_rows(each.boxes, rows), time, end_time[rows])
+        bound = judged & ~unprotected(each.boxes.length, each.boxes.width)  # to the carriageway
+        leaves |= _leaves_road(each.boxes, bound, drivable)
+        beyond |= _beyond_limits(each.boxes, each.before, time, judged, limits)
+    for one, other in combinations((ego, adversary, *supports), 2):
+        if other is not adversary:
+            third |= _touch(one, other, time, end_time)
     least, nearest, nearest_step = _least(ego, adversary, last)
-    bound = judged & ~unprotected(lengths, widths)  # to the carriageway
     return _Seen(
-        ego, adversary, dt, contact, hit, end, last, at_contact, third,
-        _leaves_road(adversary, bound, drivable), _beyond_limits(adversary, before, rollouts.time, judged, limits),
-        hit & rear_end(*at_contact), least, nearest, nearest_step,
+        ego, adversary, dt, contact, hit, end, last, at_contact, third, leaves, beyond, hit & rear_end(*at_contact),
+        least, nearest, nearest_step, supports,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Driven:
+    """One adversary of each candidate. ``before``: its acceleration at the trigger ``(n,)`` [m/s2]."""
+
+    boxes: Boxes
+    before: Floats
+
+    @classmethod
+    def of(cls, begun: Sequence[Situation], members: Sequence[Proposal], motions: Motions) -> _Driven:
+        """The adversaries ``members``, row by row."""
+        states = [now.targets[p.bv].state for now, p in zip(begun, members, strict=True)]
+        lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
+        return cls(Boxes(*motions, lengths, widths), np.array([s.acceleration for s in states]))
+
+
+def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
+    """Whether the two of a row touch before ``end`` ``(n,)`` [s], ``(n,)``."""
+    reach = half_diagonal(one) + half_diagonal(other) + NEARBY
+    rows = np.flatnonzero((np.hypot(one.x - other.x, one.y - other.y) < reach).any(axis=1))
+    touched = np.zeros(len(end), bool)
+    if len(rows):
+        touched[rows] = third_party(some_rows(one, rows), some_rows(other, rows), time, end[rows])
+    return touched
 
 
 def _prediction(seen: _Seen, k: int) -> Prediction:
@@ -213,8 +248,13 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any
     return least, np.asarray(gap(pick(a, at), pick(b, at))), steps[at[1]]
 
 
-def _third_party(situation: Situation, bvs: Sequence[str], adversary: Boxes, time: Floats, end: Floats) -> Bools:
-    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it."""
+def _third_party(
+    situation: Situation, bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
+) -> Bools:
+    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it.
+
+    bvs: all adversaries of a row, which are no third parties.
+    """
     tracks = situation.traffic.others
     touched = np.zeros(len(bvs), bool)
     if not tracks:
@@ -222,7 +262,8 @@ def _third_party(situation: Situation, bvs: Sequence[str], adversary: Boxes, tim
     around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
     mine, theirs, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
     rows, others = near_pairs(mine, theirs, when, end)
-    is_other = np.array([t.id for t in tracks])[others] != np.array(bvs)[rows]
+    ids = np.array([t.id for t in tracks])[others]
+    is_other = np.all([ids != np.array(rank)[rows] for rank in zip(*bvs, strict=True)], axis=0)
     rows, others = rows[is_other], others[is_other]
     meets = third_party(some_rows(mine, rows), some_rows(theirs, others), when, end[rows])
     rows, others = rows[meets], others[meets]

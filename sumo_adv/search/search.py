@@ -5,6 +5,9 @@ their neighbours (``robustness``), and draws more while none is good. ``propose`
 price: its score, and what else counts (``settings.PriceSettings``). ``observe`` corrects the pool by how the ego really
 drove (``correction``). It plays the analyzer where no language model does (``ranking``).
 
+Where no candidate promises a valid collision, colliders that nearly succeed get supports, if more than one adversary is
+allowed (``supports``).
+
 An attempt is only made if it can bring something new. Its prediction must promise a higher level than the attempts so
 far reached, and its adversary must not move as in an attempt that has failed (``novelty``). Where nothing is left the
 search ends, long before the budget of attempts.
@@ -14,11 +17,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
+from sumo_adv.memory.compositions import Composition
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
 from sumo_adv.search.first_attempt import why_first
@@ -29,6 +33,7 @@ from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
 from sumo_adv.search.sampling import Sampler, elites
 from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.supports import SupportSearch
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 
@@ -49,6 +54,9 @@ class AttackSearch:
         unknown_driver: bool = False,
         exact_driver: bool = False,
         recalled: Proposal | None = None,
+        adversaries: int = 1,
+        colliders: Collection[str] = (),
+        compositions: Sequence[Composition] = (),
     ) -> None:
         """Predict the first candidates.
 
@@ -56,7 +64,8 @@ class AttackSearch:
         intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
         the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
-        has failed.
+        has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for
+        all; compositions: composed intents that the bank knows.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -72,6 +81,10 @@ class AttackSearch:
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
+        self._support = SupportSearch(
+            scorer, self._situations, self._sampler.random, settings.supports, adversaries, compositions, library
+        )
+        self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self.pool: list[Proposal] = []
         if recalled is not None:
@@ -89,7 +102,7 @@ class AttackSearch:
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
         settings, count = self._settings, self._settings.proposals
-        templates = templates_of(self._situations, library, [e.label for e in self._selection.of(library)])
+        templates = self._templates_of(library, [e.label for e in self._selection.of(library)])
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
@@ -118,7 +131,7 @@ class AttackSearch:
             return p.score
         hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
         late = weights.late * seen.time + weights.at_the_end * hurried
-        return p.score + late + weights.harsh * seen.braking
+        return p.score + late + weights.harsh * seen.braking + weights.support * len(p.supports)
 
     def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
         """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
@@ -136,7 +149,7 @@ class AttackSearch:
         """
         open_ = [e.label for e in self._selection.of(library)]
         drawn_from = open_ if in_their_order else [i.label for i in intents]
-        self._templates = templates_of(self._situations, library, drawn_from)
+        self._templates = self._templates_of(library, drawn_from)
         self._ranks = {}
         for i in intents if in_their_order else ():
             self._ranks.setdefault((i.bv, i.label), len(self._ranks))
@@ -168,8 +181,10 @@ class AttackSearch:
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         if motion is None:
             return
+        if reached < Level.VALID:
+            self._support.observe(tried, motion)
         self.pool = self._predicted_again(tried, motion)
-        if (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
+        if not tried.supports and (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
     def succeeded(self, kind: str) -> None:
@@ -219,6 +234,9 @@ class AttackSearch:
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
+        if self._support.due or not any(p.score < self._settings.avoidable for p in open_):
+            self.pool += self._support.candidates(self.pool, self.price)
+            open_ = self._open()
         if not open_:
             return None
         opened = {id(q) for q in open_}
@@ -255,8 +273,12 @@ class AttackSearch:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
-        """The cheapest candidate; every few attempts, the cheapest of the template that was tried least."""
+        """The cheapest candidate; every few attempts, the cheapest of the template that was tried least. Every other
+        attempt has supports, where candidates with supports promise a valid collision."""
         every, weights = self._settings.diverse_every, self._settings.price
+        supported = [p for p in open_ if p.supports and p.score < self._settings.avoidable]
+        if supported and len(self._tried) % 2 == 1:
+            open_ = supported
         if len(self._tried) % every == every - 1:
             promising = [p for p in open_ if p.score < self._settings.reaches] or list(open_)
             least = min(self._by_family[p.family] for p in promising)
@@ -288,6 +310,11 @@ class AttackSearch:
     def _share_of(self, planner: Planner) -> str:
         """The name of the share of attempts that a planner counts towards."""
         return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
+
+    def _templates_of(self, library: Sequence[LibraryEntry], allowed: Collection[str]) -> list[AttackTemplate]:
+        """The templates of vehicles that may be the collider."""
+        templates = templates_of(self._situations, library, allowed)
+        return [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
 
     # -- predicting ---------------------------------------------------------------------------------------------
 

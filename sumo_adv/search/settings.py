@@ -48,6 +48,7 @@ class PriceSettings:
     spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.03  # for each place in a model's ranking
+    support: float = 0.03  # for each support: fewer adversaries are more likely in traffic
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +88,19 @@ class CorrectionSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class SupportSettings:
+    """How colliders that nearly succeed get supports (``supports.py``)."""
+
+    bases: int = 10  # colliders that get a support at once
+    tried: int = 4  # of them at most, attempts that failed
+    drawn: int = 8  # candidates for each collider, duty and vehicle
+    spread: float = 0.06  # of a parameter's range: standard deviation of the collider's numbers in every other one
+    again: int = 6  # candidates with one support that still miss and get a second one
+    after: int = 2  # attempts that failed, before a round begins though other candidates promise something
+    rounds: int = 3  # in an encounter
+
+
+@dataclass(frozen=True, slots=True)
 class SearchSettings:
     """All weights of the search.
 
@@ -113,6 +127,7 @@ class SearchSettings:
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
     robustness: RobustnessSettings = field(default_factory=RobustnessSettings)
     correction: CorrectionSettings = field(default_factory=CorrectionSettings)
+    supports: SupportSettings = field(default_factory=SupportSettings)
 
     def bound(self, reached: Level) -> float:
         """The score below which a candidate promises more than the level ``reached``."""

@@ -45,7 +45,8 @@ class RunInput:
     density: departures per minute over the whole network, None = the default if ``routes`` is empty.
     ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
-    candidates, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log moves.
+    candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
+    moves.
     """
 
     name: str
@@ -65,6 +66,7 @@ class RunInput:
     warm_up: float = DEFAULT_WARM_UP
     horizon: float | None = None
     candidates: tuple[str, ...] = ()
+    supports: tuple[str, ...] = ()
     intents: tuple[str, ...] = ()
     label: Label | None = None
     files: tuple[Path, ...] = ()
@@ -201,7 +203,8 @@ def _from_scenario(path: Path) -> RunInput:
         demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
         ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
-        candidates=scenario.adversary.candidates, intents=scenario.adversary.intents, label=scenario.label,
+        candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
+        intents=scenario.adversary.intents, label=scenario.label,
         files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
     )  # fmt: skip
 
@@ -242,7 +245,13 @@ def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Ne
 
 def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
     """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
-    for role, ids in (("ego", (scenario.ego.id,)), ("adversary candidate", scenario.adversary.candidates)):
+    adversary = scenario.adversary
+    named = (
+        ("ego", (scenario.ego.id,)),
+        ("adversary candidate", adversary.candidates),
+        ("support", adversary.supports),
+    )
+    for role, ids in named:
         for vehicle in ids:
             if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):
                 continue

@@ -11,7 +11,7 @@
     [ego]        id | route = [edges..] with depart [s], lane, position [m], speed [m/s];
                  controller, parameters, type
     [window]     warm_up [s], trigger [s] or "auto", horizon [s]
-    [adversary]  candidates = [ids..], intents = [labels..]
+    [adversary]  candidates = [ids..], supports = [ids..] (in attacks of several adversaries), intents = [labels..]
     [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded states, ``signals.py``)
     [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level: of the best attack
     [[parked]] [[pedestrians]] [[cyclists]]
@@ -110,9 +110,11 @@ class Window(_Table):
 
 
 class Adversary(_Table):
-    """Which BVs may become the adversary and what they may try; empty means no restriction."""
+    """Which BVs may become the adversary, which others may support it, and what it may try; empty means no
+    restriction."""
 
     candidates: tuple[Name, ...] = ()
+    supports: tuple[Name, ...] = ()
     intents: tuple[Name, ...] = ()
 
 

@@ -17,8 +17,8 @@ from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
 class Piece:
     """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
 
-    network: the net.xml they drive on. step [s]. takeover: when the adversary begins to be driven [s], None if
-    unattacked. written: when the run was made.
+    network: the net.xml they drive on. step [s]. adversary: the collider. takeover: when it begins to be driven [s],
+    None if unattacked. written: when the run was made.
     """
 
     name: str
@@ -70,7 +70,9 @@ def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: floa
     begin = first if whole else max(first, float(moment) - lead)
     shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
     ego = run.outcome["ego"]["id"]
-    attacked = None if unattacked else next((t.id for t in shown if t.role is Role.ADVERSARY), None)
+    adversaries = run.outcome.get("adversaries") or []
+    colliders = {t.id for t in shown if t.role is Role.ADVERSARY} & {str(a["id"]) for a in adversaries[:1]}
+    attacked = None if unattacked or not colliders else colliders.pop()
     if ego not in {t.id for t in shown}:
         raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
     return Piece(

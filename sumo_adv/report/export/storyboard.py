@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track
+from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.entities import metres, reference_points
 from sumo_adv.report.export.piece import Piece
 
@@ -27,14 +27,14 @@ def add_replay(parent: Element, piece: Piece, names: Names) -> None:
 
 
 def add_free_ego(parent: Element, piece: Piece, names: Names) -> None:
-    """The ego starts as recorded and is then the player's; the adversary attacks when triggered; others as recorded.
+    """The ego starts as recorded and is then the player's; adversaries attack when triggered; others as recorded.
 
-    The adversary follows its recording to the takeover.  From the takeover's time on it attacks, or up to ``SLACK``
+    An adversary follows its recording to the takeover.  From the takeover's time on it attacks, or up to ``SLACK``
     earlier if the ego is as near by then as it was at the recorded takeover.
     """
     act = _add_story(parent, piece, names)
     for track in piece.tracks:
-        if track.id == piece.adversary:
+        if track.role is Role.ADVERSARY:
             _add_attacker(act, piece, track, names)
         elif track.id != piece.ego:
             _add_recorded(act, piece, track, names)

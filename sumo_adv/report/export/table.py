@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sumo_adv.datatypes import Role
 from sumo_adv.report.export.piece import Piece
 from sumo_adv.report.tables import quoted
 
@@ -16,7 +17,7 @@ HEADER = (
 def table(piece: Piece) -> str:
     """x, y are box centres; the distance is between centres, empty while the ego is not there.
 
-    ``driven_by_attack``: 1 for the adversary after the takeover, else 0. Rows by time, then by first appearance.
+    ``driven_by_attack``: 1 for an adversary after the takeover, else 0. Rows by time, then by first appearance.
     """
     ego = piece.track(piece.ego)
     rows: list[tuple[float, int, str]] = []
@@ -27,7 +28,7 @@ def table(piece: Piece) -> str:
         there = (track.time > ego.time[0] - piece.step / 2) & (track.time < ego.time[-1] + piece.step / 2)
         for k, time in enumerate(track.time.tolist()):
             numbers = f"{track.x[k]:.4f},{track.y[k]:.4f},{track.heading[k]:.6f},{track.speed[k]:.4f}"
-            driven = track.id == piece.adversary and piece.takeover is not None and time > piece.takeover + 5e-4
+            driven = track.role is Role.ADVERSARY and piece.takeover is not None and time > piece.takeover + 5e-4
             text = (
                 f"{time:.2f},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
                 f"{track.width:.2f},{quoted(track.lane[k])},{int(driven)},{f'{distance[k]:.4f}' if there[k] else ''}\n"

@@ -15,7 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track
 from sumo_adv.road_users import RoadUser, road_user
 
-EGO, ADVERSARY, OTHER = "#0072B2", "#D55E00", "#8C8C8C"
+EGO, ADVERSARY, SUPPORT, OTHER = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
 ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
 LEAST_EXTENT = 40.0  # m of the shown area
 BARS = (500, 200, 100, 50, 20, 10, 5)  # m

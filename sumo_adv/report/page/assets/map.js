@@ -237,10 +237,11 @@ class MapView {
     c.fill("evenodd");
   }
 
-  /** Ego and adversary: filled with an arrow and a name, or as outlines of another attempt. */
+  /** Ego and adversaries: filled with an arrow and a name, or as outlines of another attempt. */
   drawPair(c, { s, ox, oy }, a, frame, ghost) {
     const k = this.colours, p = this.spot, names = [];
-    for (const [v, colour, word] of [[a.adversaryVehicle, k.adversary, "adversary"], [a.egoVehicle, k.ego, "ego"]]) {
+    const supports = a.supports.map((v) => [v, k.adversary, "support"]);
+    for (const [v, colour, word] of [...supports, [a.adversaryVehicle, k.adversary, "adversary"], [a.egoVehicle, k.ego, "ego"]]) {
       if (!v || !pose(v, frame, p)) continue;
       const x = ox + p.x * s, y = oy - p.y * s, fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s;
       const l = v.length / 2, w = v.width / 2;

@@ -27,7 +27,8 @@ async function unpack(scene) {
   for (const a of attempts) {
     a.egoVehicle = a.vehicles.find((v) => v.id === a.ego) || null;
     a.adversaryVehicle = a.vehicles.find((v) => v.id === a.adversary) || null;
-    a.others = a.vehicles.filter((v) => v !== a.egoVehicle && v !== a.adversaryVehicle);
+    a.supports = a.vehicles.filter((v) => v.role === "adversary" && v !== a.adversaryVehicle);
+    a.others = a.vehicles.filter((v) => v !== a.egoVehicle && v !== a.adversaryVehicle && !a.supports.includes(v));
   }
   return { ...scene, attempts, lanes, markings, stops };
 }
