@@ -41,6 +41,15 @@ def test_uneven_weights_count_for_less() -> None:
     assert effective_runs(np.array([1.0, 1.0, 2.0])) == pytest.approx(16 / 6)
 
 
+def test_few_crashes_do_not_tell_how_large_the_unseen_ones_are() -> None:
+    """Nine crashes of weight 0.001: one of weight 10 may have been missed, and the upper limit says so."""
+    few, enough = np.zeros(1000), np.zeros(1000)
+    few[:9] = enough[:10] = 0.001
+    high = rate(few, np.ones(1000), most_weight=10.0).high
+    assert high == pytest.approx(36.889 / 1000, rel=0.01)  # as without a crash
+    assert rate(enough, np.ones(1000), most_weight=10.0).high == pytest.approx(0.001 * 18.39 / 1000, rel=1e-3)
+
+
 def test_uneven_exposure_widens_the_interval_and_the_unit_does_not_matter() -> None:
     weights = np.array([1.0, 1.0, 0.0, 0.0])
     even, uneven = rate(weights, np.full(4, 2.0)), rate(weights, np.array([1.0, 3.0, 1.0, 3.0]))

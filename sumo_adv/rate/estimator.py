@@ -17,6 +17,7 @@ from scipy.special import gammaincinv
 from sumo_adv.datatypes import Floats
 
 SECONDS_PER_HOUR = 3600.0
+ENOUGH = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0, confidence
     """The rate of crashes.
 
     weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
-    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it if no crash was seen.
+    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it unless ``ENOUGH`` were seen.
     """
     total, over = float(weights.sum()), float(exposure.sum())
     seen = int((weights > 0).sum())
@@ -55,12 +56,14 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0, confidence
     tail = (1 - confidence) / 2
     if not seen:
         return Rate(0.0, 0.0, float(gammaincinv(1.0, 1 - tail)) * most_weight / over, 0, 0.0, None, None)
-    square, largest = float((weights**2).sum()), float(weights.max())
+    square, seen_largest = float((weights**2).sum()), float(weights.max())
+    largest = seen_largest if seen >= ENOUGH else most_weight
     variance = square + (total / over) ** 2 * float(((exposure - exposure.mean()) ** 2).sum())
     low = _quantile(total, variance, tail)
     high = _quantile(total + largest, variance + largest**2, 1 - tail)
+    plain_runs = len(weights) * total / variance
     return Rate(
-        total / over, low / over, high / over, seen, total**2 / square, largest / total, len(weights) * total / variance
+        total / over, low / over, high / over, seen, total**2 / square, seen_largest / total, plain_runs
     )  # fmt: skip
 
 
