@@ -153,9 +153,10 @@ def test_a_car_alone_on_a_straight_road_is_expected_to_drive_on_in_its_lane(road
 
 
 def test_a_car_behind_a_standing_one_is_expected_to_slow_down(road: RoadMap) -> None:
+    """In the mean over the modes: it may also change lanes and pass."""
     alone = Predictor().predict(driving((300.0, 0.0, 15.0)), segments_of(road))
     behind = Predictor().predict(driving((300.0, 0.0, 15.0), (345.0, 0.0, 0.0)), segments_of(road))
-    ends = [p.place[0, np.argmax(p.probability[0]), -1, 0] for p in (alone, behind)]
+    ends = [p.probability[0] @ p.place[0, :, -1, 0] for p in (alone, behind)]
     assert ends[1] < ends[0] - 10.0
 
 
@@ -308,9 +309,8 @@ def test_training_lowers_the_loss_and_goes_on_where_it_stopped(made: Path, tmp_p
     from sumo_adv.transformer.train import BATCH, loss, train
 
     scenes = load(made, TRAIN)
-    assert len(scenes) >= 2 * BATCH
-    few = Scenes(type(scenes.features)(*(v[: 2 * BATCH] for v in scenes.features)), scenes.future, scenes.known)
-    few = replace(few, future=few.future[: 2 * BATCH], known=few.known[: 2 * BATCH])  # two steps an epoch
+    two = np.arange(2 * BATCH) % len(scenes)  # two steps an epoch, some scenes twice
+    few = Scenes(type(scenes.features)(*(v[two] for v in scenes.features)), scenes.future[two], scenes.known[two])
     told: list[tuple[int, int]] = []
 
     def stop(step: int, total: int, value: float) -> None:
