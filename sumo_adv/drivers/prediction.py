@@ -79,7 +79,7 @@ class PredictedEgos:
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
         over_kerb = np.where(self._unprotected, width / 2, 0.0)
         self._over_kerb = (
-            np.where(scenes.any_lane(1), 0.0, over_kerb), np.where(scenes.any_lane(-1), 0.0, over_kerb)
+            np.where(self._pairs.any_lane(1), 0.0, over_kerb), np.where(self._pairs.any_lane(-1), 0.0, over_kerb)
         )  # fmt: skip
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
         self._edges = seen_edges(self._lane, scenes.ego.width, self._of_pairs(self.d))
