@@ -185,7 +185,7 @@ class Estimation:
         if not any(record.hours for record in records_of(blocks)):
             raise UsageError(
                 f"In none of the runs was there an ego within {WAIT:g} s after the warm-up; give more --density, or an "
-                "input whose ego departs earlier."
+                "input with an ego that departs earlier."
             )
         return blocks
 
