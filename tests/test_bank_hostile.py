@@ -33,11 +33,12 @@ def test_a_bank_with_wrong_content_is_refused_in_a_sentence_and_stays_as_it_is(
     assert not (tmp_path / "mine.sqlite").exists()
 
 
-def test_a_schema_that_is_no_text_is_damage(tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", [b"CREATE TABLE intents", b"geometry     TEXT"], ids=["a name", "a column"])
+def test_a_schema_that_is_no_text_is_damage(tmp_path: Path, text: bytes) -> None:
     path = bank_of(tmp_path / "bank.sqlite")
     data = path.read_bytes()
-    assert data.count(b"CREATE TABLE intents") == 1
-    path.write_bytes(data.replace(b"CREATE TABLE intents", b"CREATE TABLE \xe3ntents"))
+    assert data.count(text) == 1
+    path.write_bytes(data.replace(text, text.replace(b"e", b"\xe3", 1)))
     with pytest.raises(BankError, match="is damaged; restore a copy"):
         MemoryBank.open(path)
 

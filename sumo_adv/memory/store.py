@@ -30,8 +30,9 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
         sqlite3.SQLITE_CORRUPT: f"is damaged; {REPAIR}",
         sqlite3.SQLITE_NOTADB: "is not a SQLite file; give the path of a memory bank",
     }
-    primary = code & 0xFF if isinstance(code, int) else None
-    said = sentences.get(primary) if primary is not None else None
+    if code is None and isinstance(error, sqlite3.OperationalError):
+        code = sqlite3.SQLITE_CORRUPT  # Python's own error: text that is no UTF-8
+    said = sentences.get(code & 0xFF) if isinstance(code, int) else None
     return BankError(f"The memory bank {path} {said or f'failed: {error}'}.")
 
 
@@ -106,7 +107,8 @@ def _open_writable(path: Path, clock: Clock) -> sqlite3.Connection | None:
         migrate(connection, str(path), clock)
     except sqlite3.OperationalError as error:
         connection.close()
-        if error.sqlite_errorcode & 0xFF in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
+        code = getattr(error, "sqlite_errorcode", 0)  # see bank_error
+        if code & 0xFF in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN):
             return None
         raise
     except BaseException:
