@@ -60,7 +60,7 @@ def library() -> list[LibraryEntry]:
         tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
         MemoryBank.open(Path(folder) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
     ):
-        return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0)[0]
+        return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0, situations={})[0]
 
 
 def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:

@@ -89,7 +89,7 @@ class Bench(Worker):
             return slot.recv()
 
         began = time.perf_counter()
-        result = self._attempt(proposal, ask if sandbox else local)
+        result = self._attempt(proposal, [ask if sandbox else local])
         took = time.perf_counter() - began
         assert result.verdict is not None
         return took, len(result.snapshots), len(result.snapshots[-1].raw), result.driven.ending

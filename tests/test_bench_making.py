@@ -182,7 +182,7 @@ def test_labels_stand_beside_the_list_and_are_not_frozen(tmp_path: Path) -> None
 
 def test_what_people_hold_to_be_most_dangerous_comes_from_a_scenario_or_stands_beside_records(tmp_path: Path) -> None:
     shipped = load_suite("leader_two_lanes").cases[0].labels
-    assert shipped == {"people": {"annotated": ("Emergency Braking", "Straight Lane Shift")}}
+    assert shipped == {"people": {"annotated": ("Straight Lane Shift", "Aggressive Cut-in")}}
     records = tmp_path / "records"
     records.mkdir()
     (records / "manifest.csv").write_text("id,suite\nab.1,straight\n")

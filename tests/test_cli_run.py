@@ -73,7 +73,7 @@ def test_the_attempt_that_counts_is_one_of_the_attempts(runs: Runs) -> None:
     best = outcome["attempts"][outcome["best"]]
     same = ("min_ttc", "min_distance", "collided", "critical", "feasible", "rear_end", "valid")
     assert [best[k] for k in same] == [outcome["outcome"][k] for k in same]
-    assert outcome["adversaries"] == [{"id": i} for i in best["adversaries"]]
+    assert [each["id"] for each in outcome["adversaries"]] == best["adversaries"]
     assert outcome["trigger_time"] == best["trigger_time"]
     assert outcome["intent"]["label"] == best["intent"]
     if outcome["ending"] == "critical":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from sumo_adv.config import Settings
@@ -17,7 +16,7 @@ from sumo_adv.simulation.recording import tracks_of
 
 
 def gate_verdict(
-    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bvs: Sequence[str], start: float,
+    drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bvs: tuple[str, ...], start: float,
     driven: Driven,
 ) -> Verdict | None:  # fmt: skip
     """The verdict on the attempt that began at ``start`` [s]; None if ego or collider left before it moved.

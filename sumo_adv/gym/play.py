@@ -260,7 +260,7 @@ class Playing:
         assert self._attempt is not None and self._play.bv is not None
         driven = self._attempt.state.driven or Driven("time_limit")
         verdict = gate_verdict(
-            drive, here.found, here.settings, here.trigger_step, self._play.bv, self._start, driven
+            drive, here.found, here.settings, here.trigger_step, (self._play.bv,), self._start, driven
         )  # fmt: skip
         snapshots = drive.recording.snapshots[here.trigger_step :]
         return AttemptResult(driven, verdict, self._start, snapshots, dict(drive.simulation.fleet.sizes))

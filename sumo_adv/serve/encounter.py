@@ -102,7 +102,7 @@ class LiveAttempts:
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = gate_verdict(session, found, settings, trigger, bv, start, driven)
+            verdict = gate_verdict(session, found, settings, trigger, (bv,), start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:

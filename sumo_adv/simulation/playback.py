@@ -158,7 +158,7 @@ class Playback:
     def injected(self, driven: Mapping[str, Pose]) -> None:
         """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose.
 
-        The ego's driver has acted, so nobody asks any more for vehicles that the log has no pose of: they are removed.
+        The ego's driver has acted, so vehicles without a logged pose are needed no more: they are removed.
         """
         self._moved = {name: driven[name] for name in self._moved}
         for name in self._gone:

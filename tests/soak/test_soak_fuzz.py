@@ -1,6 +1,7 @@
 """Thousands of wrong banks, records, run folders, TOML files and planners: each is taken or refused in a sentence.
 
-``test_soak_gate.py`` runs ``fuzz_gate``. ``SOAK_SEED`` (default 0) chooses other tries. Each attack is a program of its own, with a bound on its memory.
+``test_soak_gate.py`` runs ``fuzz_gate``. ``SOAK_SEED`` (default 0) chooses other tries.
+Each attack is a program of its own, with a bound on its memory.
 """
 
 from __future__ import annotations
