@@ -16,7 +16,7 @@ from sumo_adv.gym.encounters import EXPERT, Attacker
 from sumo_adv.gym.play import Moment
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
 from sumo_adv.gym.views import Viewing
-from sumo_adv.gym.window import Window
+from sumo_adv.gym.window import Shown, Window
 
 RENDER_MODES = ("rgb_array", "human")
 METADATA = {"render_modes": list(RENDER_MODES), "render_fps": 10}
@@ -30,7 +30,7 @@ def viewing_of(observations: str, vehicles: int) -> Viewing:
     return Viewing(vehicles, observations == "vector")
 
 
-class OneAgentEnv(gymnasium.Env[Any, NDArray[np.float32]]):
+class OneAgentEnv(Shown, gymnasium.Env[Any, NDArray[np.float32]]):
     """What the two environments share."""
 
     metadata: dict[str, Any] = METADATA
@@ -58,19 +58,6 @@ class OneAgentEnv(gymnasium.Env[Any, NDArray[np.float32]]):
 
     def _observation(self, moment: Moment) -> Any:
         return self._viewing.given(moment.views[self._agent])
-
-    def render(self) -> Any:
-        """The scene from above as an array; with ``human`` it is in the window already."""
-        return self._core.picture() if self.render_mode == "rgb_array" else None
-
-    def _show(self) -> None:
-        if self.render_mode == "human":
-            self._window.show(self._core.picture())
-
-    def close(self) -> None:
-        """End the simulation's processes."""
-        self._window.close()
-        self._core.close()
 
 
 class EgoEnv(OneAgentEnv):

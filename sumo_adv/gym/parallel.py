@@ -17,14 +17,14 @@ from sumo_adv.gym.core import Core, Scenarios
 from sumo_adv.gym.environments import METADATA, RENDER_MODES, Observations, viewing_of
 from sumo_adv.gym.play import Moment
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
-from sumo_adv.gym.window import Window
+from sumo_adv.gym.window import Shown, Window
 
 EGO, ADVERSARY = "ego", "adversary"
 PARALLEL_METADATA = {**METADATA, "name": "sumo_adv_v0"}
 Box = NDArray[np.float32]
 
 
-class BothEnv(ParallelEnv[str, Any, Box]):
+class BothEnv(Shown, ParallelEnv[str, Any, Box]):
     """Two agents, ``ego`` and ``adversary``. Both are there from the first step to the end of an episode."""
 
     metadata: dict[str, Any] = PARALLEL_METADATA
@@ -98,19 +98,6 @@ class BothEnv(ParallelEnv[str, Any, Box]):
 
     def _observations(self, moment: Moment) -> dict[str, Any]:
         return {name: self._viewing.given(moment.views[name]) for name in self.possible_agents}
-
-    def render(self) -> Any:
-        """The scene from above as an array; with ``human`` it is in the window already."""
-        return self._core.picture() if self.render_mode == "rgb_array" else None
-
-    def _show(self) -> None:
-        if self.render_mode == "human":
-            self._window.show(self._core.picture())
-
-    def close(self) -> None:
-        """End the simulation's processes."""
-        self._window.close()
-        self._core.close()
 
 
 def parallel_env(*args: Any, **options: Any) -> BothEnv:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_adv.gym.core import Core
+
 PAUSE = 0.001  # s: for the window to draw itself
 
 
@@ -37,3 +39,24 @@ class Window:
 
             plt.close(self._figure)
             self._figure = self._image = None
+
+
+class Shown:
+    """What all environments do with pictures, and at their end."""
+
+    render_mode: str | None
+    _core: Core
+    _window: Window
+
+    def render(self) -> Any:
+        """The scene from above as an array; with ``human`` it is in the window already."""
+        return self._core.picture() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._window.show(self._core.picture())
+
+    def close(self) -> None:
+        """End the simulation's processes."""
+        self._window.close()
+        self._core.close()

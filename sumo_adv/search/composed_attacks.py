@@ -37,7 +37,7 @@ EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
     ),
     _of(
         "Hidden Crossing",
-        "A vehicle crosses the junction without giving way, hidden from the ego by another one that goes beside it.",
+        "A vehicle crosses the junction without giving way, hidden from the ego by a vehicle beside it.",
         "Intersection Rush-through Go-straight", (Duty.HIDE, "View Screen"),
     ),
     _of(

@@ -63,8 +63,8 @@ def judge_all(
 class _Seen:
     """What rollouts come to, row by row.
 
-    contact: the step of the first contact with the collider; last: that step or the last one that is judged; end: the
-    last one that may be. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third,
+    contact: the step of the first contact with the collider; last: that step, or the last judged step; end: the last
+    step that may be judged. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third,
     leaves, beyond, rear: what rules a row out; the first three also by a support.
     """
 

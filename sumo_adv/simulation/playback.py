@@ -117,7 +117,7 @@ class Playback:
     # -- one step ---------------------------------------------------------------------------------------------------
 
     def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
-        """Add to ``driven`` whom the log moves in the step that begins ``now``; insert and hand over.
+        """Add to ``driven`` the vehicles that the log moves in the step that begins ``now``; insert and hand over.
 
         ``raw``: SUMO's present states; ``driven``: who is put where by others in this step.
         """

@@ -1,6 +1,6 @@
 """Transformer: the futures that a trained motion predictor gives the background vehicle, the most dangerous first.
 
-What it is: a network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
+A network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
 the shortlist at every delay. Each mode is a candidate, and so are ``DRAWN`` draws of its Laplace distribution, which
 are off it by the same share of the scale at all steps. The project's f_traj makes each feasible: the vehicle follows
 the prediction along its way, within the limits of any adversary. The ego is predicted by its driver's model, answering
