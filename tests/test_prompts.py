@@ -130,7 +130,7 @@ def test_states_are_ego_centred_and_rounded() -> None:
     scene = changed(situation([leader()]), history=(ahead,))
     line = state_words(scene, Aliases.of(scene))
     assert line.startswith("BV1: t=-1.1: x=21.2 y=3.2 hdg=0 v=8.0; ")
-    assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; acceleration now -1.3; 5.0 x 2.0 m")
+    assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; a=-1.3; 5.0 x 2.0 m")
 
 
 def test_the_egos_driver_model_is_described_if_it_is_known() -> None:
@@ -323,7 +323,7 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
     words = report(hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
     assert "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact;" in words
-    assert "it is avoided by manoeuvre. A careful driver that only brakes lets 1.15 s pass" in words
+    assert "it is avoided by manoeuvre. A careful driver that only brakes lets 0.75 s pass" in words
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
     assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
     assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))
