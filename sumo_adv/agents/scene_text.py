@@ -33,7 +33,7 @@ DRIVERS = {
     "blind": "a driver that keeps its speed and never reacts",
     "lattice": "a planner that looks around, brakes and steers",
 }
-SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # kinds whose lane keeping and right of way SUMO's rules decide
+SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # SUMO's rules decide their lane keeping and right of way
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +168,10 @@ def _at_junctions(situation: Situation) -> str:
     if situation.baseline.model.kind not in SUMO_DRIVERS or not (meets or math.isfinite(situation.road.junction)):
         return ""
     return (
-        f"At a junction where it must give way it decides {SEES:g} m before its line: it stops for one that goes first"
-        f" and arrives less than {AHEAD:g} s after EGO would be across. With priority too it brakes for one across its"
-        " path as soon as, and not before, the front of that one is on the junction, unless EGO was on it first. "
+        f"At a junction where it must give way it decides {SEES:g} m before its line: it stops for a vehicle that goes"
+        f" first and arrives less than {AHEAD:g} s after EGO would be across. With priority too it brakes for one"
+        " across its path as soon as, and not before, the front of that one is on the junction, unless EGO was"
+        " on it first. "
     )
 
 
