@@ -12,12 +12,13 @@ import pytest
 from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
+from sumo_adv.agents.danger import danger_words
 from sumo_adv.agents.evidence import evidence_words
-from sumo_adv.agents.feedback import AttemptReport, Row, report_words
+from sumo_adv.agents.feedback import MAX_EARLIER, AttemptReport, Row, earlier_words, report_words
 from sumo_adv.agents.generator import mode_name, without_fence
 from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
-from sumo_adv.agents.ways import opening_comment
+from sumo_adv.agents.ways import modes_words, opening_comment
 from sumo_adv.datatypes import (
     Attempt,
     Diagnosis,
@@ -34,6 +35,7 @@ from sumo_adv.datatypes import (
     Verdict,
     Way,
 )
+from sumo_adv.episode.attempt_report import way_taken
 from sumo_adv.episode.diagnosis import diagnose
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
@@ -130,7 +132,7 @@ def test_states_are_ego_centred_and_rounded() -> None:
     scene = changed(situation([leader()]), history=(ahead,))
     line = state_words(scene, Aliases.of(scene))
     assert line.startswith("BV1: t=-1.1: x=21.2 y=3.2 hdg=0 v=8.0; ")
-    assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; acceleration now -1.3; 5.0 x 2.0 m")
+    assert line.endswith("t=0.0: x=30.0 y=3.2 hdg=0 v=8.0; a=-1.3; 5.0 x 2.0 m")
 
 
 def test_the_egos_driver_model_is_described_if_it_is_known() -> None:
@@ -178,6 +180,40 @@ def test_the_prompt_with_and_without_evidence(prompts: Prompts) -> None:
     assert "Straight Lane Shift\n  mode side: Drifts over." in without.user
     assert "- Emergency Braking: Brakes." in without.system
     assert without.tokens == -(-(len(without.system) + len(without.user)) // 4)
+
+
+def test_without_evidence_there_is_no_heading(prompts: Prompts) -> None:
+    scene, aliases = situation([neighbour()]), Aliases.of(situation([neighbour()]))
+    assert evidence_words([], aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"}) == ""
+    asked = analyzer_prompt(
+        prompts, {0.0: scene}, [SHIFT], LIMITS, lambda known: evidence_words([], known, [SHIFT], {})
+    )
+    assert asked == analyzer_prompt(prompts, {0.0: scene}, [SHIFT], LIMITS)
+
+
+def test_a_danger_is_told_with_the_numbers_of_the_careful_driver(prompts: Prompts) -> None:
+    words = danger_words(prompts)
+    assert "less than 0.5 m from EGO within 3 s" in words  # oncoming
+    assert (
+        "can no longer stop short of it at 3 m/s2 and would be less than 1 m from EGO within 4 s" in words
+    )  # crossing
+    assert "0.75 s later cc_human brakes, rising within 0.6 s to 7.6 m/s2" in words
+    assert "steers acts 0.4 s later." in words  # 0.8 s after it could be seen, which is 0.4 s before it shows
+    assert words in analyzer_prompt(prompts, {0.0: situation([neighbour()])}, [SHIFT], LIMITS).system
+
+
+def test_junctions_are_told_of_where_there_is_one() -> None:
+    words = driver_words(situation([crossing()]))
+    assert "decides 4.5 m before its line" in words and "arrives less than 1 s after EGO would be across" in words
+    assert "junction" not in driver_words(situation([leader()]))
+
+
+def test_modes_that_read_the_acceleration_are_marked() -> None:
+    head = "# Name\n# Words.\nPARAMETERS = {}\ndef endpoint(bv, ego, road, parameters, acc, horizon):\n    return "
+    reads, ignores = (Planner("L", name, head + value, (), "seed") for name, value in (("a", "go(acc)"), ("b", "{}")))
+    assert modes_words(LibraryEntry("L", "", (), (reads, ignores))) == [
+        "  mode a (uses acceleration): Words.", "  mode b: Words.",
+    ]  # fmt: skip
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------
@@ -323,7 +359,37 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
     words = report(hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
     assert "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact;" in words
-    assert "it is avoided by manoeuvre. A careful driver that only brakes lets 1.15 s pass" in words
+    assert "it is avoided by manoeuvre. A careful driver that only brakes lets 0.75 s pass" in words
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
     assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
     assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))
+
+
+def test_other_attempts_are_a_line_each_with_what_they_lacked() -> None:
+    missed = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ())
+    missed, off_road = replace(missed, feasible=True), replace(missed, failed_gates=("off_road",))
+    tries = [Attempt(k, "tuner", proposal(0.5), 100.0, v, "passed", "") for k, v in enumerate((missed, off_road))]
+    first, second = earlier_words(tries, {"bv": "BV1"}).splitlines()
+    side = f"BV1, Straight Lane Shift/side (text {PLANNER.hash[:4]}: no parameters): level none"
+    assert first == f"1: {side}; needs a contact."
+    assert second == f"2: {side}; not feasible (off_road); needs a motion that is feasible."
+    many = earlier_words([replace(tries[0], index=k) for k in range(30)], {}).splitlines()
+    assert len(many) == MAX_EARLIER and many[-1].startswith("30: a vehicle,")
+
+
+def test_a_vehicle_is_measured_from_the_way_that_it_took() -> None:
+    """The two ways are one for 17 m north; then one goes on, and the other turns left and goes west along y = -2."""
+    straight, left = crossing().ways
+
+    def driven(x: list[float], y: list[float]) -> Track:
+        n = len(x)
+        zero = np.zeros(n)
+        return Track(
+            "bv", Role.ADVERSARY, 0.1 * np.arange(n), np.array(x), np.array(y), zero, zero, zero, 5.0, 2.0, ("",) * n
+        )
+
+    north, west = driven([30.0, 31.0, 31.0], [-25.0, -5.0, 20.0]), driven([30.0, 24.0, 4.0], [-25.0, -1.0, -1.0])
+    assert way_taken(north, (straight, left)) is straight and way_taken(north, (left, straight)) is straight
+    assert way_taken(west, (straight, left)) is left
+    before = driven([30.0, 30.5, 30.5], [-25.0, -20.0, -15.0])
+    assert way_taken(before, (straight, left)) is straight and way_taken(before, (left, straight)) is left

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.danger import danger_words
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
@@ -235,6 +236,7 @@ def analyzer_prompt(
     aliases = Aliases.of(situation)
     words = {word for target in situation.target_list() for word in target.applies()}
     fitting = {e.label for e in library if words & set(e.applies)}
+    table = evidence(aliases) if evidence is not None else ""
     return prompts.render(
         "analyzer",
         library="\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in library),
@@ -244,7 +246,7 @@ def analyzer_prompt(
         relative=relative_words(situation, aliases, {e.label: e.applies for e in library}),
         outlook=outlook_words(situation), modes=library_words(library, fitting) or "None of the library applies.",
         starts=starts_words(situations),
-        driver=driver_words(situation), evidence=f"\n{evidence(aliases)}" if evidence is not None else "",
+        driver=driver_words(situation), evidence=f"\n{table}" if table else "", danger=danger_words(prompts),
     )  # fmt: skip
 
 

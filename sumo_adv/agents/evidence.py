@@ -21,7 +21,7 @@ def evidence_words(
     pool: Sequence[Proposal], aliases: Aliases, library: Sequence[LibraryEntry], remembered: Mapping[str, str]
 ) -> str:
     """A line for each BV and behaviour in the ``pool`` of predicted proposals, and one for each of its modes; then the
-    bank's evidence.
+    bank's evidence. Empty without such a proposal.
 
     remembered: label -> the bank's evidence in words.
     """
@@ -29,7 +29,9 @@ def evidence_words(
     for p in drawn(pool):
         if p.bv in aliases.by_id:
             groups.setdefault((aliases.by_id[p.bv], p.label), []).append(p)
-    begin = min((p.delay for p in pool), default=0.0)
+    if not groups:
+        return ""
+    begin = min(p.delay for p in pool)
     lines = [HEADING]
     for (alias, label), members in sorted(groups.items()):
         lines.append(f"- {alias}, {sanitize(label)}: {_counts(members)}")

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.danger import danger_words
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner
@@ -114,7 +115,7 @@ def generator_prompt(
     return prompts.render(
         "generator", rules=planner_rules(prompts, limits), label=sanitize(intent.label),
         description=sanitize(intent.description), relation=relation, scene=scene, driver=driver, instruction=psi,
-        examples="\n\n".join(texts),
+        examples="\n\n".join(texts), danger=danger_words(prompts),
     )  # fmt: skip
 
 

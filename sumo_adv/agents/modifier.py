@@ -12,6 +12,7 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.danger import danger_words
 from sumo_adv.agents.feedback import AttemptReport, RepairScene, earlier_words, report_words
 from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
@@ -141,10 +142,22 @@ def modifier_prompt(
     others = [f"- {alias}: {', '.join(sanitize(e.label) for e in es) or 'none'}" for alias, es in scene.choices.items()]
     entries = {e.label: e for es in scene.choices.values() for e in es}
     others.append(library_words(list(entries.values()), set(entries)))
+    shown = reports[:MAX_ATTEMPTS]
     return prompts.render(
         "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
         label=sanitize(planner.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
         source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
-        feedback="\n".join(report_words(r) for r in reports[:MAX_ATTEMPTS]),
-        earlier="\n".join(earlier_words(a) for a in scene.earlier), others="\n".join(others),
+        feedback="\n".join(report_words(r) for r in shown), earlier=_others_tried(shown, scene),
+        others="\n".join(others), danger=danger_words(prompts),
     )  # fmt: skip
+
+
+def _others_tried(shown: Sequence[AttemptReport], scene: RepairScene) -> str:
+    """The attempts that are not told of in full, with their heading; empty without any."""
+    told = {r.attempt.index for r in shown}
+    words = earlier_words([a for a in scene.earlier if a.index not in told], scene.by_id)
+    return (
+        f"THE OTHER ATTEMPTS SO FAR (the last ones; number, vehicle, planner, what it came to)\n{words}\n\n"
+        if words
+        else ""
+    )

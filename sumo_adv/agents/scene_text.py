@@ -13,6 +13,7 @@ import numpy as np
 
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Track
+from sumo_adv.drivers.junctions import AHEAD, SEES
 from sumo_adv.metrics.severity import UNPROTECTED_TENTH
 from sumo_adv.road_users import LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
@@ -32,6 +33,7 @@ DRIVERS = {
     "blind": "a driver that keeps its speed and never reacts",
     "lattice": "a planner that looks around, brakes and steers",
 }
+SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # SUMO's rules decide their lane keeping and right of way
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +107,8 @@ def scene_words(situation: Situation, aliases: Aliases, alias: str) -> str:
     """The whole scene for whoever writes or repairs a planner of the BV ``alias``."""
     return "\n".join(
         (
-            f"The bv is {alias}.", road_words(situation, aliases), state_words(situation, aliases),
+            f"The bv is {alias}. t in s, x forward and y left of EGO now, hdg in deg, a: acceleration.",
+            road_words(situation, aliases), state_words(situation, aliases),
             outlook_words(situation), relative_words(situation, aliases, {}),
         )
     )  # fmt: skip
@@ -144,19 +147,31 @@ def driver_words(situation: Situation) -> str:
     return (
         f"{kind[0].upper()}{kind[1:]}; keeps its lane and route, follows right of way and signals; wants to drive"
         f" {model.speed:.1f} m/s at most, headway {model.tau:.1f} s, comfortable braking"
-        f" {model.deceleration:.1f} m/s2{tendency}. {_perception(model.kind)}{size}"
+        f" {model.deceleration:.1f} m/s2{tendency}. {_perception(model.kind)}{_at_junctions(situation)}{size}"
     )
 
 
 def _perception(kind: str) -> str:
     """What SUMO's drivers react to, which planners have to know."""
-    if kind not in ("krauss", "idm", "eidm", "careful"):
+    if kind not in SUMO_DRIVERS:
         return ""
     return (
         "It takes a vehicle ahead for its leader as soon as the box of that vehicle comes into its lane, and brakes as"
         " hard as it needs to, up to 9 m/s2. It does not react to a vehicle beside it that has its front behind EGO's,"
-        " nor to a vehicle that is still in another lane. At a junction it gives way as SUMO's rules say, and brakes"
-        " for a vehicle on the junction across its path. "
+        " nor to a vehicle that is still in another lane. "
+    )
+
+
+def _at_junctions(situation: Situation) -> str:
+    """What SUMO's drivers react to at junctions, if there is one ahead of the ego or of where paths meet."""
+    meets = any(way.conflict is not None for target in situation.target_list() for way in target.ways)
+    if situation.baseline.model.kind not in SUMO_DRIVERS or not (meets or math.isfinite(situation.road.junction)):
+        return ""
+    return (
+        f"At a junction where it must give way it decides {SEES:g} m before its line: it stops for a vehicle that goes"
+        f" first and arrives less than {AHEAD:g} s after EGO would be across. With priority too it brakes for one"
+        " across its path as soon as, and not before, the front of that one is on the junction, unless EGO was"
+        " on it first. "
     )
 
 
@@ -227,9 +242,7 @@ def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
             continue
         x, y, h = situation.frame.to_local(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
         parts.append(f"t={t:.1f}: x={x:.1f} y={y + 0.0:.1f} hdg={math.degrees(h):.0f} v={track.speed[i]:.1f}")
-    return (
-        "; ".join(parts) + f"; acceleration now {track.acceleration[-1]:.1f}; {track.length:.1f} x {track.width:.1f} m"
-    )
+    return "; ".join(parts) + f"; a={track.acceleration[-1]:.1f}; {track.length:.1f} x {track.width:.1f} m"
 
 
 def _kind_words(target: Target) -> str:

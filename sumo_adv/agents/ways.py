@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field
 
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import LibraryEntry, Planner, Way
+from sumo_adv.planners.source import uses_acceleration
 from sumo_adv.situation import Situation
 
 MOST_WAYS = 3  # of one intent
@@ -36,7 +37,8 @@ def modes_words(entry: LibraryEntry) -> list[str]:
     """The modes of an intent with their tables of parameters, a line each; of versions of a mode the first one."""
     lines = []
     for planner in first_of_each_mode(entry):
-        lines.append(f"  mode {sanitize(planner.mode)}: {opening_comment(planner.source)}")
+        mark = " (uses acceleration)" if uses_acceleration(planner.source) else ""
+        lines.append(f"  mode {sanitize(planner.mode)}{mark}: {opening_comment(planner.source)}")
         lines += [
             f"    {sanitize(p.name)}: {p.default:g} ({p.low:g} to {p.high:g}{' ' + p.unit if p.unit else ''})"
             f"{', ' + sanitize(p.meaning) if p.meaning else ''}"

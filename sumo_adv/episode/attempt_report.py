@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
 from sumo_adv.metrics.gate_details import explained_gates
 from sumo_adv.simulation.recording import tracks_of
-from sumo_adv.situation import Target
+from sumo_adv.situation import ReferencePath
 
 EVERY = 0.5  # s between rows
 NEAR_WAY = 30.0  # m along a way within which the next position is searched
@@ -36,23 +36,40 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
         result.start, end if contact is None else contact,
     )  # fmt: skip
     target = found.situations[attempt.proposal.delay].targets.get(bv)
-    rows = _rows(ego.between(result.start, end), adversary.between(result.start, end), result.start, target)
-    return AttemptReport(attempt, rows, tuple(gates), begun, max(end - result.start, 0.0))
+    driven = adversary.between(result.start, end)
+    way = way_taken(driven, target.ways) if target is not None and target.ways else None
+    rows = _rows(ego.between(result.start, end), driven, result.start, way)
+    movement = "none" if way is None else way.movement
+    return AttemptReport(attempt, rows, tuple(gates), begun, max(end - result.start, 0.0), movement)
 
 
-def _rows(ego: Track, bv: Track, start: float, target: Target | None) -> tuple[Row, ...]:
+def way_taken(track: Track, ways: Sequence[ReferencePath]) -> ReferencePath:
+    """The way that a vehicle followed: the one from which its centre was the least off, in the mean; of equals the
+    first."""
+    return min(ways, key=lambda way: sum(map(abs, _offsets(track, way, range(len(track.time))))))
+
+
+def _offsets(track: Track, way: ReferencePath, steps: Iterable[int]) -> list[float]:
+    """How far a vehicle's centre was to the left of a way in some steps [m]."""
+    offsets, station = list[float](), 0.0
+    for k in steps:
+        station, offset = way.path.project(float(track.x[k]), float(track.y[k]), near=station, reach=NEAR_WAY)
+        offsets.append(offset)
+    return offsets
+
+
+def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tuple[Row, ...]:
     count = min(len(ego.time), len(bv.time))
     if count < 2:
         return ()
     every = max(1, round(EVERY / float(np.diff(ego.time).min())))
-    rows, station = list[Row](), 0.0
-    for k in sorted({*range(0, count, every), count - 1}):
+    steps = sorted({*range(0, count, every), count - 1})
+    offsets = [0.0] * len(steps) if way is None else _offsets(bv, way, steps)
+    rows = list[Row]()
+    for k, offset in zip(steps, offsets, strict=True):
         frame = Frame(float(ego.x[k]), float(ego.y[k]), float(ego.heading[k]))
         ahead, left, _ = frame.to_local(float(bv.x[k]), float(bv.y[k]), 0.0)
         heading = math.degrees(float(wrap(bv.heading[k] - ego.heading[k])))
-        offset = 0.0
-        if target is not None and target.ways:
-            station, offset = target.ways[0].path.project(float(bv.x[k]), float(bv.y[k]), near=station, reach=NEAR_WAY)
         rows.append(
             Row(float(ego.time[k]) - start, ahead, left, heading, float(ego.speed[k]), float(bv.speed[k]), offset)
         )
@@ -71,4 +88,4 @@ def scene_of(
         for alias, name in aliases.bvs.items()
     }
     text = f"{scene}\nEGO's driver: {driver_words(situation)}"
-    return RepairScene(entry, text, tuple(attempts), choices, starts_words(found.situations))
+    return RepairScene(entry, text, tuple(attempts), aliases.by_id, choices, starts_words(found.situations))

@@ -140,6 +140,16 @@ def read_source(source: str) -> SourceFacts:
     return SourceFacts(parameters, "trajectory" in functions)
 
 
+@lru_cache(maxsize=256)
+def uses_acceleration(source: str) -> bool:
+    """Whether a planner's text reads the intent's acceleration, which is its argument ``acc``.
+
+    Raises:
+        PlannerSyntaxError: the text does not parse.
+    """
+    return any(isinstance(node, ast.Name) and node.id == "acc" for node in ast.walk(_parse(source)))
+
+
 def _parse(source: str) -> ast.Module:
     """``ast.parse``, which raises ``PlannerSyntaxError`` for hostile text too."""
     if not isinstance(source, str) or len(source) > MAX_SOURCE_BYTES:

@@ -57,6 +57,7 @@ OWN_BRAKING = 4.5  # m/s2, what drivers brake by themselves behind a leader (SUM
 STOPPING_SHORT = 3.0  # m/s2, what a crossing driver may brake to yield
 ALARM_BRAKING = 3.0  # m/s2, the least that the ego must need
 CROSSING_SIGHT, FACING_SIGHT = 4.0, 3.0  # s, how far ahead a meeting is looked for
+CROSSING_MARGIN, FACING_MARGIN = 1.0, 0.5  # m, nearer than that is a meeting
 CLOSE_HEADWAY = 0.5  # s, a leader nearer than that is still a danger
 GENTLE = 0.5  # m/s2, needing less than that behind a leader the danger is past
 EASE = 0.5  # s without a danger until the foot leaves the brake
@@ -156,7 +157,8 @@ class CcHuman:
         until_there = view.side_gap / np.maximum(view.crossing, KEEPS_ITS_PLACE)
         too_late = across & outside & (until_there < view.speed / (2.0 * STOPPING_SHORT))
         looks = (
-            (facing, FACING_SIGHT, 0.5), (too_late, CROSSING_SIGHT, 1.0), (across & view.in_corridor, FACING_SIGHT, 0.0)
+            (facing, FACING_SIGHT, FACING_MARGIN), (too_late, CROSSING_SIGHT, CROSSING_MARGIN),
+            (across & view.in_corridor, FACING_SIGHT, 0.0),
         )  # fmt: skip
         for rows, horizon, margin in looks:
             k = np.nonzero(rows)
