@@ -26,5 +26,24 @@ def test_a_recorded_run_repeats(tmp_path: Path, recording: Path) -> None:
     assert outcome["attempts"] and {a["by"] for a in outcome["attempts"]} == {outcome["agents"]["analyzer"]}
 
 
+def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None:
+    """The library has nothing for a neighbour: one analysis with two new intents, a comparison and a planner for each, one attempt."""
+    program = Program(tmp_path, tmp_path)
+    known = (
+        "Close Car-following,Emergency Braking,Intersection Rush-through Go-straight,"
+        "Intersection Rush-through Turn Left,Opposite Direction Intrusion"
+    )
+    assert program("memory", "new", "small.sqlite", "--only", known).status == 0
+    recording = ROOT / "examples" / "blind_side" / "recording.jsonl"
+    done = program(
+        "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "valid",
+        "--memory", "small.sqlite", "--out", "out",
+    )  # fmt: skip
+    assert done.status == 0, done.err
+    (attempt,) = done.outcome["attempts"]
+    assert attempt["intent"] == "Alongside Drift from Behind" and attempt["valid"]
+    assert done.outcome["llm"]["calls"] == 5
+
+
 def test_there_are_recordings() -> None:
     assert len(RECORDINGS) >= 4
