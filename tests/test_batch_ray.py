@@ -121,7 +121,7 @@ def test_a_crash_rate_is_the_same_on_a_cluster(program: Program, cluster: Any) -
     folders = [program.folder / name for name in ("here", "there")]
     assert files_of(folders[0] / "blocks") == files_of(folders[1] / "blocks")
     none = program(*words, "--ray", "127.0.0.1:1", "--out", "none")
-    refused(none, 2, "no Ray cluster", "127.0.0.1:1")
+    refused(none, 2, "No Ray cluster", "127.0.0.1:1")
 
 
 def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_nodes_with_other_versions_are_named_and_one_that_has_just_died_is_left_
 
 def test_no_cluster_is_a_sentence(program: Program) -> None:
     done = program(*SMALL, "--ray", "127.0.0.1:1", "--json")
-    refused(done, 2, "no Ray cluster", "127.0.0.1:1")
+    refused(done, 2, "No Ray cluster", "127.0.0.1:1")
 
 
 def test_another_content_on_a_node_is_refused(tmp_path: Path) -> None:

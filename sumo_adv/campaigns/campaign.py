@@ -29,7 +29,7 @@ Told = Callable[[Job, Done], None]
 
 
 class Workers(Protocol):
-    """Whoever runs jobs: those of a batch, or others with an ``id``."""
+    """Runs jobs: those of a batch, or others with an ``id``."""
 
     def run(self, jobs: Sequence[Any], told: Callable[[Any, Done], None]) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""

@@ -79,8 +79,8 @@ class _Slot:
 class LocalWorkers:
     """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
-    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, whose
-    jobs are ``Job``; those of other runners are anything with an ``id``.
+    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
+    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``.
     """
 
     setup: Any
