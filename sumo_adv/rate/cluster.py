@@ -1,5 +1,5 @@
-"""The same estimate on a Ray cluster. Each block is a task. Its worker runs the block in a watched process of its own, as
-on one machine, and sends the records back.
+"""The same estimate on a Ray cluster. Each block is a task. Its worker runs the block in a watched process of its own,
+as on one machine, and sends the records back.
 
 Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their content is compared
 with the plan's.
