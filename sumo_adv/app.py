@@ -333,13 +333,15 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
         write_states_parquet(folder / "states.parquet", runs())
 
 
-def estimate_rate(plan: RatePlan, out: Path, runs: int, workers: int, watcher: Watcher) -> Estimate | None:
+def estimate_rate(
+    plan: RatePlan, out: Path, runs: int, workers: int, watcher: Watcher, ray: str | None = None
+) -> Estimate | None:
     """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
-    again. Raises UsageError or SimulationError."""
+    again. ray: address of a Ray cluster. Raises UsageError or SimulationError."""
     from sumo_adv.rate.estimate import Estimation
 
     with _without_main():
-        return Estimation(plan, out, workers, watcher).run(runs)
+        return Estimation(plan, out, workers, watcher, ray).run(runs)
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:

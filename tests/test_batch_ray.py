@@ -1,4 +1,4 @@
-"""Batches on a Ray cluster of two nodes on this machine; skipped where Ray is not installed (extra ``ray``)."""
+"""Batches and crash rates on a Ray cluster of two nodes on this machine; skipped without Ray (extra ``ray``)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,14 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo
 
 from ray.cluster_utils import Cluster  # noqa: E402
 
-from sumo_adv.campaigns.cluster import check_nodes, connect, wrong_content  # noqa: E402
+from sumo_adv.campaigns.cluster import wrong_content  # noqa: E402
+from sumo_adv.campaigns.local import Pace  # noqa: E402
+from sumo_adv.campaigns.ray_pool import check_nodes, connect  # noqa: E402
 from sumo_adv.errors import UsageError  # noqa: E402
 from sumo_adv.memory.bank import MemoryBank  # noqa: E402
+from sumo_adv.rate.blocks import Block  # noqa: E402
+from sumo_adv.rate.cluster import Sent, block  # noqa: E402
+from sumo_adv.rate.plan import RatePlan  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +111,28 @@ def test_what_is_learnt_during_comes_back(program: Program, cluster: Any) -> Non
         assert bank.evidence()
 
 
+def test_a_crash_rate_is_the_same_on_a_cluster(program: Program, cluster: Any) -> None:
+    words = ["rate", ROOT / "benchmarks" / "rate" / "side_by_side.toml", "--errors", "100", "--duration", "2"]
+    words += ["--pilot", "20", "--runs", "40", "--json"]
+    here = program(*words, "--workers", "1", "--out", "here")
+    there = program(*words, "--ray", cluster.address, "--out", "there")
+    assert there.status == 0, there.err
+    assert json.loads(there.out) == {**json.loads(here.out), "folder": "there"}
+    folders = [program.folder / name for name in ("here", "there")]
+    assert files_of(folders[0] / "blocks") == files_of(folders[1] / "blocks")
+    none = program(*words, "--ray", "127.0.0.1:1", "--out", "none")
+    refused(none, 2, "No Ray cluster", "127.0.0.1:1")
+
+
+def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
+    plan = RatePlan(ROOT / "benchmarks" / "rate" / "side_by_side.toml", "idm")
+    with pytest.raises(UsageError, match=r"On a node .*another content"):
+        block(Sent(plan, Pace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
+    gone = RatePlan(tmp_path / "gone.toml", "idm")
+    with pytest.raises(UsageError, match=r"On a node: There is no file .*gone\.toml"):
+        block(Sent(gone, Pace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
+
+
 def test_nodes_with_other_versions_are_named_and_one_that_has_just_died_is_left_out(cluster: Any) -> None:
     spare = cluster.add_node(num_cpus=1)
     cluster.wait_for_nodes()
@@ -121,7 +148,7 @@ def test_nodes_with_other_versions_are_named_and_one_that_has_just_died_is_left_
 
 def test_no_cluster_is_a_sentence(program: Program) -> None:
     done = program(*SMALL, "--ray", "127.0.0.1:1", "--json")
-    refused(done, 2, "no Ray cluster", "127.0.0.1:1")
+    refused(done, 2, "No Ray cluster", "127.0.0.1:1")
 
 
 def test_another_content_on_a_node_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from cli_samples import Program
 
+import sumo_adv
 from sumo_adv.cli.rate import lines
+from sumo_adv.errors import UsageError
 from sumo_adv.rate.blocks import Block, BlockRunner, seed_of
 from sumo_adv.rate.estimate import estimated
 from sumo_adv.rate.model import KINDS
@@ -83,6 +85,23 @@ def test_the_command_goes_on_in_its_folder(program: Program) -> None:
     assert json.loads((folder / "rate.json").read_text())["levels"] == first["levels"]
     refused = program(*words, "--seed", "1")
     assert refused.status == 2 and "another seed" in refused.err and "--out" in refused.err
+
+
+def test_from_python_it_is_the_same_estimate(tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    found = sumo_adv.crash_rate(
+        BESIDE, ego="idm", errors=100.0, duration=2.0, pilot=20, runs=40, workers=1, out=tmp_path / "rate",
+        tell=lambda *words: told.append(words),
+    )  # fmt: skip
+    assert found is not None
+    assert told == [("pilot", 1, 1), ("runs", 1, 2), ("runs", 2, 2)]
+    assert json.loads((tmp_path / "rate" / "rate.json").read_text()) == json.loads(json.dumps(found.document()))
+    assert (found.runs, found.plan.pilot) == (40, 20)
+    assert found.per_hour["contact"].crashes >= found.per_hour["collision"].crashes
+    with pytest.raises(UsageError, match=r"as a name \(module:Class\)"):
+        sumo_adv.crash_rate(BESIDE, ego=object())  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="at least one run"):
+        sumo_adv.crash_rate(BESIDE, runs=0)
 
 
 def test_what_is_refused(program: Program) -> None:

@@ -23,7 +23,7 @@ LEVELS = (
     ("regression", "rate"),
     ("comparison",),
     ("app",),
-    ("cli", "api", "api_batch", "gym", "world", "__main__"),
+    ("cli", "api", "api_batch", "api_rate", "gym", "world", "__main__"),
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),

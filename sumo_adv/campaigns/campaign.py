@@ -29,9 +29,9 @@ Told = Callable[[Job, Done], None]
 
 
 class Workers(Protocol):
-    """Whoever runs jobs."""
+    """Runs jobs: those of a batch, or others with an ``id``."""
 
-    def run(self, jobs: Sequence[Job], told: Told) -> None:
+    def run(self, jobs: Sequence[Any], told: Callable[[Any, Done], None]) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
         ...
 

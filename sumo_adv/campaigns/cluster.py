@@ -2,23 +2,17 @@
 machine, and sends the run's folder back. Results and bank are written here alone.
 
 Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their content is compared
-with the plan's. What a lost node or worker was at is Ray's to try again, ``LOSSES`` times.
+with the plan's.
 """
 
 from __future__ import annotations
 
+import atexit
 import io
-import logging
-import os
 import shutil
-import socket
-import sys
 import tempfile
-import time
 import zipfile
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,20 +22,14 @@ from sumo_adv.campaigns.inputs import hash_of
 from sumo_adv.campaigns.learning import lessons_of, teach
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.nouns import Done, Job, Learn, Setup
+from sumo_adv.campaigns.ray_pool import RayPool, desk_folder
 from sumo_adv.campaigns.results import LEARNT, OUTCOME, read_row, write_failure
 from sumo_adv.campaigns.store import Store
 from sumo_adv.campaigns.worker import share
-from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import load_input
-
-LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
-JOIN_SECONDS = 60.0  # for a node to say its versions
-LOST_SECONDS = 10.0  # for Ray to say that a node is lost which did not answer
-KNOCK_SECONDS = 10.0
-DESK = "sumo_adv-ray-"  # folders of Ray workers, with their process ids
-TICK = 0.5  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,60 +43,31 @@ class Sent:
 
 
 class ClusterWorkers:
-    """Runs jobs as Ray tasks, as many at a time as the cluster has processors.
-
-    Raises UsageError: Ray is not installed, no cluster at ``address``, another version on a node.
-    """
+    """Runs jobs as Ray tasks. Raises UsageError as ``RayPool`` does."""
 
     def __init__(
         self, setup: Setup, pace: Pace, address: str, versions: Mapping[str, str], store: Store, stop: Stop
     ) -> None:
-        self._setup, self._pace, self._store, self._stop = setup, pace, store, stop
-        self._aside = redirect_stdout(sys.stderr)  # where Ray tells of lost workers and nodes: it prints to stdout
-        self._ray = connect(address)
-        self._aside.__enter__()
+        self._setup, self._pace, self._store = setup, pace, store
+        self._pool = RayPool(episode, pace, address, versions, stop)
         self._edition = 0
         try:
-            check_nodes(self._ray, versions)
             self._sent = self._send()
-            self._task = self._ray.remote(num_cpus=1, max_retries=LOSSES, max_calls=pace.recycle)(episode)
         except BaseException:
             self.close()
             raise
 
     def run(self, jobs: Iterable[Job], told: Callable[[Job, Done], None]) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
-        waiting, running = deque(jobs), dict[Any, Job]()
-        while not self._stop.now:
-            while waiting and len(running) < self._places() and not self._stop.drain:
-                job = waiting.popleft()
-                running[self._task.remote(self._sent, job)] = job
-            if not running:
-                break
-            for ready in self._ray.wait(list(running), timeout=TICK)[0]:
-                job = running.pop(ready)
-                told(job, self._result(job, ready))
+        self._pool.run(jobs, lambda: self._sent, self._keep, self._store.fail, told)
 
     def close(self) -> None:
         """Leave the cluster; what still runs there is ended by Ray."""
-        self._ray.shutdown()
-        self._aside.__exit__(None, None, None)
+        self._pool.close()
 
-    def _places(self) -> int:
-        return max(1, int(self._ray.cluster_resources().get("CPU", 0)))
-
-    def _result(self, job: Job, ready: Any) -> Done:
-        try:
-            data, size = self._ray.get(ready)
-        except self._ray.exceptions.RayTaskError as error:
-            cause = error.cause
-            raise cause if isinstance(cause, SumoAdvError) else SumoAdvError(f"A node failed ({cause}).") from error
-        except self._ray.exceptions.RayError as error:
-            return self._store.fail(job, f"Its worker or node was lost {LOSSES + 1} times.", str(error))
-        return self._keep(job, data, size)
-
-    def _keep(self, job: Job, data: bytes, size: int) -> Done:
+    def _keep(self, job: Job, result: tuple[bytes, int]) -> Done:
         """Put a run's folder in its place, and with ``Learn.DURING`` what was learnt into the bank."""
+        data, size = result
         with self._setup.parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder:
             with zipfile.ZipFile(io.BytesIO(data)) as packed:
                 packed.extractall(folder.stage)
@@ -129,83 +88,10 @@ class ClusterWorkers:
             place.snapshot(self._setup.bank)
             data = place.bank.read_bytes()
         learn = Learn.OFF if self._setup.learn is Learn.OFF else Learn.AFTER  # nodes collect, and never write
-        return self._ray.put(Sent(replace(self._setup, learn=learn), self._pace, data, self._edition))
-
-
-def connect(address: str) -> Any:
-    """Ray, connected. Raises UsageError."""
-    try:
-        import ray
-    except ImportError as error:
-        raise UsageError("--ray needs Ray, which is not installed: pip install 'sumo-adv[ray]'.") from error
-    try:
-        _knock(address)
-        ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
-    except Exception as error:
-        said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
-        raise UsageError(f"There is no Ray cluster to be had at {address} ({said}); see ray start.") from error
-    return ray
-
-
-def _knock(address: str) -> None:
-    """Raises OSError if nobody listens at HOST:PORT: Ray itself would go on trying for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if host and port.isdigit():
-        socket.create_connection((host, int(port)), KNOCK_SECONDS).close()
-
-
-def check_nodes(ray: Any, versions: Mapping[str, str]) -> None:
-    """Raises UsageError if a node has other versions of what takes part in the numbers."""
-    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-    alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
-    if not alive:
-        raise UsageError("The Ray cluster has no node with a processor.")
-    asked = ray.remote(num_cpus=1, max_retries=LOSSES)(node_versions)
-    for node in alive:
-        strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
-        name = node["NodeManagerHostname"]
-        try:
-            theirs = ray.get(asked.options(scheduling_strategy=strategy).remote(list(versions)), timeout=JOIN_SECONDS)
-        except ray.exceptions.RayError as error:
-            if _gone(ray, node["NodeID"]):
-                continue
-            raise UsageError(f"The node {name} cannot run sumo_adv ({_first_line(error)}).") from error
-        other = [f"{k} {theirs.get(k)} there, {v} here" for k, v in versions.items() if theirs.get(k) != v]
-        if other:
-            raise UsageError(f"The node {name} has other versions: {'; '.join(other)}; install the same on all.")
-
-
-def _gone(ray: Any, node_id: str) -> bool:
-    """Whether a node that did not answer was lost; of one that was killed Ray may say so only some seconds later."""
-    until = time.monotonic() + LOST_SECONDS
-    while any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes()):
-        if time.monotonic() > until:
-            return False
-        time.sleep(TICK)
-    return True
-
-
-def _first_line(error: BaseException) -> str:
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    return lines[-1].strip() if lines else type(error).__name__
+        return self._pool.put(Sent(replace(self._setup, learn=learn), self._pace, data, self._edition))
 
 
 # -- on a node ---------------------------------------------------------------------------------------------------------
-
-
-def node_versions(names: Iterable[str]) -> dict[str, str]:
-    """What this node has of what takes part in the numbers: ``sumo_adv``, ``python``, and packages."""
-    import platform
-    from importlib import metadata
-
-    import sumo_adv
-
-    found = {"sumo_adv": sumo_adv.__version__, "python": platform.python_version()}
-    for name in set(names) - set(found):
-        with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
 
 
 @dataclass
@@ -242,16 +128,13 @@ def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
 def _desk(sent: Sent) -> _Desk:
     """The desk of this process, with the bank as it was sent."""
     if not _desks:
-        import atexit
-
-        _sweep()
-        folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
+        folder = desk_folder()
         (folder / "runs").mkdir()
         setup = replace(sent.setup, runs=folder / "runs", bank=folder / "bank.sqlite")
         pace = replace(sent.pace, workers=1)
         workers = LocalWorkers(setup, pace, folder, lambda job, why, text: _fail(setup.runs, job, why, text), Stop())
         _desks.append(_Desk(folder, workers))
-        atexit.register(_leave)
+        atexit.register(workers.close)
     desk = _desks[0]
     if desk.edition != sent.edition:
         part = desk.folder / "bank.part"
@@ -259,21 +142,6 @@ def _desk(sent: Sent) -> _Desk:
         part.replace(desk.folder / "bank.sqlite")
         desk.edition = sent.edition
     return desk
-
-
-def _sweep() -> None:
-    """Remove what Ray workers left behind that were killed."""
-    if not Path("/proc/self").exists():
-        return
-    for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
-        if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _leave() -> None:
-    for desk in _desks:
-        desk.workers.close()
-        shutil.rmtree(desk.folder, ignore_errors=True)
 
 
 def _fail(runs: Path, job: Job, why: str, text: str) -> Done:

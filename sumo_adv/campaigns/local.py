@@ -79,13 +79,14 @@ class _Slot:
 class LocalWorkers:
     """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
-    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch.
+    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
+    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``.
     """
 
     setup: Any
     pace: Pace
     scratch: Path
-    fail: Callable[[Job, str, str], Done]
+    fail: Callable[[Any, str, str], Done]
     stop: Stop
     make: Callable[[Any], AbstractContextManager[Any]] | None = None
     _slots: list[_Slot] = field(default_factory=list)
@@ -94,7 +95,7 @@ class LocalWorkers:
     _died: int = 0
     _made: int = 0
 
-    def run(self, jobs: Iterable[Job], told: Callable[[Job, Done], None]) -> None:
+    def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
         """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError."""
         waiting = deque(jobs)
         while not self.stop.now:

@@ -11,7 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from sumo_adv.cli import options as shared
-from sumo_adv.cli.options import INPUT, OUTPUT, SEARCH, option
+from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option
 from sumo_adv.cli.set_option import set_values
 from sumo_adv.errors import UsageError
 
@@ -24,7 +24,6 @@ else:
     from sumo_adv.campaigns.nouns import Learn
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
-RUNNING = "Running"  # a panel of the help
 
 
 class _DefaultGroup(TyperGroup):
@@ -64,13 +63,8 @@ Figures = Annotated[bool | None, option(OUTPUT, "Draw encounter.png for each run
 Out = Annotated[Path | None, option(OUTPUT, "Folder of results.", default="runs/<plan>")]
 Parquet = Annotated[bool, option(OUTPUT, "Write results.parquet as well.", "--parquet")]
 States = Annotated[bool, option(OUTPUT, "Write states.parquet as well: all vehicles of every run.", "--states")]
-Workers = Annotated[int | None, option(RUNNING, "Processes.", default="one a core", min=1)]
 Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
 Recycle = Annotated[int, option(RUNNING, "Episodes after which a worker is replaced.", default="200", min=1)]
-Ray = Annotated[
-    str | None,
-    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", metavar="ADDRESS", default="none"),
-]
 Retry = Annotated[bool, option(RUNNING, "Run failed episodes again.", "--retry-failed")]
 DryRun = Annotated[bool, option(RUNNING, "Print the episodes and run none.", "--dry-run")]
 Force = Annotated[bool, option(RUNNING, "Go on in a folder of another plan.", "--force")]
@@ -85,7 +79,7 @@ def batch(
     intents: shared.Intents = None, exclude: shared.Exclude = None, kind: shared.Kind = None,
     adversaries: shared.Adversaries = None,
     diverse: shared.Diverse = None, attempts: shared.Attempts = None, learn: Learning = None, memory: Memory = None,
-    workers: Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: Ray = None,
+    workers: shared.Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: shared.RayCluster = None,
     retry_failed: Retry = False, dry_run: DryRun = False, force: Force = False, figures: Figures = None,
     out: Out = None, parquet: Parquet = False, states: States = False, as_json: shared.AsJson = False,
 ) -> None:  # fmt: skip

@@ -24,7 +24,7 @@ LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_setting
 EXTRAS = (
     ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),
     ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
-    ("ray", "ray", "batches on several machines"), ("cma", "bench", "the benchmark's row cma"),
+    ("ray", "ray", "batches and crash rates on several machines"), ("cma", "bench", "the benchmark's row cma"),
     ("fiss_planner", "planners", "the ego fiss_plus"), ("gymnasium", "gym", "the environments"),
     ("optax", "train", "training the row transformer"),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Options that ``run`` and ``batch`` share, each with its panel of the help and its default from the settings."""
+"""Options that commands share, each with its panel of the help and its default from the settings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import typer
 from sumo_adv.config import Settings, Until
 
 INPUT, EGO, ATTACK, SEARCH, MODEL, OUTPUT = "Input", "Ego", "Attack", "Search", "Language model", "Output"
+RUNNING = "Running"
 """Panels of the help."""
 CHOICE = (
     "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts", "adversaries",
@@ -81,3 +82,11 @@ Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per 
 
 SettingsFile = Annotated[Path | None, option(INPUT, "TOML file of settings.", "--settings", default="none")]
 AsJson = Annotated[bool, option(OUTPUT, "One JSON object on stdout, nothing else.", "--json")]
+
+# -- how it is run
+
+Workers = Annotated[int | None, option(RUNNING, "Processes.", default="one a core", min=1)]
+RayCluster = Annotated[
+    str | None,
+    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", metavar="ADDRESS", default="none"),
+]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, option
+from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, RayCluster, Workers, option
 
 if TYPE_CHECKING:
     from sumo_adv.rate.estimate import Estimate
@@ -33,7 +33,6 @@ WarmUp = Annotated[
 ]
 Density = Annotated[float | None, option(INPUT, "Of generated traffic: departures a minute.", default="by lanes")]
 Errors = Annotated[float, option(INPUT, "Factor on the rates of all human errors.", default="1", min=0)]
-Workers = Annotated[int | None, option(OUTPUT, "Processes.", default="one a core", min=1)]
 Out = Annotated[
     Path | None,
     option(OUTPUT, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
@@ -44,7 +43,7 @@ def rate(
     source: Source,
     ego: Ego = None, runs: Runs = 1000, pilot: Pilot = 200, plain: Plain = False, seed: Seed = 0,
     duration: Duration = 60.0, warm_up: WarmUp = 20.0, density: Density = None, errors: Errors = 1.0,
-    workers: Workers = None, out: Out = None, as_json: AsJson = False,
+    workers: Workers = None, ray: RayCluster = None, out: Out = None, as_json: AsJson = False,
 ) -> None:  # fmt: skip
     """Estimate how often the ego crashes in an hour and in a kilometre of normal traffic, in which drivers err.
 
@@ -61,7 +60,7 @@ def rate(
     )  # fmt: skip
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
     counter = _Counter(shown=not as_json and sys.stderr.isatty())
-    found = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter)
+    found = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter, ray)
     counter.close()
     if found is None:
         typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)

@@ -16,6 +16,7 @@ from sumo_adv.config import forget_environment
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
+from sumo_adv.errors import SimulationError
 from sumo_adv.rate.model import chances
 from sumo_adv.rate.plan import WAIT, RatePlan
 from sumo_adv.rate.proposal import Proposal
@@ -44,6 +45,11 @@ class Block:
     def words(self) -> str:
         """The block for people."""
         return f"{self.phase} {self.first} to {self.first + BLOCK - 1}"
+
+
+def failed(job: Block, why: str, text: str) -> Done:
+    """What becomes of a block that cannot be run. Raises SimulationError."""
+    raise SimulationError(f"The block of runs '{job.words}' cannot be run. {why}")
 
 
 def seed_of(seed: int, phase: str, number: int) -> int:

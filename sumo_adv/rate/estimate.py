@@ -17,19 +17,20 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.campaigns.campaign import Watcher, stopping
+from sumo_adv.campaigns.campaign import Watcher, Workers, stopping
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.nouns import Done
 from sumo_adv.datatypes import Floats, Level
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, sentences, write_text
 from sumo_adv.parsing import parse_json
-from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner
+from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, failed
 from sumo_adv.rate.estimator import Rate, effective_runs, rate
 from sumo_adv.rate.model import KINDS, chances
 from sumo_adv.rate.plan import WAIT, RatePlan
 from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Proposal, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
+from sumo_adv.report.outcome import versions
 
 PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
 DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
@@ -107,19 +108,20 @@ def _column(records: Sequence[Record], name: str) -> Floats:
 
 @dataclass
 class Estimation:
-    """Runs what is missing of an estimate in its folder."""
+    """Runs what is missing of an estimate in its folder. ray: address of a Ray cluster, None = on this machine."""
 
     plan: RatePlan
     out: Path
     workers: int
     watcher: Watcher
+    ray: str | None = None
 
     def run(self, runs: int) -> Estimate | None:
         """The estimate from at least ``runs`` runs, in whole blocks; None if it was stopped before.
 
         Raises:
-            UsageError: the input or the ego is wrong, no run has an ego, or the folder is of another estimate or cannot
-                be written;
+            UsageError: the input or the ego is wrong, no run has an ego, the folder is of another estimate or cannot be
+                written, or there is no such cluster;
             SimulationError: a block of runs failed twice.
         """
         with sentences(self.out), TemporaryDirectory(prefix="sumo_adv-") as scratch:
@@ -145,24 +147,30 @@ class Estimation:
 
     def _run(self, runs: int, scratch: Path) -> Estimate | None:
         plan = self.plan
-        with stopping(self.watcher) as stop:
+        with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
             if not plan.plain:
-                found = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), scratch, stop)
+                found = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), pool)
                 if found is None:
                     return None
                 pilot = found
                 starts = learnt(counts_of(pilot), chances(plan.factor))
-            blocks = self._blocks("plain" if plan.plain else "runs", runs, starts, scratch, stop)
+            blocks = self._blocks("plain" if plan.plain else "runs", runs, starts, pool)
         if blocks is None:
             return None
         result = estimated(plan, records_of(blocks), records_of(pilot))
         write_text(self.out / RESULT, json_text(result.document(), 1))
         return result
 
-    def _blocks(
-        self, phase: str, runs: int, proposal: Proposal | None, scratch: Path, stop: Stop
-    ) -> list[dict[str, Any]] | None:
+    def _pool(self, scratch: Path, stop: Stop) -> Workers:
+        pace = Pace(self.workers, DEADLINE, RECYCLE)
+        if self.ray is None:
+            return LocalWorkers(self.plan, pace, scratch, failed, stop, BlockRunner)
+        from sumo_adv.rate.cluster import ClusterBlocks
+
+        return ClusterBlocks(self.plan, pace, self.ray, versions(), stop)
+
+    def _blocks(self, phase: str, runs: int, proposal: Proposal | None, pool: Workers) -> list[dict[str, Any]] | None:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
@@ -176,9 +184,7 @@ class Estimation:
 
         missing = [job for job in jobs if job.id not in found]
         if missing:
-            pace = Pace(self.workers, DEADLINE, RECYCLE)
-            with closing(LocalWorkers(self.plan, pace, scratch, _failed, stop, BlockRunner)) as pool:
-                pool.run(missing, told)  # type: ignore[arg-type]
+            pool.run(missing, told)
         if len(found) < len(jobs):
             return None
         blocks = [found[job.id] for job in jobs]
@@ -191,10 +197,6 @@ class Estimation:
 
     def _file(self, job: Block) -> Path:
         return self.out / "blocks" / f"{job.id}.json"
-
-
-def _failed(job: Any, why: str, text: str) -> Done:
-    raise SimulationError(f"The block of runs '{job.words}' cannot be run. {why}")
 
 
 def read_block(file: Path) -> dict[str, Any] | None:

@@ -60,11 +60,14 @@ class RatePlan:
         make_ego(task.ego_driver, task.ego_parameters)
         return task
 
+    def content(self) -> str:
+        """The SHA-256 of all files of the input. Raises UsageError or OSError."""
+        files = load_input(self.source).files
+        return sha256(b"".join(sha256(file.read_bytes()).digest() for file in files)).hexdigest()
+
     def document(self) -> dict[str, Any]:
         """The plan as JSON, with the content of the input and the rates of the model."""
-        files = load_input(self.source).files
-        content = sha256(b"".join(sha256(file.read_bytes()).digest() for file in files)).hexdigest()
         return {
             "schema": SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
-            "content": content, "errors_per_hour": {str(kind): value for kind, value in PER_HOUR.items()},
+            "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in PER_HOUR.items()},
         }  # fmt: skip
