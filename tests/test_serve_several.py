@@ -7,16 +7,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bank_samples import shipped_planners
 from cli_samples import TESTS, Program
 from serve_samples import needs_sumo
+from several_samples import pinch
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Duty, Proposal
 from sumo_adv.geometry import Pose
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.support_intents import SUPPORT_INTENTS
 from sumo_adv.serve.encounter import LiveAttempts, Scene, collided, describe
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
@@ -45,7 +43,7 @@ def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path:
             watch = EncounterMonitor(session, road, settings, (), 0.0)
             scene = describe(session, road, settings, watch.until_encounter(20.0, trigger=3.0), ())
             assert isinstance(scene, Scene), scene
-            both = pair("left", "right")
+            both = pinch("left", "right", "side")
             live = LiveAttempts(session, scene, road, settings, sandbox, events)
             (result,) = live.attempt([both])
             assert result.driven.ending in ("contact", "time_limit"), result.driven.message
@@ -76,12 +74,3 @@ def test_in_real_time_one_adversary_is_the_most(program: Program) -> None:
     done = program("serve", "straight_3lane", "--real-time", "--adversaries", "2")
     assert done.status == 2
     assert "it allows one adversary only: leave out --real-time or --adversaries." in done.err
-
-
-def pair(collider: str, support: str) -> Proposal:
-    cut_in = shipped_planners()["Aggressive Cut-in", "side"]
-    (keep,) = SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0].planners
-    helper = Proposal(support, keep.label, keep, keep.defaults(), 0.0, 0.0, duty=Duty.BLOCK_RIGHT)
-    return Proposal(
-        collider, cut_in.label, cut_in, cut_in.defaults(), 0.0, 0.0, supports=(helper,), composition="Pinch"
-    )
