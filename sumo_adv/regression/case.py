@@ -124,8 +124,8 @@ class _File(_Table):
 class Case:
     """A kept attack. ``settings``: those that shape the run, as data; ``found``: what it came to where it was found.
 
-    relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the ego's
-    driver takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
+    relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
+    ego's driver takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
     """
 
     name: str
