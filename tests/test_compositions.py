@@ -1,4 +1,4 @@
-"""Compositions in a bank: exported, imported, merged, listed and checked; what is no composition is refused."""
+"""Compositions in a bank: exported, imported, merged, listed and checked; a damaged one is refused."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_compositions_survive_export_import_and_build(tmp_path: Path) -> None:
         assert (added.compositions, refused, back.content_hash()) == (2, [], wanted)
         record_composition(back, SQUEEZE, [True])
         assert import_bank(back, out, parse, fine)[0].compositions == 0
-        assert compositions(back) == [replace(SQUEEZE, succeeded=3)]  # what is there stays as it is
+        assert compositions(back) == [replace(SQUEEZE, succeeded=3)]  # the import changed nothing
     build(out, tmp_path / "built.sqlite", parse)
     assert verify_same(out, tmp_path / "built.sqlite", parse) == []
     with MemoryBank.open(tmp_path / "built.sqlite") as built:

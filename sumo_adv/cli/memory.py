@@ -42,7 +42,7 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
 
 
 def counts(c: Composition) -> str:
-    """What came of a composition."""
+    """How often a composition succeeded and failed."""
     forgotten = "; forgotten" if c.hopeless else ""
     return f"{c.succeeded} attempts succeeded, {c.failed} failed since the last success{forgotten}"
 

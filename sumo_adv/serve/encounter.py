@@ -120,8 +120,8 @@ class LiveAttempts:
     def _drive(self, session: Session, proposal: Proposal) -> Driven:
         situation = self._situation(session, proposal.bvs)
         if situation is None or not situation.targets.keys() >= set(proposal.bvs):
-            who = " or ".join([*proposal.bvs, "the ego"])
-            return Driven("passed", f"{who} was gone when the attack was to begin.")
+            names = " or ".join([*proposal.bvs, "the ego"])
+            return Driven("passed", f"{names} was gone when the attack was to begin.")
         self._events.tell(
             "attack", time=session.now, adversary=proposal.bv, intent=proposal.label, mode=proposal.planner.mode,
             **helpers(proposal),
@@ -151,7 +151,7 @@ class LiveAttempts:
 
 
 def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[str, str]:
-    """The adversaries whose boxes now overlap each other's, or the ego's, with what each has hit."""
+    """By adversary what it has hit, where its box now overlaps another adversary's or the ego's."""
     pairs = [(a, b) for a, b in combinations(bvs, 2) if apart_of(session, a, b) == 0.0]
     hits = {name: "another adversary" for pair in pairs for name in pair}
     if with_ego and session.ego is not None:
