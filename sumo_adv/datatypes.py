@@ -527,6 +527,10 @@ class Proposal:
         """The ids of all adversaries, the collider's first."""
         return tuple(p.bv for p in self.members)
 
+    def as_adversary(self) -> dict[str, str]:
+        """What the vehicle does in the attack, as files and events have it."""
+        return {"id": self.bv, "role": str(self.duty), "intent": self.label, "mode": self.planner.mode}
+
     def unscored(self) -> Proposal:
         """The same candidate without what was predicted of it; ``score`` then means nothing."""
         return replace(self, prediction=None, nominal=None, uncorrected=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +103,17 @@ def test_crossing_leaves_out_the_drivers_for_one_direction() -> None:
     answers = v.preventability.answers
     assert all(answers[name] == "not_applicable" for name in SAME_DIRECTION_ONLY)
     assert answers["cc_human"] in ("avoids", "collides")
+
+
+@pytest.mark.parametrize(("length", "width", "ruled"), [(0.5, 0.5, False), (1.8, 0.6, True), (4.5, 1.8, True)])
+def test_the_drivers_for_one_direction_have_no_rule_for_pedestrians(length: float, width: float, ruled: bool) -> None:
+    """All go the ego's way, 40 m ahead and 12.5 m/s slower; the pedestrian is judged by two drivers alone."""
+    ahead = replace(cruise("adversary", 40, 0, 1.5), length=length, width=width)
+    v = judged(cruise("ego", 0, 0, 14), ahead)
+    assert v.collided and v.preventability is not None
+    answers = v.preventability.answers
+    assert {answers[name] for name in SAME_DIRECTION_ONLY} <= ({"avoids", "collides"} if ruled else {"not_applicable"})
+    assert {answers[name] for name in ("cc_human", "manoeuvre")} <= {"avoids", "collides"}
 
 
 def test_a_rammed_standing_ego_says_nothing_about_it() -> None:

@@ -39,7 +39,7 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def case_of(suite: Path, **expect: Any) -> Case:
     (case,) = read_suite(suite)
-    return Case(case.name, case.folder, case.source, case.proposal, case.relation, Expectation(**expect))
+    return Case(case.name, case.folder, case.source, case.proposal, case.relations, Expectation(**expect))
 
 
 def regress(program: Program, suite: Path, *options: str | Path) -> Done:

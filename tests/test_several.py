@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bank_samples import shipped_planners
 from metrics_tracks import cruise
+from several_samples import pinch
 from situation_samples import EGO_PATH, car, line, situation, target
 
 import sumo_adv.app as app
@@ -270,14 +270,7 @@ def test_parts_in_any_order_have_the_composition_s_name() -> None:
 
 def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     """Of a scenario with a vehicle ahead on the left and one behind on the right, both attack."""
-    cut_in = shipped_planners()["Aggressive Cut-in", "side"]
-    (keep,) = SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0].planners
-    support = Proposal(
-        "right_behind", keep.label, keep, {**keep.defaults(), "ahead": -4.0}, 0.0, 0.0, duty=Duty.BLOCK_RIGHT
-    )
-    both = Proposal(
-        "left_ahead", cut_in.label, cut_in, cut_in.defaults(), 0.0, 0.0, supports=(support,), composition="Pinch"
-    )
+    both = pinch("left_ahead", "right_behind", "side")
     source = app.load(Path("neighbour_ahead_left"), None)
     settings = load_settings(None, duration=6.0, delays=(0.0,), adversaries=2)
     recorded = Recorded(source, settings, make_task(source, settings, tmp_path), both, 0)

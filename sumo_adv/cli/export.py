@@ -56,6 +56,7 @@ def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:
     made: dict[str, Any] = {
         "format": str(format), "out": str(target), "vehicles": len(piece.tracks), "begin": round(piece.begin, 3),
         "end": round(piece.end, 3), "ego": piece.ego, "adversary": piece.adversary, "takeover": piece.takeover,
+        **({"supports": list(piece.supports)} if piece.supports else {}),
     }  # fmt: skip
     if as_json:
         typer.echo(json.dumps(made))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sumo_adv.app import open_bank
 from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_generate
 from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
+
+if TYPE_CHECKING:
+    from sumo_adv.memory.compositions import Composition
 
 app = typer.Typer(
     no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",
@@ -18,8 +21,11 @@ app = typer.Typer(
 
 @app.command("list", epilog="Example: sumo-adv memory list --json")
 def list_(memory: Bank = None, as_json: Json = False) -> None:
-    """The intents of the bank, with their planners' modes and how much evidence there is."""
+    """The intents of the bank, with their planners' modes and how much evidence there is, and the compositions."""
+    from sumo_adv.memory.compositions import all_compositions, plain_composition
+
     with open_bank(memory) as bank:
+        composed = all_compositions(bank)
         rows: list[dict[str, Any]] = [
             {
                 "label": r.label, "applies": list(r.applies), "status": r.status,
@@ -27,15 +33,31 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
             }
             for r in bank.intents()
         ]  # fmt: skip
-    answer({"intents": rows}, as_json, lambda: [
-        f"{r['label']}: modes {', '.join(r['modes']) or 'none'}; evidence {r['evidence']}; {r['status']}" for r in rows
+    value = {"intents": rows, "compositions": [plain_composition(c) for c in composed]}
+    answer(value, as_json, lambda: [
+        *(f"{r['label']}: modes {', '.join(r['modes']) or 'none'}; evidence {r['evidence']}; {r['status']}"
+          for r in rows),
+        *(f"{c.label}: composed of {' + '.join(p.intent for p in c.parts)}; {counts(c)}" for c in composed),
     ])  # fmt: skip
+
+
+def counts(c: Composition) -> str:
+    """How often a composition succeeded and failed."""
+    forgotten = "; forgotten" if c.hopeless else ""
+    return f"{c.succeeded} attempts succeeded, {c.failed} failed since the last success{forgotten}"
 
 
 @app.command("show", epilog="Example: sumo-adv memory show 'Straight Lane Shift'")
 def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
-    """An intent with its planners' source, retired ones too."""
+    """An intent with its planners' source, retired ones too, or a composition with its parts."""
+    from sumo_adv.memory.compositions import all_compositions
+    from sumo_adv.memory.records import canonical
+
     with open_bank(memory) as bank:
+        composition = next((c for c in all_compositions(bank) if canonical(c.label) == canonical(label)), None)
+        if composition is not None and bank.intent(label) is None:
+            show_composition(composition, as_json)
+            return
         record = known_intent(bank, label)
         source = next(s for s in bank.sources() if s.intent == record)
     planners: list[dict[str, Any]] = [
@@ -59,6 +81,16 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
         f"applies to: {', '.join(record.applies)}",
         *(f"\n--- {p['mode']} ({p['origin']}, {p['hash'][:12]}, {p['status']}; {p['successes']} of {p['evidence']} "
           f"succeeded)\n{p['source']}" for p in planners),
+    ])  # fmt: skip
+
+
+def show_composition(c: Composition, as_json: bool) -> None:
+    """A composition with its parts."""
+    from sumo_adv.memory.compositions import plain_composition
+
+    answer(plain_composition(c), as_json, lambda: [
+        f"{c.label}, a composition", c.description, counts(c),
+        *(f"{p.duty}: {p.intent}{' / ' if p.mode else ''}{p.mode}" for p in c.parts),
     ])  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.calibrate import Paraphrase, SetFigures
+    from sumo_adv.memory.compositions import Composition
     from sumo_adv.memory.records import Source
     from sumo_adv.planners.sandbox import Sandbox
 
@@ -32,24 +34,44 @@ def verify(
 ) -> None:
     """Run each active planner in the sandbox on made-up situations; exit status 1 if one fails.
 
-    Whether a planner still succeeds as its evidence says is tried only with --scenario.
+    A composition fails if the bank lacks one of its parts. Whether a planner still succeeds as its evidence says is
+    tried only with --scenario.
     """
+    from sumo_adv.memory.compositions import compositions
     from sumo_adv.planners.sandbox import Sandbox
 
     with open_bank(memory) as bank:
         wanted = known_intent(bank, label).label if label is not None else None
-        sources = [s for s in bank.sources() if s.intent.status == "active" and wanted in (None, s.intent.label)]
+        active = [s for s in bank.sources() if s.intent.status == "active"]
+        sources = [s for s in active if wanted in (None, s.intent.label)]
+        composed = [] if wanted is not None else [lacking_row(c, active) for c in compositions(bank)]
     with Sandbox() as sandbox:
         results = [row for source in sources for row in _verify(sandbox, source, scenario, attempts)]
         isolation = sandbox.isolation if results else None
     failed = sum(not row["ok"] for row in results)
-    value = {"planners": results, "failed": failed, "isolation": isolation}
+    bad = [row for row in composed if not row["ok"]]
+    value = {"planners": results, "compositions": composed, "failed": failed + len(bad), "isolation": isolation}
     answer(value, as_json, lambda: [
         *(f"{'ok    ' if r['ok'] else 'FAILED'}  {r['label']} / {r['mode']}{_remark(r)}" for r in results),
+        *(f"FAILED  {r['label']}: {r['failure']}" for r in bad),
         f"{len(results) - failed} of {len(results)} planners passed.",
     ])  # fmt: skip
-    if failed:
+    if failed or bad:
         raise typer.Exit(1)
+
+
+def lacking_row(composition: Composition, active: Sequence[Source]) -> dict[str, Any]:
+    """Whether bank and program have each part of a composition, and what they lack."""
+    from sumo_adv.search.composed_intents import COMPOSED
+    from sumo_adv.search.support_intents import SUPPORT_INTENTS
+
+    known = {(p.label, p.mode) for entries in SUPPORT_INTENTS.values() for e in entries for p in e.planners}
+    known |= {(s.intent.label, p.mode) for s in active for p in s.planners if p.hash not in s.retired}
+    known |= {(label, "") for label, _ in known}  # a part without a mode takes any
+    parts = [p for p in composition.parts if p.intent not in COMPOSED]
+    lacking = [f"{p.intent} / {p.mode}" for p in parts if (p.intent, p.mode) not in known]
+    failure = f"there is no active {lacking[0]}." if lacking else None
+    return {"label": composition.label, "ok": not lacking, "failure": failure}
 
 
 def _remark(row: dict[str, Any]) -> str:

@@ -18,7 +18,7 @@ def export(
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
-    """Write the bank as text: a folder an intent, with intent.toml, a planner a mode, and evidence.csv."""
+    """Write the bank as text: a folder an intent, with a planner a mode and its evidence; and the compositions."""
     from sumo_adv.memory.exchange import export_bank
 
     with open_bank(memory) as bank:
@@ -48,7 +48,8 @@ def import_(
         )
     value = {**asdict(added), "refused": [asdict(each) for each in refused]}
     answer(value, as_json, lambda: [
-        f"Added {added.intents} intents, {added.planners} planners, {added.evidence} pieces of evidence.",
+        f"Added {added.intents} intents, {added.planners} planners, {added.evidence} pieces of evidence"
+        f"{f', {added.compositions} compositions' if added.compositions else ''}.",
         *(f"Refused {each.label} / {each.mode}: {each.reason}" for each in refused),
     ])  # fmt: skip
 

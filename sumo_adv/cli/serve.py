@@ -65,6 +65,9 @@ def serve(
         int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
     ] = None,
     adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
+    adversaries: Annotated[
+        int | None, typer.Option(help="Most adversaries of an attack, 1 to 3: a collider and supports (default: 1).")
+    ] = None,
     trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
     begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
     end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
@@ -98,12 +101,15 @@ def serve(
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
     given = _input(source)
     settings = load_settings(
-        settings_file, ego="external", ego_id=ego_id, adversary=adversary, trigger=trigger, begin=begin, end=end,
-        until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm, learn=learn, memory=memory,
-        density=density, seed=seed, horizon=given.horizon,
+        settings_file, ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
+        trigger=trigger, begin=begin, end=end, until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm,
+        learn=learn, memory=memory, density=density, seed=seed, horizon=given.horizon,
     )  # fmt: skip
-    if settings.adversaries > 1:
-        raise UsageError("serve drives one adversary against your ego: leave out the setting adversaries.")
+    if settings.adversaries > 1 and real_time:
+        raise UsageError(
+            "With --real-time nothing waits until supports are predicted, so it allows one adversary only: leave out "
+            "--real-time or --adversaries."
+        )
     if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})
     options = Options(

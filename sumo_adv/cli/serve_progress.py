@@ -103,7 +103,8 @@ def _attempt(event: Event) -> str:
         what = f"min TTC {event['min_ttc']:.2f} s"
     lost = ", the client was lost" if event["ending"] == "ego_lost" else ""
     who = f"{event['adversary']}: {event['intent']}/{event['mode']}"
-    return f"  attempt {event['index'] + 1:2d} [{event['by']}] {who}, {what}{lost}"
+    helped = "".join(f" + {q['id']}: {q['intent']}" for q in event.get("supports", ()))
+    return f"  attempt {event['index'] + 1:2d} [{event['by']}] {who}{helped}, {what}{lost}"
 
 
 def _outcome(event: Event) -> str:

@@ -20,6 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
+from sumo_adv.memory.compositions import Composition
 from sumo_adv.memory.migrations import Clock, utc_now
 from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
 from sumo_adv.memory.records import (
@@ -267,15 +268,19 @@ class MemoryBank:
         """
         self.absorb([Source(intent, tuple(planners))], unique_modes=False)
 
-    def absorb(self, sources: Iterable[Source], *, unique_modes: bool = True) -> edits.Absorbed:
-        """Import ``sources`` in one transaction; returns the additions. Existing intents and planners are not changed.
+    def absorb(
+        self, sources: Iterable[Source], *, unique_modes: bool = True, compositions: Iterable[Composition] = ()
+    ) -> edits.Absorbed:
+        """Import ``sources`` and ``compositions`` in one transaction; returns the additions.
+
+        Nothing that is there is changed.
 
         unique_modes: number the mode of a new planner if another planner of its intent has that mode.
 
         Raises BankError.
         """
         with self._writing() as stamp:
-            added = edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes)
+            added = edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes, compositions=compositions)
         self.refresh()
         return added
 

@@ -3,7 +3,8 @@
 ``intent.toml`` holds label, description and applies. Its table ``[shared]`` names modes whose text several intents
 share: ``weave = { movement = "left" }`` takes ``planners/weave.template`` and writes ``left`` for ``$movement`` and the
 intent's label for ``$label``. An export has no shared texts. It may add ``status``, ``merged_into`` and a table
-``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. Nothing here runs a planner.
+``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. ``compositions.toml`` beside
+the folders may hold tables ``[[compositions]]``. Nothing here runs a planner.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.memory import edits, rows
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.compositions import Composition, all_compositions, composition_of, plain_composition
 from sumo_adv.memory.evidence_csv import read_evidence
 from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
 from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical
@@ -34,6 +36,8 @@ EVERYTHING = "everything"
 
 SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
 EVIDENCE_FILE = "evidence.csv"
+COMPOSITIONS_FILE = "compositions.toml"
+MOST_LABEL = 400  # characters of a composition's label, which may be put together from those of three intents
 SHARED_FOLDER = "planners"  # of the texts that several intents share
 MAX_TEXT_BYTES = 256 * 1024  # of an intent.toml or a planner
 MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
@@ -62,6 +66,26 @@ def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> li
             )
         seen[canonical(label)] = label
     return sources
+
+
+def read_compositions(folder: Path) -> list[Composition]:
+    """The composed intents of ``folder``; empty without their file. Raises BankError for a wrong one."""
+    file = folder / COMPOSITIONS_FILE
+    if not (file.exists() or file.is_symlink()):
+        return []
+    try:
+        table = parse_toml(_read_text(file, MAX_TEXT_BYTES))
+        if table.keys() != {"compositions"} or not isinstance(table["compositions"], list):
+            raise ValueError("it must hold tables [[compositions]] and nothing else")
+        made = [composition_of(each) for each in table["compositions"]]
+    except ValueError as error:
+        raise BankError(f"{file} cannot be read: {str(error).rstrip('.')}.") from error
+    texts = [text for c in made for text in (c.label, c.description, *(t for p in c.parts for t in (p.intent, p.mode)))]
+    if not all(text.isprintable() for text in texts) or any(len(c.label) > MOST_LABEL for c in made):
+        raise BankError(f"{file} must hold texts that can be printed, and labels of at most {MOST_LABEL} characters.")
+    if len({c.key for c in made}) < len(made):
+        raise BankError(f"{file} holds a composition twice; labels must differ by letters or digits.")
+    return made
 
 
 def read_intent(file: Path) -> IntentRecord:
@@ -201,7 +225,8 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
     The file is in rollback-journal mode, so that reading it makes no files beside it. Raises BankError.
     """
     key, value = epsilon_setting()
-    _write(target, read_sources(folder, parse), {key: value}, lambda: SEED_TIME, replace=True)
+    composed = {c.key: plain_composition(c) for c in read_compositions(folder)}
+    _write(target, read_sources(folder, parse), {key: value, **composed}, lambda: SEED_TIME, replace=True)
 
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
@@ -275,6 +300,8 @@ def verify_same(folder: Path, bank_path: Path, parse: Parse) -> list[str]:
         for label, source in wanted.items():
             if label in found:
                 differences += _compare(source, found[label], held[label].planners)
+        if {c.key: c for c in all_compositions(bank)} != {c.key: c for c in read_compositions(folder)}:
+            differences.append("The bank holds other compositions than the sources.")
         if len(bank.evidence()) != sum(len(source.evidence) for source in sources):
             differences.append("The bank holds evidence that the sources have not, or the other way round.")
         value = epsilon_setting()[1]

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty
 from sumo_adv.errors import BankError
-from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import canonical
 from sumo_adv.memory.similarity import TextAndSlots
 
+if TYPE_CHECKING:
+    from sumo_adv.memory.bank import MemoryBank
+
 COMPOSITION = "composition."  # keys of the bank's settings begin with it
 FORGET = 20  # attempts that failed in a row
+MOST_ATTEMPTS = 2**53  # bound of the counts: JSON and TOML keep whole numbers up to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +57,24 @@ class Composition:
             )
 
     @property
+    def key(self) -> str:
+        """The key under which the bank's settings have it."""
+        return f"{COMPOSITION}{canonical(self.label)}"
+
+    @property
     def hopeless(self) -> bool:
         """Whether many attempts in a row have failed."""
         return self.failed >= FORGET
 
 
 def compositions(bank: MemoryBank) -> list[Composition]:
-    """The compositions of a bank by label; those that are forgotten and those that cannot be read are left out."""
-    found = [_read(value) for _, value in sorted(bank.settings(COMPOSITION).items())]
-    return [composition for composition in found if composition is not None and not composition.hopeless]
+    """The compositions of a bank by label; those that are forgotten are left out."""
+    return [composition for composition in all_compositions(bank) if not composition.hopeless]
+
+
+def all_compositions(bank: MemoryBank) -> list[Composition]:
+    """The compositions of a bank by label, also those that are forgotten."""
+    return [composition_of(value) for _, value in sorted(bank.settings(COMPOSITION).items())]
 
 
 def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Composition | None:
@@ -83,28 +95,52 @@ def record_composition(bank: MemoryBank, composition: Composition, attempts: Seq
 
     An unknown composition is added by a success only, as an intent is.
     """
-    key = f"{COMPOSITION}{canonical(composition.label)}"
-    known = _read(bank.settings(key).get(key))
-    if known is None and not any(attempts):
+    written = bank.settings(composition.key).get(composition.key)
+    if written is None and not any(attempts):
         return False
-    after = known or replace(composition, succeeded=0, failed=0)
+    after = replace(composition, succeeded=0, failed=0) if written is None else composition_of(written)
     for succeeded in attempts:
         more, failed = (1, 0) if succeeded else (0, after.failed + 1)
         after = replace(after, succeeded=after.succeeded + more, failed=failed)
-    parts = [{"role": str(p.duty), "intent": p.intent, "mode": p.mode} for p in after.parts]
-    bank.keep(key, {
-        "label": after.label, "description": after.description, "parts": parts, "succeeded": after.succeeded,
-        "failed": after.failed,
-    })  # fmt: skip
+    bank.keep(composition.key, plain_composition(after))
     return True
 
 
-def _read(value: Any) -> Composition | None:
-    if not isinstance(value, Mapping):
-        return None
-    try:
-        parts = tuple(Part(Duty(p["role"]), str(p["intent"]), str(p["mode"])) for p in value["parts"])
-        counts = int(value["succeeded"]), int(value["failed"])
-        return Composition(str(value["label"]), str(value["description"]), parts, *counts)
-    except (BankError, KeyError, TypeError, ValueError):
-        return None
+def plain_composition(composition: Composition) -> dict[str, Any]:
+    """A composition as the bank's settings and files have it."""
+    parts = [{"role": str(p.duty), "intent": p.intent, "mode": p.mode} for p in composition.parts]
+    return {
+        "label": composition.label, "description": composition.description, "parts": parts,
+        "succeeded": composition.succeeded, "failed": composition.failed,
+    }  # fmt: skip
+
+
+def composition_of(value: Any) -> Composition:
+    """What ``plain_composition`` made. Raises ValueError or BankError, with what is wrong, for anything else."""
+    table = _table(value, {"label": str, "description": str, "parts": list, "succeeded": int, "failed": int})
+    rows = [_table(each, {"role": str, "intent": str, "mode": str}) for each in table["parts"]]
+    if any(each["role"] not in list(Duty) for each in rows):
+        raise ValueError(f"the role of a part of a composition must be one of {', '.join(Duty)}")
+    if not 0 <= min(table["succeeded"], table["failed"]) <= max(table["succeeded"], table["failed"]) < MOST_ATTEMPTS:
+        raise ValueError("the counts of a composition must be whole numbers of 0 or more")
+    parts = tuple(Part(Duty(each["role"]), each["intent"], each["mode"]) for each in rows)
+    return Composition(table["label"], table["description"], parts, table["succeeded"], table["failed"])
+
+
+def _table(value: Any, kinds: Mapping[str, type]) -> Mapping[str, Any]:
+    """The value, if it is a table with exactly these keys and kinds of values."""
+    if not isinstance(value, Mapping) or value.keys() != kinds.keys():
+        raise ValueError(f"a table of a composition must hold {', '.join(kinds)} and nothing else")
+    wrong = [key for key, kind in kinds.items() if not isinstance(value[key], kind) or isinstance(value[key], bool)]
+    if wrong:
+        raise ValueError(f"the value of {wrong[0]} in a composition is of another kind")
+    return value
+
+
+def renamed(composition: Composition, label: str, into: str, modes: Mapping[str, str]) -> Composition:
+    """The composition after the intent ``label`` was merged into another one; ``modes``: its modes' new names."""
+    parts = tuple(
+        replace(p, intent=into, mode=modes.get(p.mode, p.mode)) if canonical(p.intent) == canonical(label) else p
+        for p in composition.parts
+    )
+    return replace(composition, parts=parts)

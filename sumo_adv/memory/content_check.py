@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner, acceleration_of
+from sumo_adv.memory.compositions import COMPOSITION, composition_of
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical, is_number
 
 MOST_BRACKETS = 100  # in a setting: a few are in use, and about 1,000 nested ones exceed Python's recursion limit
@@ -89,4 +90,6 @@ def setting(key: str, text: str) -> Any:
         ok = isinstance(value, dict) and is_number(value.get("epsilon")) and isinstance(value.get("calibrated_on"), str)
         if not ok:
             raise ValueError("it must hold a number, epsilon, and a text, calibrated_on")
+    if key.startswith(COMPOSITION) and key != composition_of(value).key:
+        raise ValueError("its key must be that of its label")
     return value

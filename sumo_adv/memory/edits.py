@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import rows
+from sumo_adv.memory.compositions import COMPOSITION, Composition, composition_of, plain_composition, renamed
 from sumo_adv.memory.records import Evidence, IntentRecord, Source, canonical
 
 
@@ -24,14 +25,19 @@ class Absorbed:
     intents: int = 0
     planners: int = 0
     evidence: int = 0
+    compositions: int = 0
 
     def __add__(self, other: Absorbed) -> Absorbed:
         return Absorbed(
-            self.intents + other.intents, self.planners + other.planners, self.evidence + other.evidence
+            self.intents + other.intents, self.planners + other.planners, self.evidence + other.evidence,
+            self.compositions + other.compositions,
         )  # fmt: skip
 
 
-def absorb(connection: sqlite3.Connection, sources: Iterable[Source], now: str, *, unique_modes: bool) -> Absorbed:
+def absorb(
+    connection: sqlite3.Connection, sources: Iterable[Source], now: str, *, unique_modes: bool,
+    compositions: Iterable[Composition] = (),
+) -> Absorbed:  # fmt: skip
     """Add what the bank lacks; a piece of evidence that it holds as often as ``sources`` do is not added again."""
     sources = list(sources)
     added = Absorbed()
@@ -47,6 +53,10 @@ def absorb(connection: sqlite3.Connection, sources: Iterable[Source], now: str, 
                     f"The intent {source.intent.label!r} is merged into {source.merged_into!r}, which is not there."
                 )
             rows.write_setting(connection, f"{rows.MERGED}{key}", source.merged_into)
+    for composition in compositions:
+        if composition.key not in content.settings:
+            rows.write_setting(connection, composition.key, plain_composition(composition))
+            added += Absorbed(compositions=1)
     return added
 
 
@@ -112,15 +122,18 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     if other.status != "active":
         raise BankError(f"The intent {other.label!r} is retired; merge into an active one.")
     modes = {planner.mode for planner in content.planners[target]}
-    hashes = {planner.hash for planner in content.planners[target]}
+    hashes = {planner.hash: planner.mode for planner in content.planners[target]}
+    became = dict[str, str]()  # mode -> mode of the same planner afterwards
     for planner in content.planners[source]:
         retired = (source, planner.hash) in content.retired
         if planner.hash not in hashes:
             named = replace(planner, label=other.label, mode=free_mode(planner.mode, modes))
             modes.add(named.mode)
+            hashes[planner.hash] = named.mode
             rows.insert_planner(connection, other.label, named, now, "retired" if retired else "active")
         elif not retired:
             _set_planner(connection, target, planner.hash, "active")
+        became[planner.mode] = hashes[planner.hash]
     connection.execute(
         "UPDATE evidence SET intent = (SELECT id FROM intents WHERE key = ?)"
         " WHERE intent = (SELECT id FROM intents WHERE key = ?)",
@@ -129,6 +142,10 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
     _set_intent(connection, source, "retired")
     rows.write_setting(connection, f"{rows.MERGED}{source}", other.label)
+    for key, value in content.settings.items():
+        if key.startswith(COMPOSITION):
+            after = renamed(composition_of(value), one.label, other.label, became)
+            rows.write_setting(connection, key, plain_composition(after))
 
 
 def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back: bool) -> None:

@@ -18,7 +18,15 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.files import toml_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import EVIDENCE_FILE, Parse, read_sources
+from sumo_adv.memory.build import (
+    COMPOSITIONS_FILE,
+    EVERYTHING,
+    EVIDENCE_FILE,
+    Parse,
+    read_compositions,
+    read_sources,
+)
+from sumo_adv.memory.compositions import Composition, all_compositions
 from sumo_adv.memory.edits import Absorbed, free_mode
 from sumo_adv.memory.evidence_csv import write_evidence
 from sumo_adv.memory.records import IntentRecord, Source, canonical
@@ -56,6 +64,8 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
                 slug = free_mode(_slug(source.intent.label), slugs)
                 slugs.add(slug)
                 _write_source(fresh / slug, source)
+            if composed := all_compositions(bank):
+                _write(fresh / COMPOSITIONS_FILE, "\n".join(map(_composition, composed)))
             if folder.exists():
                 folder.replace(old)
             try:
@@ -92,9 +102,16 @@ def import_bank(
         evidence = tuple(each for each in source.evidence if each.planner_hash not in bad)
         if kept or source.merged_into is not None:
             taken.append(replace(source, planners=kept, evidence=evidence))
+    try:
+        composed = read_compositions(folder)
+    except BankError as error:
+        if not skip_refused:
+            raise
+        composed = []
+        refuse(COMPOSITIONS_FILE, EVERYTHING, error)
     if refused and not skip_refused:
         return Absorbed(), refused
-    return bank.absorb(taken), refused
+    return bank.absorb(taken, compositions=composed), refused
 
 
 def _is_export(folder: Path) -> bool:
@@ -102,6 +119,8 @@ def _is_export(folder: Path) -> bool:
     if folder.is_symlink() or not folder.is_dir():
         return False
     for entry in folder.iterdir():
+        if entry.name == COMPOSITIONS_FILE and entry.is_file() and not entry.is_symlink():
+            continue
         if entry.is_symlink() or not (entry / "intent.toml").is_file():
             return False
         if any(not f.is_file() or (f.suffix != ".py" and f.name not in ("intent.toml", EVIDENCE_FILE))
@@ -119,6 +138,17 @@ def _write_source(folder: Path, source: Source) -> None:
     _write(folder / "intent.toml", _toml(source, names))
     if source.evidence:
         _write(folder / EVIDENCE_FILE, write_evidence(source.evidence, names))
+
+
+def _composition(c: Composition) -> str:
+    lines = [
+        "[[compositions]]", f"label = {toml_text(c.label)}", f"description = {toml_text(c.description)}",
+        f"succeeded = {c.succeeded}", f"failed = {c.failed}",
+    ]  # fmt: skip
+    for part in c.parts:
+        told = {"role": str(part.duty), "intent": part.intent, "mode": part.mode}
+        lines += ["", "[[compositions.parts]]", *(f"{key} = {toml_text(value)}" for key, value in told.items())]
+    return "\n".join(lines) + "\n"
 
 
 def _write(file: Path, text: str) -> None:

@@ -32,7 +32,7 @@ from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.counterfactual import Answer, Encounters, answers
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash
-from sumo_adv.road_users import is_unprotected
+from sumo_adv.road_users import RoadUser, is_unprotected, road_user
 
 SAME_WAY = 3.0  # m beside the unattacked way
 STATIONARY, STATIONARY_FOR = 0.5, 1.0  # m/s, s before the contact
@@ -61,8 +61,8 @@ def preventability(
     without the attack, or straight.
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
-    same = same_direction(ego, adversary, contact_time)
-    found = answers(given, [name for name in drivers if same or name not in SAME_DIRECTION_ONLY], on_road)
+    ruled = has_rule(ego, adversary, contact_time)
+    found = answers(given, [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY], on_road)
     return preventability_of(
         found, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
     )  # fmt: skip
@@ -112,11 +112,11 @@ def preventability_of(
     found: Mapping[str, Answer], ego: Track, adversary: Track, contact_time: float, *, begin: float, planned: bool
 ) -> Preventability:
     """The answers of one encounter in words; times become simulation times."""
-    same = same_direction(ego, adversary, contact_time)
+    ruled = has_rule(ego, adversary, contact_time)
     said, alarms = {}, {}
     for name in REFERENCE_DRIVERS:
         answer = found.get(name)
-        if name in SAME_DIRECTION_ONLY and not same:
+        if name in SAME_DIRECTION_ONLY and not ruled:
             said[name] = NOT_APPLICABLE
             continue
         if answer is None:
@@ -200,6 +200,15 @@ def _hard(verdict: Verdict) -> bool:
 
 def _begin(ego: Track, adversary: Track) -> float:
     return max(float(ego.time[0]), float(adversary.time[0]))
+
+
+def has_rule(ego: Track, adversary: Track, contact_time: float) -> bool:
+    """Whether the drivers for one direction have a rule for the adversary: it goes the ego's way and is no pedestrian.
+
+    Their sources are about vehicles that lead or cut in.
+    """
+    pedestrian = road_user(adversary) is RoadUser.PEDESTRIAN
+    return not pedestrian and same_direction(ego, adversary, contact_time)
 
 
 def same_direction(ego: Track, adversary: Track, contact_time: float) -> bool:

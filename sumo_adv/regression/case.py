@@ -3,6 +3,7 @@
 SUITE/networks/NAME.net.xml    networks that do not come with the program, once each
 SUITE/CASE/scenario.toml       road, traffic, ego and trigger: an input of ``sumo-adv run`` like any other
 SUITE/CASE/planner.py          the adversary's planner; it only ever runs in the sandbox, unless it is a shipped one
+SUITE/CASE/planner_2.py, _3    those of supports, in the order of case.toml
 SUITE/CASE/case.toml           the attack and what is expected of the ego:
 
 schema = 1
@@ -21,6 +22,9 @@ acceleration = 0.5             # m/s2, or knots [[s, m/s2], ..]
 ego_driven_from = 4.0          # s: the ego's driver takes over then (left out: as soon as the ego is there)
 network = "0b6a5f1c2d3e"       # the first digits of the network's SHA-256
 [attack.parameters]            # of the planner
+[[attack.supports]]            # one or two other adversaries, if there are any; ``attack.composition`` names them all
+role = "block_left"            # what it does in the attack; and as for the collider: adversary, relation, intent,
+                               # mode, origin, acceleration, parameters
 [settings]                     # those that shape the run
 [found]                        # what the attack came to where it was found; nothing depends on it
 """
@@ -30,14 +34,14 @@ from __future__ import annotations
 import hashlib
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Level, Proposal, acceleration_of
+from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Planner, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
@@ -74,17 +78,38 @@ class Expectation(_Table):
         return None if self.avoid is None else Level[self.avoid.upper()]
 
 
-class _Attack(_Table):
+class _Member(_Table):
     adversary: str
     relation: str
     intent: str
     mode: str
     origin: str
-    delay: Annotated[float, Field(ge=0.0)]
     acceleration: Any
+    parameters: dict[str, Finite] = Field(default_factory=dict)
+
+
+class _Support(_Member):
+    role: Duty
+
+    @model_validator(mode="after")
+    def _no_collider(self) -> _Support:
+        if self.role is Duty.COLLIDER:
+            raise ValueError("a support is no collider")
+        return self
+
+
+class _Attack(_Member):
+    delay: Annotated[float, Field(ge=0.0)]
     ego_driven_from: Finite | None = None
     network: str
-    parameters: dict[str, Finite] = Field(default_factory=dict)
+    composition: str = ""
+    supports: Annotated[tuple[_Support, ...], Field(max_length=MOST_ADVERSARIES - 1)] = ()
+
+    @model_validator(mode="after")
+    def _each_once(self) -> _Attack:
+        if len({m.adversary for m in (self, *self.supports)}) <= len(self.supports):
+            raise ValueError("each adversary must be another vehicle")
+        return self
 
 
 class _File(_Table):
@@ -99,15 +124,15 @@ class _File(_Table):
 class Case:
     """A kept attack. ``settings``: those that shape the run, as data; ``found``: what it came to where it was found.
 
-    relation: of the adversary to the ego at the trigger. ego_driven_from: the earliest time at which the ego's driver
-    takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
+    relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
+    ego's driver takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
     """
 
     name: str
     folder: Path
     source: RunInput
     proposal: Proposal
-    relation: str
+    relations: Mapping[str, str]
     expect: Expectation
     ego_driven_from: float | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -137,29 +162,49 @@ def read_case(folder: Path) -> Case:
         )
     if source.ego is None:
         raise UsageError(f"The scenario of the case {folder} names no ego: give it an id or a route.")
-    try:
-        text = (folder / PLANNER_FILE).read_text(encoding="utf-8")
-        planner = make_planner(attack.intent, attack.mode, text, attack.origin)
-        acceleration = acceleration_of(attack.acceleration)
-    except (OSError, ValueError, SandboxError) as error:
-        raise UsageError(f"The planner of the case {folder} cannot be used ({error}).") from error
-    numbers = {**planner.defaults(), **attack.parameters}
-    unknown = sorted(numbers.keys() - planner.defaults().keys())
-    if unknown:
-        raise UsageError(f"{file} has the parameter '{unknown[0]}', which the planner does not have.")
+    helpers = tuple(support.adversary for support in attack.supports)
+    if set(source.supports) != set(helpers):
+        raise UsageError(f"The scenario of the case {folder} and its {CASE_FILE} must name the same supports.")
     strange = sorted(given.settings.keys() - set(SHAPING))
     if strange:
         raise UsageError(f"{file} sets '{strange[0]}', which a case does not; it may set {', '.join(SHAPING)}.")
     load_settings(None, **given.settings)
-    proposal = Proposal(
-        attack.adversary, attack.intent, planner, numbers, acceleration, attack.delay, by="kept"
-    )  # fmt: skip
+    members = (attack, *attack.supports)
+    proposal, *supports = [_proposal(file, planner_file(k), m, attack.delay) for k, m in enumerate(members)]
+    proposal = replace(proposal, supports=tuple(supports), composition=attack.composition)
+    relations = {m.adversary: m.relation for m in members}
     changed = hash_of(source.network) != attack.network
     note = f"{folder.resolve().name}: the network {source.network.name} is not the one that the case was kept with."
     return Case(
-        folder.resolve().name, folder, source, proposal, attack.relation, given.expect, attack.ego_driven_from,
+        folder.resolve().name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
         given.settings, given.found, (note,) if changed else (),
     )  # fmt: skip
+
+
+def planner_file(member: int) -> str:
+    """The file of an adversary's planner, by its place in the attack: 0 is the collider."""
+    return PLANNER_FILE if member == 0 else f"planner_{member + 1}.py"
+
+
+def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Proposal:
+    """What one adversary of the case in ``file`` does. Raises UsageError."""
+    made = _planner(file.parent / planner, member)
+    numbers = {**made.defaults(), **member.parameters}
+    unknown = sorted(numbers.keys() - made.defaults().keys())
+    if unknown:
+        raise UsageError(f"{file} has the parameter '{unknown[0]}', which the planner does not have.")
+    return Proposal(
+        member.adversary, member.intent, made, numbers, acceleration_of(member.acceleration), delay, by="kept",
+        duty=member.role if isinstance(member, _Support) else Duty.COLLIDER,
+    )  # fmt: skip
+
+
+def _planner(file: Path, member: _Member) -> Planner:
+    try:
+        acceleration_of(member.acceleration)
+        return make_planner(member.intent, member.mode, file.read_text(encoding="utf-8"), member.origin)
+    except (OSError, ValueError, SandboxError) as error:
+        raise UsageError(f"The planner of the case {file.parent} cannot be used ({error}).") from error
 
 
 def hash_of(file: Path) -> str:

@@ -9,18 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Level, plain_acceleration
+from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Proposal, plain_acceleration
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, toml_lines
 from sumo_adv.regression.case import (
     CASE_FILE,
     NETWORKS,
-    PLANNER_FILE,
     SCENARIO_FILE,
     SCHEMA,
     SHAPING,
     Expectation,
     hash_of,
+    planner_file,
     read_case,
 )
 from sumo_adv.report.folder import staged
@@ -45,18 +45,16 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
     """
     recorded, outcome = read_manifest(run), read_outcome(run)
     level = level_of(outcome)
-    if recorded.proposal.supports:
-        raise UsageError(f"The attack of {run} has several adversaries and a case holds one: run with --adversaries 1.")
     if level is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
     encounter = outcome.get("encounter") or {}
-    relation = next((r["relation"] for r in encounter.get("ranking", ()) if r["id"] == recorded.proposal.bv), None)
-    if relation is None:
+    relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}
+    if not relations.keys() >= set(recorded.proposal.bvs):
         raise UsageError(f"{run} does not say how its adversary stood to the ego; run the attack again.")
     texts = {
         SCENARIO_FILE: _scenario(recorded, outcome, suite),
-        PLANNER_FILE: recorded.proposal.planner.source,
-        CASE_FILE: _case(recorded, outcome, relation, expect),
+        **{planner_file(k): p.planner.source for k, p in enumerate(recorded.proposal.members)},
+        CASE_FILE: _case(recorded, outcome, relations, expect),
     }
     with sentences(suite):
         folder = _place(suite, name or _slug(f"{recorded.source.name}-{recorded.settings.seed}"), texts, fixed=name)
@@ -108,7 +106,7 @@ def _traffic(recorded: Recorded) -> dict[Path, str]:
     names: dict[Path, str] = {}
     for file in files:
         own = file.name[HASH_AND_DASH:]
-        taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, PLANNER_FILE)
+        taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, *map(planner_file, range(MOST_ADVERSARIES)))
         names.setdefault(file, f"{len(names)}-{own}" if taken else own)
     return names
 
@@ -146,7 +144,7 @@ def _copy_network(network: Path, suite: Path) -> None:
 def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> str:
     task, settings = recorded.task, recorded.settings
     spec, played, files = task.spec, task.playback, _traffic(recorded)
-    found = outcome["encounter"]
+    found, helpers = outcome["encounter"], list(recorded.proposal.bvs[1:])
     top = {
         "schema": 1, "network": _network(spec.network, suite),
         "tracks": files[played.tracks] if played is not None and played.tracks is not None else None,
@@ -160,7 +158,7 @@ def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> st
         *toml_lines(_ego(task.ego, str(outcome["ego"]["id"]))),
         *toml_lines({"controller": task.ego_driver, "type": task.ego_base_type}),
         *toml_lines({"parameters": dict(task.ego_parameters) or None}), "", "[window]", *toml_lines(window),
-        "", "[adversary]", *toml_lines({"candidates": [recorded.proposal.bv]}),
+        "", "[adversary]", *toml_lines({"candidates": [recorded.proposal.bv], "supports": helpers or None}),
     ]  # fmt: skip
     if played is not None and played.signals is not None:
         lines += ["", "[signals]", *toml_lines({"log": files[played.signals]})]
@@ -184,23 +182,36 @@ def _box(prop: Prop) -> dict[str, Any]:
     return {k: getattr(prop, k) for k in keys} | {"times": None if always else [prop.start, prop.end]}
 
 
-def _case(recorded: Recorded, outcome: Mapping[str, Any], relation: str, expect: Expectation) -> str:
+def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation) -> str:
     p, task = recorded.proposal, recorded.task
     encounter, verdict = outcome["encounter"], outcome["outcome"]
     attack = {
-        "adversary": p.bv, "relation": relation, "intent": p.label, "mode": p.planner.mode, "origin": p.planner.origin,
-        "delay": p.delay, "acceleration": plain_acceleration(p.acceleration),
+        "adversary": p.bv, "relation": relations[p.bv], "intent": p.label, "mode": p.planner.mode,
+        "origin": p.planner.origin, "delay": p.delay, "acceleration": plain_acceleration(p.acceleration),
         "ego_driven_from": encounter.get("driven_from") if task.ego is None else task.driven_from,
-        "network": hash_of(task.spec.network),
+        "network": hash_of(task.spec.network), "composition": p.composition or None,
     }  # fmt: skip
     expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}
     found = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
     lines = [
         f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
-        "[attack.parameters]", *toml_lines(dict(p.parameters)), "", "[settings]", *_settings(recorded.settings), "",
+        "[attack.parameters]", *toml_lines(dict(p.parameters)), "", *_supports(p, relations),
+        "[settings]", *_settings(recorded.settings), "",
         "[found]", *toml_lines(found),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
+
+
+def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
+    lines = list[str]()
+    for q in p.supports:
+        written = {
+            "adversary": q.bv, "role": str(q.duty), "relation": relations[q.bv], "intent": q.label,
+            "mode": q.planner.mode, "origin": q.planner.origin, "acceleration": plain_acceleration(q.acceleration),
+        }  # fmt: skip
+        parameters = toml_lines(dict(q.parameters))
+        lines += ["[[attack.supports]]", *toml_lines(written), "[attack.supports.parameters]", *parameters, ""]
+    return lines
 
 
 def _settings(settings: Settings) -> Sequence[str]:

@@ -110,7 +110,8 @@ def settings_for(case: Case, ego: str) -> Settings:
     source = case.source
     parameters = dict(source.ego_parameters) if ego == source.ego_controller else {}
     wanted = {"horizon": source.horizon, **case.settings, "ego": ego, "ego_parameters": parameters, "end": source.end}
-    return load_settings(None, **wanted, until=Until.COLLISION, attempts=1, learn="off")
+    members = len(case.proposal.members)
+    return load_settings(None, **wanted, until=Until.COLLISION, attempts=1, adversaries=members, learn="off")
 
 
 def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
@@ -143,12 +144,14 @@ def run_case(case: Case, settings: Settings, task: Task, engine: Engine, sandbox
 def _elsewhere(case: Case, found: FoundEncounter) -> str:
     """Why the encounter is another than the case's, or empty."""
     p, when = case.proposal, f"At the trigger, {found.time:g} s,"
-    relation = next((r for name, r, _ in found.ranking if name == p.bv), None)
-    if relation != case.relation:
-        return f"{when} '{p.bv}' is {relation or 'nowhere near'} and not {case.relation} to the ego."
+    relations = {name: relation for name, relation, _ in found.ranking}
+    for bv, wanted in case.relations.items():
+        if relations.get(bv) != wanted:
+            return f"{when} '{bv}' is {relations.get(bv, 'nowhere near')} and not {wanted} to the ego."
     situation = found.situations.get(p.delay)
-    if situation is None or p.bv not in situation.targets:
-        return f"{p.delay:g} s after the trigger '{p.bv}' or the ego is gone."
+    for bv in p.bvs:
+        if situation is None or bv not in situation.targets:
+            return f"{p.delay:g} s after the trigger '{bv}' or the ego is gone."
     return ""
 
 

@@ -1,4 +1,4 @@
-"""One picture of an attempt: the road, what both vehicles did, what they would have done, and where they came closest.
+"""One picture of an attempt: what ego and adversaries did and would have done on the road, and where they came closest.
 
 Colours are Okabe and Ito's, which colour-blind readers can tell apart. The file's bytes depend on the arguments and the
 version of matplotlib alone.
@@ -64,7 +64,9 @@ def draw_encounter(
 
     shown = decisive_time(ego, adversary, trigger_time, verdict)
     ego_part, adversary_part = (track.between(trigger_time - BEFORE, math.inf) for track in (ego, adversary))
-    view = _view((ego_part, adversary_part), (ego, adversary), shown)
+    supports = [other for other in others if other.role is Role.ADVERSARY]
+    support_parts = [support.between(trigger_time - BEFORE, math.inf) for support in supports]
+    view = _view((ego_part, adversary_part, *support_parts), (ego, adversary, *supports), shown)
     height = HEAD + WIDTH * INSIDE * view[3] / view[2]
     figure = Figure(figsize=(WIDTH, height), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
@@ -74,11 +76,9 @@ def draw_encounter(
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
-    supports = [other for other in others if other.role is Role.ADVERSARY]
     for other in others:
         draw_box(axes, other, shown, OTHER if other.role is not Role.ADVERSARY else SUPPORT, zorder=5)
-    for support in supports:
-        part = support.between(trigger_time, ego.time[-1])
+    for support, part in zip(supports, support_parts, strict=True):
         axes.plot(part.x, part.y, color=SUPPORT, lw=1.8, zorder=5, solid_capstyle="round")
         draw_box(axes, support, trigger_time, SUPPORT, zorder=5, filled=False)
     for track, part, colour in ((ego, ego_part, EGO), (adversary, adversary_part, ADVERSARY)):

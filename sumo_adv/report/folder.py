@@ -247,5 +247,6 @@ def _figure(target: Path, episode: Episode) -> None:
     draw_encounter(
         target, lanes=episode.lanes, ego=attacked[found.ego], adversary=attacked[p.bv], others=others,
         raw_ego=raw.get(found.ego), raw_adversary=raw.get(p.bv), trigger_time=best.trigger_time, verdict=best.verdict,
-        title=f"{episode.source.name}: {p.bv} — {p.label} against {found.ego} ({episode.task.ego_driver})",
+        title=f"{episode.source.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
+        f"against {found.ego} ({episode.task.ego_driver})",
     )  # fmt: skip

@@ -54,7 +54,7 @@ def outcome(
         "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
         "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
-        "adversaries": [_adversary(p) for p in best.proposal.members] if best else [],
+        "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if found is None else _encounter(found),
         "agents": _agents(episode),
@@ -70,11 +70,6 @@ def outcome(
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
         "bank_change": episode.bank_change or None, "notes": episode.notes,
     }  # fmt: skip
-
-
-def _adversary(p: Proposal) -> dict[str, Any]:
-    """One adversary: what it does in the attack, and how."""
-    return {"id": p.bv, "role": str(p.duty), "intent": p.label, "mode": p.planner.mode}
 
 
 def _encounter(found: FoundEncounter) -> dict[str, Any]:
@@ -216,7 +211,7 @@ def _composed(p: Proposal) -> dict[str, Any]:
     if not p.supports:
         return {}
     supports: list[dict[str, Any]] = [
-        _adversary(q) | {"parameters": {k: number(v) for k, v in q.parameters.items()}} for q in p.supports
+        {**q.as_adversary(), "parameters": {k: number(v) for k, v in q.parameters.items()}} for q in p.supports
     ]
     return {"composition": p.composition, "supports": supports}
 

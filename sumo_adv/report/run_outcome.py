@@ -48,8 +48,22 @@ class EncounterRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class SupportRecord:
+    """What another adversary did beside the collider. role: block_left, block_right, slow, open or hide."""
+
+    id: str
+    role: str
+    intent: str
+    mode: str
+    parameters: Mapping[str, float | None]
+
+
+@dataclass(frozen=True, slots=True)
 class AttemptRecord:
-    """One attempt. mode: the planner's; kind: intent, relation and side of the ego that is hit."""
+    """One attempt. mode: the planner's; kind: intent, relation and side of the ego that is hit.
+
+    composition, supports: the label of an attack of several adversaries, and the others; empty with one adversary.
+    """
 
     index: int
     intent: str
@@ -70,6 +84,8 @@ class AttemptRecord:
     parameters: Mapping[str, float | None]
     ending: str
     message: str
+    composition: str = ""
+    supports: tuple[SupportRecord, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,5 +192,8 @@ def _attempt(a: Mapping[str, Any]) -> AttemptRecord:
         int(a["index"]), a["intent"], a["adversaries"][0], a["planner"]["mode"], a["trigger_time"],
         level_of(a.get("level")), a.get("kind", ""), _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
         a["critical"], a["feasible"], a["valid"], a["strict"], a.get("delta_v"), tuple(a["failed_gates"]),
-        a["parameters"], a["ending"], a["message"],
+        a["parameters"], a["ending"], a["message"], a.get("composition", ""),
+        tuple(
+            SupportRecord(q["id"], q["role"], q["intent"], q["mode"], q["parameters"]) for q in a.get("supports", ())
+        ),
     )  # fmt: skip

@@ -1,18 +1,20 @@
 """One encounter of a server: described from the states up to now alone, decided, and attacked while the client drives.
 
 What ``run`` learns from an unattacked fork is foreseen here (``episode.traffic_forecast``), and again when the attack
-begins; the adversary then replans every half second against what the ego really does.
+begins; each adversary then replans every half second against what the ego really does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.attempt import Driven, attack
+from sumo_adv.episode.attempt import Driven, apart_of, attack
 from sumo_adv.episode.attempt_runner import answer_of
 from sumo_adv.episode.controllers import controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
@@ -23,7 +25,7 @@ from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.serve.events import Events
+from sumo_adv.serve.events import Events, helpers
 from sumo_adv.serve.session import EgoLost, Session
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import Snapshot
@@ -91,70 +93,84 @@ class LiveAttempts:
         return {}
 
     def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
-        found, settings, bv = self._scene.found, self._settings, proposal.bv
+        found, settings, bvs = self._scene.found, self._settings, proposal.bvs
         trigger = len(session.recording.snapshots) - settings.steps(session.now - found.time)
         self.prefixes.append(session.recording.snapshots[:trigger])
         start, verdict = session.now, None
-        session.attended, session.adversary = True, bv
-        edges = session.simulation.route(bv)[0] if bv in session.snapshot.raw else ()
+        session.attended, session.adversaries = True, bvs
+        edges = {bv: session.simulation.route(bv)[0] for bv in bvs if bv in session.snapshot.raw}
         try:
-            while session.now < found.time + proposal.delay - 1e-6 and bv in session.snapshot.raw:
+            while session.now < found.time + proposal.delay - 1e-6 and session.snapshot.raw.keys() >= set(bvs):
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = gate_verdict(session, found, settings, trigger, (bv,), start, driven)
+            verdict = gate_verdict(session, found, settings, trigger, bvs, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:
-            session.attended, session.adversary = False, None
+            session.attended, session.adversaries = False, ()
         result = AttemptResult(
             driven, verdict, start, session.recording.snapshots[trigger:], dict(session.simulation.fleet.sizes)
         )
-        release(session, bv, edges, self._events, hit=driven.ending == "contact")
+        hits = collided(session, bvs, with_ego=driven.ending == "contact")
+        for bv in bvs:
+            release(session, bv, edges.get(bv, ()), self._events, hit=hits.get(bv, ""))
         return result
 
     def _drive(self, session: Session, proposal: Proposal) -> Driven:
-        situation = self._situation(session, proposal.bv)
-        if situation is None:
-            return Driven("passed", f"{proposal.bv} or the ego was gone when the attack was to begin.")
+        situation = self._situation(session, proposal.bvs)
+        if situation is None or not situation.targets.keys() >= set(proposal.bvs):
+            names = " or ".join([*proposal.bvs, "the ego"])
+            return Driven("passed", f"{names} was gone when the attack was to begin.")
         self._events.tell(
             "attack", time=session.now, adversary=proposal.bv, intent=proposal.label, mode=proposal.planner.mode,
+            **helpers(proposal),
         )  # fmt: skip
         settings, roads = self._settings, Roads({proposal.delay: situation})
-        with Sessions(self._sandbox, roads, [proposal], settings.seed, drivable=self._scene.found.drivable) as planners:
-            adversary = controller_of(
-                situation,
-                proposal,
-                settings.limits.of(situation.targets[proposal.bv].state),
-                partial(answer_of, proposal, planners),
-            )
+        with ExitStack() as stack:
+            members = {}
+            for p in proposal.members:
+                planner = stack.enter_context(
+                    Sessions(self._sandbox, roads, [p], settings.seed, drivable=self._scene.found.drivable)
+                )
+                limits = settings.limits.of(situation.targets[p.bv].state)
+                members[p.bv] = controller_of(situation, p, limits, partial(answer_of, p, planner))
             return attack(
-                session, {proposal.bv: adversary}, steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan),
-            )  # fmt: skip
+                session, members, steps=settings.steps(settings.duration), replan=settings.steps(settings.replan)
+            )
 
-    def _situation(self, session: Session, bv: str) -> Situation | None:
-        """The situation as it is now."""
+    def _situation(self, session: Session, bvs: Collection[str]) -> Situation | None:
+        """The situation of these adversaries as it is now; None if the ego or one of them is gone."""
         raw = session.snapshot.raw
-        if session.ego is None or session.ego not in raw or bv not in raw:
+        if session.ego is None or session.ego not in raw or not raw.keys() >= set(bvs):
             return None
         tracks = traffic_forecast(self._road, session, self._settings.duration)
-        ranking = [c for c in self._scene.ranking if c.id == bv]
+        ranking = [c for c in self._scene.ranking if c.id in bvs]
         trigger = trigger_state(session, ranking)
         return build_situation(self._road, tracks, trigger, ranking, self._settings)
 
 
-def release(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: bool) -> None:
-    """Give an adversary back to SUMO on its old way; take it away where it has hit the ego or is off the road.
+def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[str, str]:
+    """By adversary what it has hit, where its box now overlaps another adversary's or the ego's."""
+    pairs = [(a, b) for a, b in combinations(bvs, 2) if apart_of(session, a, b) == 0.0]
+    hits = {name: "another adversary" for pair in pairs for name in pair}
+    if with_ego and session.ego is not None:
+        hits |= {bv: "the ego" for bv in bvs if apart_of(session, session.ego, bv) == 0.0}
+    return hits
 
-    A vehicle that is released where no lane is leaves the simulation anyway, without an arrival (measured).
+
+def release(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: str = "") -> None:
+    """Give an adversary back to SUMO on its old way; take it away where it has hit something or is off the road.
+
+    hit: what it has hit, empty for nothing. A vehicle that is released where no lane is leaves the simulation anyway,
+    without an arrival (measured).
     """
     raw = session.snapshot.raw.get(vehicle)
     if raw is None:
         return
     if hit or raw[4] == "":
         session.remove(vehicle)
-        how = "removed: it has hit the ego" if hit else "removed: it was off the road"
+        how = f"removed: it has hit {hit}" if hit else "removed: it was off the road"
     else:
         session.simulation.released(vehicle)
         session.simulation.set_speed(vehicle, None)

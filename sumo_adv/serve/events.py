@@ -9,12 +9,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.datatypes import Proposal
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text
 
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
 KEPT = 200  # outcomes that the status page lists
+
+
+def helpers(p: Proposal) -> dict[str, Any]:
+    """What the event of an attack with supports has besides."""
+    return {"composition": p.composition, "supports": [q.as_adversary() for q in p.supports]} if p.supports else {}
 
 
 class Events:

@@ -56,7 +56,7 @@ class ResultWriter:
             self._report(result, number)
 
     def _report(self, result: Mapping[str, Any], number: int) -> None:
-        best = result["outcome"] or {}
+        best, supports = result["outcome"] or {}, result["adversaries"][1:]
         critical = result["ending"] == "critical"
         self.written += 1
         self.critical += critical
@@ -66,5 +66,5 @@ class ResultWriter:
             collided=bool(best.get("collided")), valid=best.get("valid"), min_ttc=best.get("min_ttc"),
             adversary=next((a["id"] for a in result["adversaries"]), None),
             intent=(result["intent"] or {}).get("label"), attempts=len(result["attempts"]),
-            folder=str(result["folder"]),
+            folder=str(result["folder"]), **({"supports": supports} if supports else {}),
         )  # fmt: skip

@@ -21,7 +21,7 @@ from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
-from sumo_adv.serve.events import Events
+from sumo_adv.serve.events import Events, helpers
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Mode, OnLoss, Options
 from sumo_adv.serve.result_writer import ResultWriter
@@ -215,7 +215,7 @@ class Server:
         if decision.entries is None:
             self._pass_over(session, episode.reason, passed)
             return False
-        stale = self._stale(session, watch, scene, {episode.intents[0].bv, decision.best.bv})
+        stale = self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs})
         if stale:
             parts.events.tell("dropped", time=session.now, reason=stale)
             return False
@@ -278,7 +278,7 @@ class Server:
             "attempt", number=self._number, index=a.index, adversary=a.proposal.bv, intent=a.proposal.label,
             mode=a.proposal.planner.mode, by=a.proposal.by, time=a.trigger_time, ending=a.ending,
             min_ttc=v.min_ttc if v.min_ttc < 1e6 else None, collided=v.collided, critical=v.critical,
-            feasible=v.feasible, rear_end=v.rear_end, valid=v.valid, message=a.message,
+            feasible=v.feasible, rear_end=v.rear_end, valid=v.valid, message=a.message, **helpers(a.proposal),
         )  # fmt: skip
 
     # -- the decision -------------------------------------------------------------------------------------------
@@ -293,7 +293,9 @@ class Server:
 
         def work() -> Decision:
             planned = with_predictions(episode, scene.found, self._parts.agents.sandbox, self._parts.bank)
-            entries = decide(episode, planned, self._parts.agents, self._parts.bank) if planned.reaches else None
+            helped = self._settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
+            go_on = planned.reaches or helped
+            entries = decide(episode, planned, self._parts.agents, self._parts.bank) if go_on else None
             return Decision(planned, entries)
 
         decision = work() if session.pace is None else _meanwhile(work, session.tick)

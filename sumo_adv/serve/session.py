@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -99,7 +99,7 @@ class Session(Drive):
         if ego.added:
             self.simulation.unrouted = frozenset({ego.id})
         self.attended = False
-        self.adversary: str | None = None
+        self.adversaries: Sequence[str] = ()  # those that an attempt moves
         self.away = True  # the client is not there, or late
         self.away_since = spec.begin
         self.steps = 0
@@ -229,7 +229,7 @@ class Session(Drive):
     def _tell_owners(self, snapshot: Snapshot) -> None:
         here = self.present_since is not None
         client = (self._plan.id,) if here and not self.away else ()
-        ours = (self.adversary,) if self.adversary in snapshot.raw else ()
+        ours = tuple(name for name in self.adversaries if name in snapshot.raw)
         if (client, ours) != self._owners:
             self._owners = (client, ours)
             others = len(snapshot.raw) - len(client) - len(ours)

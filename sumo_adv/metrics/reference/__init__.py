@@ -13,6 +13,8 @@ reg157      UN R157's requirement for cut-ins, 5.2.5.2 (``reg157.py``)          
 rss         Responsibility-Sensitive Safety (``rss.py``)                                 same direction
 fsm         JRC's Fuzzy Safety Model (``fsm.py``)                                        same direction
 =========== ============================================================================ ===================
+
+The drivers for the same direction have rules for vehicles, cyclists among them, and none for pedestrians.
 """
 
 from __future__ import annotations

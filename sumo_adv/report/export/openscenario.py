@@ -61,4 +61,4 @@ def _properties(piece: Piece, names: dict[str, str]) -> dict[str, str]:
     found = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
     if piece.adversary is not None:
         found |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
-    return found
+    return found | {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}

@@ -17,8 +17,8 @@ from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
 class Piece:
     """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
 
-    network: the net.xml they drive on. step [s]. adversary: the collider. takeover: when it begins to be driven [s],
-    None if unattacked. written: when the run was made.
+    network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
+    when they begin to be driven [s], None if unattacked. written: when the run was made.
     """
 
     name: str
@@ -31,6 +31,7 @@ class Piece:
     adversary: str | None
     takeover: float | None
     written: datetime
+    supports: tuple[str, ...] = ()
 
     def track(self, vehicle: str) -> Track:
         """The track of that id, which is there."""
@@ -71,12 +72,15 @@ def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: floa
     shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
     ego = run.outcome["ego"]["id"]
     adversaries = run.outcome.get("adversaries") or []
-    colliders = {t.id for t in shown if t.role is Role.ADVERSARY} & {str(a["id"]) for a in adversaries[:1]}
+    driven = {t.id for t in shown if t.role is Role.ADVERSARY}
+    colliders = driven & {str(a["id"]) for a in adversaries[:1]}
     attacked = None if unattacked or not colliders else colliders.pop()
+    supports = [name for a in adversaries[1:] if (name := str(a["id"])) in driven and attacked is not None]
     if ego not in {t.id for t in shown}:
         raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
     return Piece(
         str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
         float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
         datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
+        tuple(supports),
     )  # fmt: skip

@@ -30,7 +30,7 @@ def add_free_ego(parent: Element, piece: Piece, names: Names) -> None:
     """The ego starts as recorded and is then the player's; adversaries attack when triggered; others as recorded.
 
     An adversary follows its recording to the takeover.  From the takeover's time on it attacks, or up to ``SLACK``
-    earlier if the ego is as near by then as it was at the recorded takeover.
+    earlier if the ego is as near to the collider by then as it was at the recorded takeover: all begin together.
     """
     act = _add_story(parent, piece, names)
     for track in piece.tracks:
@@ -89,8 +89,8 @@ def _add_recorded(act: Element, piece: Piece, track: Track, names: Names) -> Non
 
 def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> None:
     """The recording up to the takeover, then the attack on a clock of its own."""
-    assert piece.takeover is not None
-    name = names[track.id]
+    assert piece.takeover is not None and piece.adversary is not None
+    name, collider = names[track.id], piece.track(piece.adversary)
     maneuver = _add_maneuver(act, name)
     lead, attack = track.between(track.time[0], piece.takeover), track.between(piece.takeover, piece.end)
     if len(lead.time) > 1:
@@ -104,7 +104,7 @@ def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> Non
     _add_time(SubElement(trigger, "ConditionGroup"), takeover, "time of the takeover")
     group = SubElement(trigger, "ConditionGroup")
     _add_time(group, max(0.0, takeover - SLACK), "shortly before the takeover")
-    _add_nearness(group, name, names[piece.ego], _distance(piece, track))
+    _add_nearness(group, names[collider.id], names[piece.ego], _distance(piece, collider))
 
 
 def _distance(piece: Piece, track: Track) -> float:

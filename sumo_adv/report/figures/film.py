@@ -14,8 +14,6 @@ from matplotlib.figure import Figure
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.report.figures.parts import (
-    ADVERSARY,
-    EGO,
     GROUND,
     OTHER,
     Style,
@@ -35,7 +33,7 @@ LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
 
 
 def write_film(story: Story, target: Path, kind: str) -> None:
-    """Write the film; faint outlines show where the pair would be without the attack.
+    """Write the film; faint outlines show where ego and adversaries would be without the attack.
 
     Raises:
         UsageError: an MP4 without ffmpeg.
@@ -86,9 +84,9 @@ def _draw_moment(axes: Any, story: Story, time: float) -> None:
     for other in story.attacked.others:
         draw_box(axes, other, time, OTHER, 5, style=LOOK)
     if story.raw is not None and time > story.trigger:
-        for track, colour in zip(story.raw.pair(), (EGO, ADVERSARY), strict=True):
+        for track, colour in story.raw.coloured():
             draw_box(axes, track, time, colour, 6, filled=False, style=LOOK)
-    for track, colour in zip(story.attacked.pair(), (EGO, ADVERSARY), strict=True):
+    for track, colour in story.attacked.coloured():
         draw_box(axes, track, time, colour, 8, style=LOOK)
 
 

@@ -16,6 +16,7 @@ from sumo_adv.report.figures.parts import (
     EGO,
     GROUND,
     OTHER,
+    SUPPORT,
     Style,
     View,
     draw_box,
@@ -73,12 +74,12 @@ def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) 
     draw_lanes(axes, story.lanes, SMALL)
     for other in scene.others:
         draw_box(axes, other, story.decisive, OTHER, 7, style=SMALL)
-    parts = [track.between(story.trigger, story.end) for track in scene.pair()]
-    for track, part, colour in zip(scene.pair(), parts, (EGO, ADVERSARY), strict=True):
+    for track, colour in scene.coloured():
+        part = track.between(story.trigger, story.end)
         axes.plot(part.x, part.y, color=colour, lw=1.2, zorder=6, solid_capstyle="round")
         draw_box(axes, track, story.trigger, colour, 5, filled=False, style=SMALL)
         draw_box(axes, track, story.decisive, colour, 8, style=SMALL)
-    draw_marks(axes, parts, story.trigger, SMALL)
+    draw_marks(axes, [track.between(story.trigger, story.end) for track in scene.pair()], story.trigger, SMALL)
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(left, left + width)
     axes.set_ylim(bottom, bottom + tall)
@@ -95,7 +96,8 @@ def _words(story: Story, scene: Scene) -> str:
         return "Unattacked"
     least = story.outcome["min_ttc"]
     came_to = f"min TTC {least:.2f} s" if least is not None else "no conflict"
-    return f"{story.intent} by {scene.adversary.id}: {'collision' if story.collided else came_to}"
+    names = " + ".join(track.id for track in (scene.adversary, *scene.supports))
+    return f"{story.intent} by {names}: {'collision' if story.collided else came_to}"
 
 
 def _draw_key(figure: Figure, story: Story, total: float) -> None:
@@ -104,6 +106,7 @@ def _draw_key(figure: Figure, story: Story, total: float) -> None:
     entries: list[Any] = [
         Patch(facecolor=EGO, edgecolor="black", lw=0.6, label="ego"),
         Patch(facecolor=ADVERSARY, edgecolor="black", lw=0.6, label="adversary"),
+        *([Patch(facecolor=SUPPORT, edgecolor="black", lw=0.6, label="support")] if story.attacked.supports else []),
         Patch(facecolor=OTHER, edgecolor="black", lw=0.6, label=f"others, all at the {moment} ({after})"),
         Patch(facecolor="none", edgecolor="black", lw=0.8, label="at the trigger"),
         Line2D([], [], color="black", marker="o", mfc="white", ms=3.4, mew=0.9, lw=1.2, label="s since the trigger"),

@@ -38,7 +38,8 @@ const answer = (value) => (value === null || value === undefined ? "–" : value
 function palette() {
   const style = getComputedStyle(document.documentElement), found = {};
   for (const name of ["ground", "paper", "ink", "soft", "line", "accent", "ego", "adversary", "other", "asphalt",
-    "marking", "footway", "first", "raw", "stop", "wait", "go", "ego-text", "adversary-text"]) found[name] = style.getPropertyValue(`--${name}`).trim();
+    "marking", "footway", "first", "raw", "stop", "wait", "go", "ego-text", "adversary-text",
+    "support", "support-text"]) found[name] = style.getPropertyValue(`--${name}`).trim();
   return found;
 }
 

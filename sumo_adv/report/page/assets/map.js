@@ -38,11 +38,11 @@ class MapView {
     }));
   }
 
-  /** Show the paths of ego and adversary in `attempts` from `from` to `to`, as large as the panels of `shown` allow. */
+  /** Show the paths of ego and adversaries in `attempts` from `from` to `to`, as large as the panels of `shown` allow. */
   fit(attempts, from, to, shown) {
     let low = [Infinity, Infinity], high = [-Infinity, -Infinity];
     for (const a of attempts) {
-      for (const v of [a.egoVehicle, a.adversaryVehicle]) {
+      for (const v of [a.egoVehicle, a.adversaryVehicle, ...a.supports]) {
         for (let f = from; v && f <= Math.min(to, a.to); f += 1) {
           if (!pose(v, f, this.spot)) continue;
           low = [Math.min(low[0], this.spot.x), Math.min(low[1], this.spot.y)];
@@ -198,15 +198,16 @@ class MapView {
     }
   }
 
-  /** What ego and adversary drive, from the trigger to their attempt's end. */
+  /** What ego and adversaries drive, from the trigger to their attempt's end. */
   drawTrails(c, { s, ox, oy }, attempts, now) {
     for (const [n, a] of attempts.entries()) {
-      for (const v of [a.egoVehicle, a.adversaryVehicle]) {
+      for (const v of [a.egoVehicle, a.adversaryVehicle, ...a.supports]) {
         if (!v) continue;
         a.trails = a.trails || new Map();
         if (!a.trails.has(v)) a.trails.set(v, trail(v, this.scene.triggerFrame, a.to));
         c.setTransform(s * this.ratio, 0, 0, -s * this.ratio, ox * this.ratio, oy * this.ratio);
-        c.strokeStyle = v === a.egoVehicle ? this.colours.ego : this.colours.adversary;
+        const colour = v === a.egoVehicle ? "ego" : a.supports.includes(v) ? "support" : "adversary";
+        c.strokeStyle = this.colours[colour];
         c.lineWidth = (n ? 1.3 : 2) / s;
         c.setLineDash(n ? (a.key === "raw" ? [1.5 / s, 4 / s] : [7 / s, 4 / s]) : []);
         c.globalAlpha = n ? 0.55 : 0.75;
@@ -240,7 +241,7 @@ class MapView {
   /** Ego and adversaries: filled with an arrow and a name, or as outlines of another attempt. */
   drawPair(c, { s, ox, oy }, a, frame, ghost) {
     const k = this.colours, p = this.spot, names = [];
-    const supports = a.supports.map((v) => [v, k.adversary, "support"]);
+    const supports = a.supports.map((v) => [v, k.support, "support"]);
     for (const [v, colour, word] of [...supports, [a.adversaryVehicle, k.adversary, "adversary"], [a.egoVehicle, k.ego, "ego"]]) {
       if (!v || !pose(v, frame, p)) continue;
       const x = ox + p.x * s, y = oy - p.y * s, fx = Math.cos(p.heading) * s, fy = -Math.sin(p.heading) * s;

@@ -24,10 +24,13 @@ async function unpack(scene) {
     for (const axis of ["x", "y"]) for (const line of lines) line[axis] = columns.next(line.count, 1, 0.01);
   }
   for (const a of attempts.slice(1)) prepend(a, attempts[0]);
+  const [best] = attempts, helpers = new Set();
+  for (const v of best.vehicles) if (v.role === "adversary" && v.id !== best.adversary) helpers.add(v.id);
   for (const a of attempts) {
+    const helps = (v) => (a.key === "raw" ? helpers.has(v.id) : v.role === "adversary" && v !== a.adversaryVehicle);
     a.egoVehicle = a.vehicles.find((v) => v.id === a.ego) || null;
     a.adversaryVehicle = a.vehicles.find((v) => v.id === a.adversary) || null;
-    a.supports = a.vehicles.filter((v) => v.role === "adversary" && v !== a.adversaryVehicle);
+    a.supports = a.vehicles.filter(helps);
     a.others = a.vehicles.filter((v) => v !== a.egoVehicle && v !== a.adversaryVehicle && !a.supports.includes(v));
   }
   return { ...scene, attempts, lanes, markings, stops };

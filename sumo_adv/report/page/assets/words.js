@@ -24,9 +24,10 @@ const at = (time, words) => (time === null || time === undefined ? null : el("a"
 const knots = (a) => (Array.isArray(a) ? a.map(([t, v]) => `${v} m/s² at ${t} s`).join(", ") : `${a} m/s²`);
 
 function headline(outcome) {
-  const label = outcome.intent ? outcome.intent.label : null, names = (outcome.adversaries || []).map((a) => a.id);
+  const counts = (outcome.attempts || [])[outcome.best ?? -1], names = (outcome.adversaries || []).map((a) => a.id);
+  const label = (counts && counts.composition) || (outcome.intent ? outcome.intent.label : null);
   byId("title").replaceChildren(...(names.length
-    ? [quoted(outcome.network), " — ", quoted(label), " by ", quoted(names[0])] : [quoted(outcome.network)]).map((n) => (typeof n === "string" ? document.createTextNode(n) : n)));
+    ? [quoted(outcome.network), " — ", quoted(label), " by ", quoted(names.join(" + "))] : [quoted(outcome.network)]).map((n) => (typeof n === "string" ? document.createTextNode(n) : n)));
   document.title = `${plain(outcome.network)} — replay`;
   byId("lead").replaceChildren(el("span", null, "Ego: ", quoted(outcome.ego.id ?? "–"), ", driven by ",
     quoted(outcome.ego.controller), `, seed ${outcome.seed}. `, quoted(outcome.reason)));
@@ -75,7 +76,7 @@ function verdictPanel(outcome) {
 
 function attemptsPanel(outcome) {
   const rows = outcome.attempts.map((a) => ({ counts: a.index === outcome.best, cells: [
-    `${a.index + 1}${a.index === outcome.best ? " (counts)" : ""}`, el("span", null, quoted(a.intent), " by ", quoted(a.adversaries.join(", "))),
+    `${a.index + 1}${a.index === outcome.best ? " (counts)" : ""}`, el("span", null, quoted(a.composition || a.intent), " by ", quoted(a.adversaries.join(", "))),
     quoted(a.planner.mode), quoted(a.by), `${a.trigger_time.toFixed(1)}\u202fs`, number(a.min_ttc, 2, "s"), number(a.min_distance, 2, "m"),
     a.collided ? (a.valid ? "valid collision" : "collision") : answer(a.ending),
     el("span", null, quoted(a.failed_gates.map(answer).join(", ") || (a.feasible ? "" : "not feasible")), a.message ? [" ", quoted(a.message)] : null),
