@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sumo_adv.api_batch import Campaign, batch
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "judge", "load", "run",
 ]  # fmt: skip
