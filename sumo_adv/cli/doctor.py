@@ -26,7 +26,7 @@ EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
 
 def doctor(
     llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
-    memory: Annotated[Path | None, typer.Option(help="The memory bank [default: your own].")] = None,
+    memory: Annotated[Path | None, typer.Option(help="The memory bank (default: your own).")] = None,
     ego: Annotated[
         str | None, typer.Option(help="Check this driver instead: drive it unattacked through twelve scenarios.")
     ] = None,

@@ -70,7 +70,7 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print program, SUMO, memory bank.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print versions and the memory bank.")
     ] = False,
 ) -> None:
     """Finds the dangerous case inside SUMO, online, against your driver."""
