@@ -51,7 +51,7 @@ class Compared(NamedTuple):
 
 
 def attacks(found: FoundEncounter, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
-    """So many, over all that applies round robin, with drawn numbers."""
+    """``count`` of them, over all that applies round robin, with drawn numbers."""
     draw = random.Random(seed)
     ways = templates_of(found.situations, entries)
     draw.shuffle(ways)
