@@ -232,7 +232,7 @@ def test_what_is_drawn_does_not_hang_on_the_library_s_order() -> None:
 
 
 def test_a_library_that_has_grown_adds_to_the_pool() -> None:
-    """A half of ten for what is new; what was predicted stays."""
+    """A half of ten for new candidates; predicted ones stay."""
     old = LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))
     new = LibraryEntry("New", "", ("neighbour",), (replace(SHIFT, label="New"),), "generated")
     some = search_of(Best(), [old])

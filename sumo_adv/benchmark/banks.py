@@ -48,8 +48,8 @@ def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
     """The bank as the encounters before left it; what this one learns is kept for the next.
 
     ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that an
-    interrupted encounter is done again from the same bank.  An encounter that broke, or that was none, leaves no bank: the next one has the
-    newest there is.
+    interrupted encounter is done again from the same bank.  An encounter that broke, or that was none, leaves no bank:
+    the next one has the newest there is.
     """
     place = job.place or 0
     folder = _folder(job, setup)

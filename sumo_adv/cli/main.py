@@ -102,7 +102,7 @@ def _leave(status: int) -> None:
     """Clean up and exit with a status.
 
     CPython remembers a KeyboardInterrupt that passed through an ``exec`` of text (dataclasses do that on import), even
-    one that was caught, and would end the process by SIGINT in place of the status.
+    an interrupt that was caught, and would end the process by SIGINT in place of the status.
     """
     atexit._run_exitfuncs()  # temporary folders, the engine's process
     sys.stdout.flush()

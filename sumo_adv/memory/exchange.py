@@ -73,7 +73,7 @@ def import_bank(
     """Add what the bank lacks of an export, in one transaction, after ``verify`` had a look at each of its planners.
 
     With ``skip_refused`` the rest is taken where planners are refused or files cannot be read. Returns what was added
-    and what was refused; where anything was refused without ``skip_refused`` nothing is added. Raises BankError for a
+    and what was refused; after a refusal without ``skip_refused`` nothing is added. Raises BankError for a
     folder that cannot be read.
     """
     refused: list[Refused] = []

@@ -1,8 +1,9 @@
 """Right of way in a junction without signals.
 
-Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so there is no ring
-of waiting vehicles. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns: straight before right
-before left. Where all approaches have a stop sign, or three and every road has one, the first to arrive goes first.
+Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so there is no
+ring of waiting vehicles. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns:
+straight before right before left. Where all approaches have a stop sign, or three and every road has one, the first to
+arrive goes first.
 """
 
 from __future__ import annotations
