@@ -4,7 +4,7 @@
 
 All do the same episodes in each pair, in an order of ways that turns from pair to pair.  *plain*: what a script would
 say, a new engine for each episode; *warm*: one sandbox and one engine process for all, in this process; *one*, *two*: a
-batch on so many workers, their start included; *apart*: the warm loop in two processes that share a queue and nothing
+batch on N workers, their start included; *apart*: the warm loop in two processes that share a queue and nothing
 else: what two workers can come to on this machine.
 
 Bounds: two workers at least 1.8 times as fast as one, one worker at most 10 % slower than the warm loop (medians of the

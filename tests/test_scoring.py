@@ -210,8 +210,8 @@ def test_a_motion_that_leaps_is_no_hit_that_counts() -> None:
 
 
 def test_a_motion_that_jerks_is_no_hit_that_counts() -> None:
-    """A brake of 3 m/s2 that is there within a step has 30 m/s3, one that grows by 1 m/s2 a step 10; 12 are allowed,
-    and 3 for rounding."""
+    """A brake of 3 m/s2 that is there within a step has 30 m/s3, a brake that grows by 1 m/s2 a step 10; 12 are
+    allowed, and 3 for rounding."""
     ego, (x, y, h, v) = motion(0.0, 0.0, 20.0), motion(40.0, 0.0, 10.0)
     for brakes, beyond in (([3.0], True), ([1.0, 2.0, 3.0], False)):
         a = np.concatenate([np.zeros(9), brakes, np.full(STEPS - 9 - len(brakes), 3.0)])

@@ -206,7 +206,7 @@ def test_of_each_mode_the_two_versions_that_come_first_are_drawn_from() -> None:
 
 
 def test_versions_that_were_learnt_are_told_from_the_authors_and_two_of_them_count() -> None:
-    """A planner adapted from another intent's is no version of it; a version whose author's planner is gone stands for
+    """A planner adapted from another intent's is no version of it; a version without its author's planner stands for
     the mode."""
     first = shifts(1)[0]
     learnt = [make_planner("Shift", "side", f"{TABLE}# learnt {k}\n{ENDPOINT}", "expert", first.hash) for k in range(3)]

@@ -1,4 +1,4 @@
-"""Which memory bank a row has: the library as it is, two intents of it, or one that grows as encounters go by."""
+"""Which memory bank a row has: the library as it is, two intents of it, or a bank that grows as encounters go by."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ class SecondOpinion:
     """RSS's view of a same-direction collision: since when it was dangerous [s], why, and which vehicle is to blame."""
 
     dangerous_since: float
-    trigger: str  # lateral (somebody moved across) | longitudinal (somebody followed too closely)
+    trigger: str  # lateral (a vehicle moved across) | longitudinal (a vehicle followed too closely)
     blame: str
 
 

@@ -1,7 +1,7 @@
 """Episodes in a row in one process, as a user's script would run them; a line of JSON for each.
 
 ``python soak_episodes.py COUNT [FIRST]``: the shipped scenarios in turn, each time with another seed and driver.  A
-line tells the ending and what is left once the episode's engine and sandbox are closed.
+line tells the ending and the remains once the episode's engine and sandbox are closed.
 """
 
 from __future__ import annotations

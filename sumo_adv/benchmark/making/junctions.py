@@ -131,7 +131,7 @@ def draw_junction(kind: str, number: int, draw: Random) -> Draft:
 
 
 def _wanted(meetings: Sequence[Meeting], number: int) -> Sequence[Meeting]:
-    """Those with the manoeuvre and (two of three) the right of way whose turn it is, as far as there are any."""
+    """Those with the manoeuvre and (two of three) the right of way that is next, as far as there are any."""
     manoeuvre, yields = MANOEUVRES[number % len(MANOEUVRES)], number % 3 == 2
     by_movement = [m for m in meetings if m.ego.movement == manoeuvre] or list(meetings)
     return [m for m in by_movement if m.ego.yields == yields] or by_movement

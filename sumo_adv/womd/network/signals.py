@@ -45,7 +45,7 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Programs by junction, and what the report tells: lanes with a signal, those that rule a link, those whose state
+    """Programs by junction, and the report's counts: lanes with a signal, those that rule a link, those with a state that
     is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
     without a recorded signal."""
 
