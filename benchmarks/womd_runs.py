@@ -5,7 +5,7 @@ played back through SUMO: the worst distance between SUMO's box centres and the 
 least TTC of the ego to anyone, from SUMO's states and from the record (0.1 s steps from the second one on, one size an
 object: the median).  Then ``run`` attacks the recorded ego as ``replay``, ``idm`` and ``careful``, each a process that
 learns nothing; with the ego as ``replay`` the others are replayed as well, since a recorded ego would drive into those
-who go otherwise than recorded.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
+that go otherwise than recorded.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
 """
 
 from __future__ import annotations

@@ -435,7 +435,7 @@ class ObservedMotion:
     """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
     step from the takeover, ``(n,)``.
 
-    ``seen``: so many steps of it were seen, the rest is at an even speed.
+    ``seen``: the number of steps that were seen, the rest is at an even speed.
     """
 
     s: Floats

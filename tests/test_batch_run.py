@@ -159,7 +159,7 @@ EGOS = ("ego_samples:CalmEgo", "batch_samples:CrashingEgo", "batch_samples:OnceC
 
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
-    """A corrupt network, a corrupt record, a driver that crashes, one that does so only once and one that is
+    """A corrupt network, a corrupt record, a driver that crashes, a driver that does so only once and one that is
     not there, beside a good one."""
     program = Program(tmp_path_factory.mktemp("broken"), caches)
     (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)

@@ -143,7 +143,7 @@ def connect(address: str) -> Any:
         ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
     except Exception as error:
         said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
-        raise UsageError(f"There is no Ray cluster to be had at {address} ({said}); see ray start.") from error
+        raise UsageError(f"There is no Ray cluster at {address} ({said}); see ray start.") from error
     return ray
 
 

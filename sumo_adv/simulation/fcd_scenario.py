@@ -111,7 +111,7 @@ def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Siz
     if count * len(seen) > MOST_STATES:
         raise UsageError(
             f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {step:.3g} s with {len(seen)} objects, more"
-            f" than {MOST_STATES:.0e} states; cut it to the part that is to be run."
+            f" than {MOST_STATES:.0e} states; cut it to the part that you need."
         )
     grid = times[0] + step * np.arange(count)
     try:

@@ -26,7 +26,7 @@ OUT = Path("out")
 
 
 def children() -> int:
-    """Processes started by this one that are still there, zombies included (-1 where there is no /proc)."""
+    """Processes of our own that are still there, zombies included (-1 where there is no /proc)."""
     listed = list(Path("/proc/self/task").glob("*/children"))
     return sum(len(file.read_text().split()) for file in listed) if listed else -1
 

@@ -45,8 +45,8 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Programs by junction, and the report's counts: lanes with a signal, those that rule a link, those with a state that
-    is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
+    """Programs by junction, and the report's counts: lanes with a signal, those that rule a link, those with a state
+    that is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
     without a recorded signal."""
 
     programs: dict[str, Program]
