@@ -300,7 +300,7 @@ def test_a_folder_that_becomes_read_only_stops_the_batch(program: Program, whole
     done = program(*SMALL, "--workers", "1", preexec_fn=powerless)
     (out / "runs").chmod(0o755)
     if done.status == 0:
-        pytest.skip("whoever runs this may write everywhere, and cannot give that up")
+        pytest.skip("this user may write everywhere, and cannot give that up")
     refused(done, 2, "cannot be written")
     assert len(table(out)) == 3
 

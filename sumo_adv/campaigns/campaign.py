@@ -29,7 +29,7 @@ Told = Callable[[Job, Done], None]
 
 
 class Workers(Protocol):
-    """Runs jobs."""
+    """Whoever runs jobs."""
 
     def run(self, jobs: Sequence[Job], told: Told) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""

@@ -1,4 +1,4 @@
-"""The same batch on a Ray cluster: a task an episode; its worker runs it in a watched process of its own as on one
+"""The same batch on a Ray cluster: a task an episode, whose worker runs it in a watched process of its own as on one
 machine, and sends the run's folder back. Results and bank are written here alone.
 
 Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their content is compared
@@ -36,7 +36,7 @@ from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import load_input
 
-LOSSES = 5  # times that Ray tries an episode again after the loss of its worker or node
+LOSSES = 5  # times that Ray tries an episode again whose worker or node was lost
 JOIN_SECONDS = 60.0  # for a node to say its versions
 LOST_SECONDS = 10.0  # for Ray to say that a node is lost which did not answer
 KNOCK_SECONDS = 10.0
@@ -143,12 +143,12 @@ def connect(address: str) -> Any:
         ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
     except Exception as error:
         said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
-        raise UsageError(f"There is no Ray cluster at {address} ({said}); see ray start.") from error
+        raise UsageError(f"There is no Ray cluster to be had at {address} ({said}); see ray start.") from error
     return ray
 
 
 def _knock(address: str) -> None:
-    """Raises OSError if no program listens at HOST:PORT: Ray itself would go on trying for minutes."""
+    """Raises OSError if nobody listens at HOST:PORT: Ray itself would go on trying for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), KNOCK_SECONDS).close()
@@ -177,7 +177,7 @@ def check_nodes(ray: Any, versions: Mapping[str, str]) -> None:
 
 
 def _gone(ray: Any, node_id: str) -> bool:
-    """Whether a node that did not answer was lost; Ray may report a killed node only some seconds later."""
+    """Whether a node that did not answer was lost; of one that was killed Ray may say so only some seconds later."""
     until = time.monotonic() + LOST_SECONDS
     while any(node["NodeID"] == node_id and node["Alive"] for node in ray.nodes()):
         if time.monotonic() > until:

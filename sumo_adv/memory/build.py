@@ -1,10 +1,9 @@
 """Banks from text: ``<slug>/intent.toml``, ``<mode>.py`` beside it and, in an export, ``evidence.csv``.
 
-``intent.toml`` holds label, description and applies. Its table ``[shared]`` names modes with a text that several
-intents share: ``weave = { movement = "left" }`` takes ``planners/weave.template`` and writes ``left`` for
-``$movement`` and the intent's label for ``$label``. An export has no shared texts. It may add ``status``,
-``merged_into`` and a table ``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status.
-Nothing here runs a planner.
+``intent.toml`` holds label, description and applies. Its table ``[shared]`` names modes whose text several intents
+share: ``weave = { movement = "left" }`` takes ``planners/weave.template`` and writes ``left`` for ``$movement`` and the
+intent's label for ``$label``. An export has no shared texts. It may add ``status``, ``merged_into`` and a table
+``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. Nothing here runs a planner.
 """
 
 from __future__ import annotations
@@ -222,7 +221,7 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
 
 
 def _write(target: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock, *, replace: bool) -> None:
-    """A bank at ``target``, whole or not at all; an existing bank is kept unless ``replace``."""
+    """A bank at ``target``, whole or not at all; one that exists is kept unless ``replace``."""
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{target.name}-", suffix=".new", dir=target.parent)
