@@ -1,4 +1,4 @@
-# make run | test | lint | bench | soak | clean        (GNU make, Python 3.11 or later; everything goes into .venv)
+# make run | test | lint | bench | results | soak | clean        (GNU make, Python 3.11 or later; everything goes into .venv)
 PYTHON ?= python3
 INPUT  ?= scenarios/signals_red_light.toml
 ARGS   ?=
@@ -12,7 +12,7 @@ PARALLEL := -n auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder
 # The tests start the program hundreds of times, and it starts faster from bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run test lint bench soak clean
+.PHONY: run test lint bench results soak clean
 .DEFAULT_GOAL := run
 
 run: $(STAMP)
@@ -27,7 +27,10 @@ lint: $(STAMP)
 	$(BIN)/mypy
 
 bench: $(STAMP)
-	@status=0; for script in $(filter-out %/golden.py %/conformance_scenes.py,$(wildcard benchmarks/*.py)); do echo "== $$script"; $(BIN)/python $$script $(ARGS) || status=1; done; exit $$status
+	@status=0; for script in $(filter-out %/golden.py %/conformance_scenes.py %/results.py,$(wildcard benchmarks/*.py)); do echo "== $$script"; $(BIN)/python $$script $(ARGS) || status=1; done; exit $$status
+
+results: $(STAMP)
+	$(BIN)/python benchmarks/results.py $(ARGS)
 
 soak: $(STAMP)
 	$(BIN)/python -m pytest -m soak $(ARGS)

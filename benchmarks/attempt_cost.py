@@ -1,7 +1,7 @@
 """What an attempt costs by fork and by load-and-repeat, a prediction search, and the sandbox's calls.
 
 ``python benchmarks/attempt_cost.py [INPUT ...]``; about ten seconds an input.  Two engines hold the same encounter, one
-that forks and one that may not.  The same attempt runs on them in turn (A B A B ...), the whole way a run takes it:
+that forks and another that may not.  The same attempt runs on them in turn (A B A B ...), the whole way a run takes it:
 engine, planner asked every 0.5 s (ours where the attempt runs, any other in a fresh sandbox session), verdict.
 Load-and-repeat costs more the later the trigger is and the more vehicles there are; a fork costs the pages that the
 child writes to.  The third line has two forks at once, as a run has them after its first attempt.  Both ways must give

@@ -4,7 +4,7 @@
 
 All do the same episodes in each pair, in an order of ways that turns from pair to pair.  *plain*: what a script would
 say, a new engine for each episode; *warm*: one sandbox and one engine process for all, in this process; *one*, *two*: a
-batch on so many workers, their start included; *apart*: the warm loop in two processes that share a queue and nothing
+batch on N workers, their start included; *apart*: the warm loop in two processes that share a queue and nothing
 else: what two workers can come to on this machine.
 
 Bounds: two workers at least 1.8 times as fast as one, one worker at most 10 % slower than the warm loop (medians of the
@@ -101,7 +101,7 @@ class Clock:
         """Nothing."""
 
     def took(self, workers: int) -> Took:
-        """What was noted, of so many workers that share the episodes."""
+        """The notes of ``workers`` workers that share the episodes."""
         times = list(self.finishes.values())
         first, last = workers - 1, len(times) - workers
         cores = (self.busy[last + 1] - self.busy[first + 1]) / (times[last] - times[first])
@@ -173,7 +173,7 @@ def judge(found: Mapping[str, Sequence[Took]]) -> int:
 def speed(one: Took, other: Took) -> float:
     """How many times as fast: the time that ``one`` took for the other's counted episodes, over what they took now."""
     costs = one.costs()
-    usual = statistics.median(costs.values())  # of the first one, whose beginning is not known
+    usual = statistics.median(costs.values())  # of the first one: its beginning is not known
     return sum(costs.get(job, usual) for job in other.counted) / (other.end - other.begin)
 
 

@@ -51,7 +51,7 @@ for line in sys.stdin:
 
 
 def traffic(file: Path, vehicles: int) -> None:
-    """Demand for the shipped motorway: so many vehicles on three lanes, all there from the first step to the last."""
+    """Demand for the shipped motorway: ``vehicles`` cars on three lanes, all there from the first step to the last."""
     rows = (
         f'<vehicle id="v{k}" type="car" depart="0" departLane="{k % 3}" departPos="{START + SPACING * (k // 3)}" '
         f'departSpeed="{SPEED}"><route edges="eastbound"/></vehicle>'

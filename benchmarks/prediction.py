@@ -1,7 +1,7 @@
 """How well egos are foreseen: random attacks predicted and then simulated.
 
 ``python benchmarks/prediction.py [--ego EGO] [--attacks N] [INPUT ...]``; two to six seconds an encounter with 20
-attacks.  What is drawn of what applies (vehicle, intent, mode, numbers) is predicted as the expert has it predicted,
+attacks.  Draws of the applicable ones (vehicle, intent, mode, numbers) are predicted as the expert has it predicted,
 and attempted in SUMO.  Printed of each input, and of all: attacks, in how many the prediction said rightly whether the
 two touch, in how many it said rightly whether that is valid, and for how many seconds the ego stayed within ``APART``
 metres of where it was expected (to the end of the attempt at most), least, mean, largest.
@@ -51,7 +51,7 @@ class Compared(NamedTuple):
 
 
 def attacks(found: FoundEncounter, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
-    """So many, over all that applies round robin, with drawn numbers."""
+    """``count`` of them, over all that applies round robin, with drawn numbers."""
     draw = random.Random(seed)
     ways = templates_of(found.situations, entries)
     draw.shuffle(ways)

@@ -72,7 +72,7 @@ def main() -> None:
     """Print the parts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--suite", default="suite81")
-    parser.add_argument("--every", type=int, default=9, help="of so many encounters one")
+    parser.add_argument("--every", type=int, default=9, help="take every Nth encounter")
     parser.add_argument("--ego", default="idm")
     given = parser.parse_args()
     cases = load_suite(given.suite).cases[:: given.every]

@@ -33,7 +33,7 @@ Step = Callable[[], Any]
 
 
 def demand(folder: Path, count: int) -> Path:
-    """So many vehicles that crawl along three lanes in line: they all stay on the road."""
+    """Vehicles that crawl along three lanes in line: they all stay on the road."""
     crawling = "".join(
         f'<vehicle id="v{k}" type="t" depart="0" departLane="{k % 3}" departPos="{20 + 14 * (k // 3)}" '
         'departSpeed="1"><route edges="eastbound"/></vehicle>'

@@ -34,7 +34,7 @@ WORDS = [
 
 
 def median(work: Callable[[int], object], runs: int) -> float:
-    """Median time of ``work(i)`` [ms]; the first call, which builds what is kept in RAM, is not counted."""
+    """Median time of ``work(i)`` [ms]; the first call, which fills the caches, is not counted."""
     work(0)
     took = []
     for i in range(runs):

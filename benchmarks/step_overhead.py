@@ -121,7 +121,7 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
 
 
 def traffic(file: Path, vehicles: int) -> None:
-    """Demand for the shipped motorway: so many vehicles on three lanes, all there from the first step to the last."""
+    """Demand for the shipped motorway: ``vehicles`` cars on three lanes, all there from the first step to the last."""
     rows, middle = [], max(1, vehicles // 6)
     for k in range(vehicles):
         lane, place = k % 3, k // 3

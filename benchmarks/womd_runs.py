@@ -5,7 +5,7 @@ played back through SUMO: the worst distance between SUMO's box centres and the 
 least TTC of the ego to anyone, from SUMO's states and from the record (0.1 s steps from the second one on, one size an
 object: the median).  Then ``run`` attacks the recorded ego as ``replay``, ``idm`` and ``careful``, each a process that
 learns nothing; with the ego as ``replay`` the others are replayed as well, since a recorded ego would drive into those
-who go otherwise than recorded.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
+that go otherwise than recorded.  Status 1 if a bound of the issue is broken, a run fails or its files are not whole.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", help="ids of records [default: all of the suites]")
     parser.add_argument("--egos", nargs="*", default=EGOS)
     parser.add_argument("--background", choices=("log", "sumo"), help="[default: sumo, for the ego replay log]")
-    parser.add_argument("--attempts", type=int, help="at most so many a run [default: run's own]")
+    parser.add_argument("--attempts", type=int, help="budget of a run [default: run's own]")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
     with (given.folder / "manifest.csv").open(newline="") as file:
@@ -127,7 +127,7 @@ def checked(name: str, scenario: Path, record: Record) -> bool:
 
 
 def played(scenario: Path) -> tuple[str, dict[str, Track]]:
-    """The ego's id, and everybody's states with the log moving all."""
+    """The ego's id, and all vehicles' states, moved by the log."""
     source = load_input(scenario)
     spec = with_background(source.playback, "log")
     assert spec is not None and isinstance(source.ego, str)

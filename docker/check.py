@@ -29,7 +29,7 @@ NEVER = (
 
 
 class Missing(Exception):
-    """Something that a check wants is not to be had here."""
+    """Something that a check needs is missing here."""
 
 
 class Checks:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from sumo_adv.api_rate import crash_rate
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "crash_rate",
     "judge", "load", "run",

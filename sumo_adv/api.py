@@ -39,7 +39,7 @@ class Result:
 
     @cached_property
     def outcome(self) -> Outcome:
-        """What came of the run: ``outcome.ending``, ``.level``, ``.verdict.min_ttc``, ``.attempts`` and so on.
+        """The outcome of the run: ``outcome.ending``, ``.level``, ``.verdict.min_ttc``, ``.attempts`` and so on.
 
         Raises UsageError: ``outcome.json`` is missing or damaged.
         """
@@ -131,10 +131,10 @@ def run(
     tell: Callable[[str, Any], None] | None = None,
     **settings: Any,
 ) -> Result:
-    """Find the dangerous case in ``source`` and return what came of it, whether critical or not.
+    """Find the dangerous case in ``source`` and return the result, whether critical or not.
 
     source: what ``sumo-adv run`` takes: a net.xml, a .sumocfg, a scenario, a record file or a shipped name.
-    out: the folder to write; else a temporary one that is removed with the result.
+    out: the folder to write; else a temporary folder, removed with the result.
     ego: the driver under test: a name as on the command line, or a class or an object of yours, which may be
     defined in a script or a notebook. An object is copied: what it remembers stays in the engine's process. A run with
     a class or an object given so cannot be replayed from its folder.
@@ -197,7 +197,7 @@ def judge(
     ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
     heading [rad], speed [m/s], optional length, width [m] and lane; or ids, and then ``others`` is one table with the
     column ``id`` that holds all vehicles. others: further vehicles, a table each. All on one regular grid; let the
-    adversary's track go on past the contact by what it planned to do, or the verdict is inconclusive (``no_plan``).
+    adversary's track go on past the contact as it planned, or the verdict is inconclusive (``no_plan``).
     trigger_time: from when on the adversary attacks [s]; the third state by default.
     on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
 

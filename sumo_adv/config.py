@@ -27,7 +27,7 @@ from sumo_adv.road_users import LIMITS, Sized, road_user
 
 PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
 KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
-SECRET = ("llm_api_key", "llm_base_url")  # settings whose values are never printed
+SECRET = ("llm_api_key", "llm_base_url")  # the values of these settings are never printed
 
 BUILTIN = "builtin"
 LONGEST_TTC = 20.0  # s
@@ -94,7 +94,7 @@ class Settings(ModelSettings, BaseSettings):
     exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
     kind: Annotated[tuple[Relation, ...], NoDecode] = ()  # relations that the adversary may have; empty: all
     tuner: Literal["builtin", "off"] = "builtin"
-    llm: str | None = None  # who plays analyzer, generator and modifier, but for those named below
+    llm: str | None = None  # plays analyzer, generator and modifier, but for the parts named below
     analyzer: str | None = None
     generator: str | None = None
     modifier: str | None = None
@@ -109,7 +109,7 @@ class Settings(ModelSettings, BaseSettings):
     metric: str = "slots"
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
-    background: Literal["log", "sumo", "mixed"] | None = None  # who drives recorded BVs; None = as the scenario says
+    background: Literal["log", "sumo", "mixed"] | None = None  # drives recorded BVs; None = as the scenario says
     odd: Odd | None = None  # encounters outside it are not attacked
     fork: bool = True
     bubblewrap: bool = True

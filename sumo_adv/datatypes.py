@@ -241,7 +241,7 @@ class Way:
 @dataclass(frozen=True, slots=True)
 class Intent:
     """What an adversary tries: the paper's phi with y_acc. ``acceleration``: see ``Acceleration``. ``ways``: how, in
-    the order in which they are to be tried; empty where the analyzer leaves that open."""
+    the order in which to try them; empty where the analyzer leaves that open."""
 
     bv: str
     label: str
@@ -293,7 +293,7 @@ class Planner:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """Where the adversary is to be, and when: y_T in the paper. World frame; ``time`` in s from now."""
+    """Where the adversary should be, and when: y_T in the paper. World frame; ``time`` in s from now."""
 
     x: float
     y: float
@@ -435,7 +435,7 @@ class ObservedMotion:
     """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
     step from the takeover, ``(n,)``.
 
-    ``seen``: so many steps of it were seen, the rest is at an even speed.
+    ``seen``: the number of steps that were seen, the rest is at an even speed.
     """
 
     s: Floats
@@ -491,7 +491,7 @@ class Prediction:
 class Proposal:
     """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
 
-    ``course``: driven as it stands instead of by the planner, which then only names who made it. ``score``: what the
+    ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
     search goes by, lower is better. ``nominal``: the score before its neighbours counted, None if they were not
     predicted. ``uncorrected``: the score before observed motions of the ego counted, None if none did.
     ``is_neighbour``: predicted only to tell how robust another candidate is. ``duty``: what the vehicle does in the
@@ -548,7 +548,7 @@ class Proposal:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What an attempt showed, for whoever changes the planner. Times in s after its start.
+    """What an attempt showed, for the modifier. Times in s after its start.
 
     time: of the nearest approach; ego_frame, bv_frame: the other's centre ahead and to the left of the one named [m];
     early: by how much the BV was there before the ego where their paths come together (negative: late), None if the

@@ -78,7 +78,7 @@ class BankError(SumoAdvError):
 
 
 def ran_out_of_memory(error: BaseException | None) -> bool:
-    """Whether an error, or one that it came of, says that the machine has no more memory."""
+    """Whether an error, or its cause, says that the machine has no more memory."""
     while error is not None:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
             return True
@@ -87,7 +87,7 @@ def ran_out_of_memory(error: BaseException | None) -> bool:
 
 
 def fault_sentence(error: BaseException) -> str:
-    """A sentence about an error that nobody raised on purpose, which is a fault of ours unless memory ran out."""
+    """A sentence about an unexpected error, which is a fault of ours unless memory ran out."""
     if ran_out_of_memory(error):
         return OUT_OF_MEMORY
     what = " ".join(f"{type(error).__name__}: {error}".split())

@@ -137,10 +137,10 @@ def _plain(value: Any) -> Any:
 
 @contextmanager
 def held(file: Path) -> Iterator[bool]:
-    """Whether nobody else holds ``file``, which is then held until the end, at the latest that of the process.
+    """Whether no other process holds ``file``, which is then held until the end, at the latest that of the process.
 
-    SQLite's lock, since every system has it; on a disk without locks nobody is seen. The file stays behind, empty.
-    Raises OSError."""
+    SQLite's lock, since every system has it; on a disk without locks no other process is seen. The file stays behind,
+    empty. Raises OSError."""
     file.touch()
     with closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)) as lock:
         try:

@@ -152,7 +152,7 @@ class Paths:
         self._last = np.array([len(p.x) - 1 for p in paths])
 
     def at(self, path: Any, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
-        """x, y, heading at stations and offsets of the paths whose places are ``path``; see :meth:`Path.at`."""
+        """x, y, heading at stations and offsets of the paths with places ``path``; see :meth:`Path.at`."""
         return _place(self._tables, (path,), self._last[path], s, d)
 
 
@@ -178,7 +178,7 @@ def make_path(
     """A path through ``points`` (n, 2).
 
     The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking``.  Bends with
-    more than ``tightest`` [1/m] are rounded, as a driver does who cannot turn as sharply as a lane's centre line.
+    more than ``tightest`` [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line.
     """
     p = np.asarray(points, float)
     step = np.hypot(*np.diff(p, axis=0).T)

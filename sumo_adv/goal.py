@@ -40,11 +40,11 @@ class Goal:
 
     @property
     def hard(self) -> str:
-        """What is wanted of the delta-v, in words; empty if nothing is."""
+        """The wanted delta-v in words; empty if there is none."""
         return f" with a delta-v of {self.min_delta_v:g} m/s or more" if self.min_delta_v > 0 else ""
 
     def attack(self, level: Level) -> str:
-        """An attack that meets the goal, in words; ``level``: the one that is named."""
+        """An attack that meets the goal, in words; ``level``: the named level."""
         if self.ttc is not None:
             return f"near miss with a min TTC of {self.ttc[0]:g} to {self.ttc[1]:g} s"
         return f"{level} attack{self.hard}"

@@ -1,4 +1,4 @@
-"""TOML and JSON that anybody may have written: plain data, or ValueError with a reason in a few words.
+"""TOML and JSON from any source: plain data, or ValueError with a reason in a few words.
 
 Python's own parsers also take what no format allows or nothing later can hold: whole numbers of any length, NaN,
 characters that end a path, tables that nest until the interpreter's stack ends.

@@ -25,7 +25,7 @@ def attempt(intent: str = "Aggressive Cut-in", **given: Any) -> dict[str, Any]:
 
 
 def cell(case: str, row: str = "expert", *tried: dict[str, Any], **given: Any) -> Cell:
-    """A cell whose last attempt counts; cases called ``straight-*`` are leaders, others priority crossings."""
+    """A cell; its last attempt counts; cases called ``straight-*`` are leaders, others priority crossings."""
     straight = case.startswith("straight")
     verdict = None if not tried else {k: v for k, v in tried[-1].items() if k not in ("intent", "phase")}
     if verdict is not None and "paper_centre_distance" not in verdict:

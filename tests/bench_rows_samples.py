@@ -69,7 +69,7 @@ def attempt(proposal: Proposal, index: int = 0, **changed: Any) -> Attempt:
 
 
 def asked(row: Any, many: int) -> list[Proposal]:
-    """The first proposals of a row whose attempts all miss."""
+    """The first proposals of a row if all attempts miss."""
     tried: list[Attempt] = []
     while len(tried) < many and (proposal := row.propose(tried)) is not None:
         tried.append(attempt(proposal, len(tried)))

@@ -137,7 +137,7 @@ class Runs:
         return program(*SAMPLES[name], "--out", "out")
 
     def close(self) -> None:
-        """Drop what nobody asked for."""
+        """Drop unread output."""
         self._pool.shutdown(cancel_futures=True)
 
 
@@ -149,7 +149,7 @@ States = dict[str, dict[float, dict[str, str]]]
 
 
 def lacking(folder: Path, files: set[str] = RUN_FILES) -> set[str]:
-    """What is not in a run's folder and should be, and what is and should not: hidden and half-written files."""
+    """Files that a run's folder lacks, and files that it must not have: hidden and half-written ones."""
     found = {p.name for p in folder.iterdir()}
     return (files - found) | {name for name in found if name.startswith(".") or name.endswith((".part", ".tmp"))}
 
@@ -219,7 +219,7 @@ BAD_PLANNERS: Mapping[str, str] = {
 
 
 def bank_with(path: Path, source: str) -> Path:
-    """A bank whose only planner is ``source``."""
+    """A bank with ``source`` as its only planner."""
     intent = IntentRecord("Odd Driving", "A vehicle near the ego drives in an odd way.", ("neighbour", "leader"))
     with MemoryBank.open(path) as bank:
         bank.add(intent, [make_planner(intent.label, "odd", source, "person")])

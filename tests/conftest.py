@@ -1,4 +1,4 @@
-"""The program as a user has it: a process of its own in a folder of its own, with a home that nobody has used."""
+"""The program as a user has it: a process of its own in a folder of its own, with an unused home."""
 
 from __future__ import annotations
 

@@ -53,9 +53,9 @@ class Block:
 
 
 def pages() -> list[Path]:
-    """All that is checked: README, CONTRIBUTING, the docs, and the READMEs of examples and benchmarks."""
+    """All that is checked: README, CONTRIBUTING, docs, research, and the READMEs of examples and benchmarks."""
     return sorted([
-        ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"),
+        ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "research").glob("*.md"),
         *(ROOT / "examples").rglob("*.md"), ROOT / "benchmarks" / "README.md",
     ])  # fmt: skip
 

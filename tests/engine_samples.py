@@ -76,7 +76,7 @@ class Errands:
         return list(in_forks([partial(pow, n, 2) for n in numbers]))
 
     def fork_that(self, what: str) -> list[Any]:
-        """One fork that does well and one that fails in the way named."""
+        """A fork that does well, and a fork that fails in the way named."""
         failures: dict[str, Callable[[], Any]] = {
             "divides": lambda: 1 // 0,
             "refuses": self.wrong_use,

@@ -143,7 +143,7 @@ def messages(seed: int) -> Iterator[tuple[bytes, bool]]:
 
 
 class Fuzzer:
-    """Sends messages one after the other; ``sent`` keeps the last ones, ``counts`` what came of all."""
+    """Sends messages one after the other; ``sent`` keeps the last ones, ``counts`` the outcomes of all."""
 
     def __init__(self, port: int, seed: int) -> None:
         self.counts: Counter[str] = Counter()

@@ -30,7 +30,7 @@ def say(what: str, call: Callable[..., Any], *given: Any, **named: Any) -> None:
 
 
 def read(domain: Any) -> None:
-    """Every getter of a domain that needs at most an object, for two objects and one that is not there."""
+    """Every getter of a domain that needs at most an object, for two objects and a missing one."""
     name = domain._name
     say(name, domain.getIDList)
     try:

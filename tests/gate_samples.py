@@ -65,7 +65,7 @@ def spec(folder: Path) -> SimulationSpec:
 
 
 def connected(code: str) -> str:
-    """A script whose ``client`` is a connection of stock ``traci``, second in order."""
+    """A script with ``client``, a connection of stock ``traci``, second in order."""
     return 'client = traci.connect(PORT, host="127.0.0.1"); client.setOrder(2)\n' + textwrap.dedent(code)
 
 
@@ -113,7 +113,7 @@ class Scene:
     events: list[GateEvent]
 
     def step(self, count: int = 1) -> None:
-        """So many steps of 0.1 s."""
+        """``count`` steps of 0.1 s."""
         for _ in range(count):
             self.ours.simulationStep()
 

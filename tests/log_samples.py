@@ -20,7 +20,7 @@ def moving(
     name: str, x: float, y: float, speed: float, *, kind: str = "vehicle", heading: float = 0.0,
     size: tuple[float, float] = (4.5, 1.9), gone: tuple[range, ...] = (),
 ) -> LoggedTrack:  # fmt: skip
-    """An object whose centre is at (x, y) at time 0 and goes on at ``speed``; not seen in the steps ``gone``."""
+    """An object with its centre at (x, y) at time 0, which goes on at ``speed``; not seen in the steps ``gone``."""
     time = STEP * np.arange(STEPS)
     valid = np.ones(STEPS, bool)
     for some in gone:

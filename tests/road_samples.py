@@ -1,4 +1,4 @@
-"""A drive on a shipped network whose ego's driver keeps what it sees."""
+"""A drive on a shipped network; the ego's driver keeps what it sees."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def intent(bv: str, label: str, acceleration: Any = 0.0, risk: str = "high", des
 class Author:
     """Answers as a model that wants one behaviour. Planners it writes and rewrites come from ``texts`` in order; where
     there are ``edits`` instead, a planner to be changed gets the first (old, new) replacement that fits it.
-    ``ways``: how the behaviour is to be carried out."""
+    ``ways``: how to carry the behaviour out."""
 
     label: str
     acceleration: Any = 0.0

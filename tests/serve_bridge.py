@@ -1,5 +1,6 @@
 """A client as CARLA's bridge is one: it adds a vehicle of its own, moves it with ``moveToXY`` alone, and subscribes to
-everybody. ``serve_bridge.py PORT``; on ``straight_3lane``, at 14 m/s along y = -3.2 m, from the start again at the end.
+all vehicles. ``serve_bridge.py PORT``; on ``straight_3lane``, at 14 m/s along y = -3.2 m, from the start again at the
+end.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ TYPES = """
 
 
 def vehicle(name: str, edges: str, lane: int, position: float, speed: float, kind: str = "calm") -> str:
-    """A vehicle whose front bumper is at ``position`` [m] of a lane at time 0."""
+    """A vehicle with its front bumper at ``position`` [m] of a lane at time 0."""
     return (
         f'<vehicle id="{name}" type="{kind}" depart="0" departLane="{lane}" departPos="{position}" '
         f'departSpeed="{speed}"><route edges="{edges}"/></vehicle>'
@@ -26,7 +26,7 @@ def vehicle(name: str, edges: str, lane: int, position: float, speed: float, kin
 
 
 def make_spec(folder: Path, network: str, vehicles: Iterable[str], seed: int = 1) -> SimulationSpec:
-    """A demand file in ``folder`` and what SUMO is to be started with."""
+    """A demand file in ``folder`` and the spec to start SUMO with."""
     routes = folder / f"{network}.rou.xml"
     routes.write_text(f"<routes>{TYPES}{''.join(vehicles)}</routes>")
     return SimulationSpec(data_folder("networks") / f"{network}.net.xml", (routes,), (), 0.0, seed)

@@ -161,7 +161,7 @@ def test_of_two_that_make_the_same_bank_the_first_is_kept(tmp_path: Path) -> Non
 
 @contextlib.contextmanager
 def ordinary_user() -> Iterator[Path]:
-    """A folder, and within the block no rights of root (who may write what is read-only)."""
+    """A folder, and within the block no rights of root, which may write read-only files."""
     if not hasattr(os, "geteuid"):
         pytest.skip("rights of files are another thing here")
     with tempfile.TemporaryDirectory() as name:

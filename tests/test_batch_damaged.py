@@ -1,4 +1,4 @@
-"""A batch whose folder was damaged: what is missing is run again, and what cannot be known is a sentence."""
+"""A batch with a damaged folder: missing runs are run again, and a loss that cannot be made good is a sentence."""
 
 from __future__ import annotations
 

@@ -159,7 +159,7 @@ EGOS = ("ego_samples:CalmEgo", "batch_samples:CrashingEgo", "batch_samples:OnceC
 
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
-    """A corrupt network, a corrupt record, a driver that crashes, one that does so only once and one that is
+    """A corrupt network, a corrupt record, a driver that crashes, a driver that does so only once and one that is
     not there, beside a good one."""
     program = Program(tmp_path_factory.mktemp("broken"), caches)
     (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)
@@ -300,7 +300,7 @@ def test_a_folder_that_becomes_read_only_stops_the_batch(program: Program, whole
     done = program(*SMALL, "--workers", "1", preexec_fn=powerless)
     (out / "runs").chmod(0o755)
     if done.status == 0:
-        pytest.skip("whoever runs this may write everywhere, and cannot give that up")
+        pytest.skip("this user may write everywhere, and cannot give that up")
     refused(done, 2, "cannot be written")
     assert len(table(out)) == 3
 

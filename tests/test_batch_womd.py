@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(not SHARED.is_dir(), reason="the Waymo records (
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done, list[str]]:
-    """The three smallest records in one file, one that is no scenario between them, each with two drivers; and what
+    """The three smallest records in one file, a file without a scenario between them, each with two drivers; and what
     the three are called."""
     program = Program(tmp_path_factory.mktemp("womd"), caches)
     small = sorted(SHARED.glob("*.tfrecord"), key=lambda p: p.stat().st_size)[:3]

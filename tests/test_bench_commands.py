@@ -45,7 +45,7 @@ def document(program: Program, name: str) -> dict[str, Any]:
 def test_the_analyzer_is_judged_by_the_oracle_of_the_same_folder(folder: Program) -> None:
     done = run(folder, "analyzer")
     simulated = document(folder, f"cells/idm/{CASE}/oracle.json")["attempts"]
-    assert len(simulated) == 60  # all of the library's ways, and drawn ones until there are so many
+    assert len(simulated) == 60  # all of the library's ways, filled up with drawn ones
     scores = {(s["criterion"], s["who"], s["figure"]): s for s in lines(folder, "analyzer.csv")}
     assert scores["collision", "expert+learn=off", "accuracy"]["n"] == "1"
     assert {who.split(" ")[0] for _, who, _ in scores} == {"expert+learn=off", "always", "chance", "ceiling:"}
@@ -100,7 +100,7 @@ def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(progr
         run(program, "table", "--row", row, "--keep-runs")
         asked = len(server.asked)
     (recording,) = (program.folder / "out" / "runs").rglob("model.jsonl")
-    assert len(recording.read_text().splitlines()) == 1 + asked  # and what it is a recording of
+    assert len(recording.read_text().splitlines()) == 1 + asked  # and a header
     cost = {
         r["column"]: float(r["value"]) for r in lines(program, "table.csv") if (r["part"], r["row"]) == ("all", row)
     }

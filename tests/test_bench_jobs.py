@@ -136,7 +136,7 @@ def _learnt(tmp_path: Path, place: int, label: str) -> str:
 
 
 def test_an_encounter_that_broke_or_was_none_hands_on_the_bank_it_had(tmp_path: Path) -> None:
-    """Encounter 1 makes no bank; encounter 2 has the one that encounter 0 left, and nothing of a log that somebody who
+    """Encounter 1 makes no bank; encounter 2 has that of encounter 0, and nothing of a log that a process which
     was killed left beside its own."""
     _learnt(tmp_path, 0, "Emergency Braking")
     folder = tmp_path / "banks" / "idm" / "expert"

@@ -111,7 +111,7 @@ def test_what_is_wrong_with_an_encounter_is_found_in_sumo(tmp_path: Path) -> Non
     leader = Car(("eastbound",), 1, 240.0, 20.0)
     stories = {
         "fine": (leader, "leader", ""),
-        "ahead": (Car(("eastbound",), 1, 285.0, 20.0), "leader", ""),  # 80 m before it, and nobody is nearer
+        "ahead": (Car(("eastbound",), 1, 285.0, 20.0), "leader", ""),  # 80 m before it, and no vehicle is nearer
         "side": (leader, "neighbour_ahead", "the vehicle meant stands otherwise by then"),
         "far": (Car(("eastbound",), 1, 600.0, 20.0), "leader", "no vehicle near could endanger the ego"),
         "short": (ego, "leader", "the ego stays too short"),

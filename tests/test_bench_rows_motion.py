@@ -226,7 +226,7 @@ def test_futures_that_foretold_otherwise_lose_weight() -> None:
     assert before == pytest.approx(list(FUTURES.values()))
     i, k = row._places[0]
     told = row._drawn[i].hits[:, k] > 0
-    assert told.any()  # the best is one that some future says collides
+    assert told.any()  # some future of the best one collides
     missed = row._weights([attempt(plan)])
     hit = row._weights([attempt(plan, collided=True, min_distance=0.0)])
     if told.all():
@@ -237,7 +237,7 @@ def test_futures_that_foretold_otherwise_lose_weight() -> None:
 
 
 def test_a_motion_into_a_third_vehicle_is_unlikely() -> None:
-    """A wall of a car beside the ego all along: whoever moves over hits it first."""
+    """A wall of a car beside the ego all along: a vehicle that moves over hits it first."""
     one = encounter([beside()])
     time = 100.0 + DT * np.arange(121)
     n = len(time)

@@ -67,7 +67,9 @@ def test_a_table_is_made_of_cells_and_says_what_it_means(whole: tuple[Program, D
 
 
 def test_attacks_on_examples_are_drawn_and_others_are_not(whole: tuple[Program, Done]) -> None:
-    """Both encounters are a suite's first; nobody attacks in ``raw``, and ``llm-f`` has nothing for the T junction."""
+    """Both encounters are a suite's first; there is no attack in ``raw``, and ``llm-f`` has nothing for the T
+    junction.
+    """
     figures = whole[0].folder / "out" / "figures"
     drawn = {p.name for p in figures.glob("example-*.png")}
     attacked = {
@@ -200,7 +202,7 @@ def test_where_the_trigger_is_open_a_row_shifts_the_one_that_the_others_find(pro
 
 
 def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``--set`` goes before a variable; who the ego is, and who plays it all, is never a variable's."""
+    """``--set`` goes before a variable; the ego and the players are never a variable's."""
     for name, value in {"PROPOSALS": "30", "REPLAN": "2", "EGO": "careful", "LLM": "some", "LLM_API_KEY": "k"}.items():
         monkeypatch.setenv(f"SUMO_ADV_{name}", value)
     assert _settings(["proposals=40"]) == {"proposals": 40, "replan": 2.0}

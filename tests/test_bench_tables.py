@@ -1,4 +1,6 @@
-"""The benchmark's tables: what of a cell counts, with which interval, against whom, and what is said of gaps."""
+"""The benchmark's tables: which part of a cell counts, with which interval, against which row, and how gaps are
+named.
+"""
 
 from __future__ import annotations
 

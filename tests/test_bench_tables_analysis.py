@@ -27,7 +27,7 @@ def cases(labels: dict[str, tuple[str, ...]] = LABELS, criterion: str = "collisi
 
 
 def answered(case: str, row: str, *labels: str, risk: str = "high", won: bool = True) -> Cell:
-    """A cell whose analyzer ranks ``labels``."""
+    """A cell with an analyzer that ranks ``labels``."""
     ranked = [{"bv": "1", "label": label, "risk": risk} for label in labels]
     return cell(case, row, attempt(valid=True) if won else attempt(min_ttc=5.0), intents=ranked)
 

@@ -1,4 +1,4 @@
-"""The benchmarks in miniature: they run, and what they print is of the right size; bounds are not checked here."""
+"""The benchmarks in miniature: they run and print figures of the right size; bounds are not checked here."""
 
 from __future__ import annotations
 

@@ -280,7 +280,7 @@ def shelf(program: Program) -> Iterator[Path]:
     (folder / "bank.sqlite").chmod(0o444)
     folder.chmod(0o555)
     if subprocess.run(["touch", folder / "new"], preexec_fn=powerless, capture_output=True).returncode == 0:
-        pytest.skip("whoever runs this may write everywhere, and cannot give that up")
+        pytest.skip("this user may write everywhere, and cannot give that up")
     yield folder
     folder.chmod(0o755)
 

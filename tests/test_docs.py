@@ -213,6 +213,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "WARNING" not in done.stderr
+    front = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert '<iframe src="replay.html"' in front and (tmp_path / "site" / "replay.html").stat().st_size > 50_000
     made = {page.stem for page in (tmp_path / "site").rglob("*.html")} | {
         p.parent.name for p in (tmp_path / "site").rglob("index.html")
     }

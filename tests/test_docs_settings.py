@@ -42,7 +42,7 @@ def rows_of(heading: str) -> dict[str, tuple[str, str]]:
 
 
 def fields_of(model: type[BaseModel]) -> Iterator[tuple[str, str, str]]:
-    """Name, default and what is allowed, as the page is to have them."""
+    """Name, default and allowed values, as the page has them."""
     for name, field in model.model_fields.items():
         if model is Settings and name in ModelSettings.model_fields:
             continue  # they have a table of their own

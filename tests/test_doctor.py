@@ -1,4 +1,4 @@
-"""``doctor`` and ``--version``: each line tells what is, and how to mend what is not; the key is never in it."""
+"""``doctor`` and ``--version``: each line tells the state and how to fix it; the key is never in it."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def counts(text: str) -> list[float]:
 
 
 class Counting:
-    """An embedder that needs no model, and notes what it was asked."""
+    """An embedder that needs no model, and notes the questions."""
 
     name = "counting"
 

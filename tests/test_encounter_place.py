@@ -17,7 +17,7 @@ from sumo_adv.simulation.network import read_network
 
 
 def class_at(network: str, before_the_end: float) -> RoadClass:
-    """The class of a network's first road, so many metres before its end. A junction counts within 80 m."""
+    """The class of a network's first road, ``before`` metres before its end. A junction counts within 80 m."""
     road = read_network(ROOT / "networks" / f"{network}.net.xml")
     leading_on = [lane for lane in road.lanes.values() if lane.connections and not lane.internal]
     lane = (leading_on or list(road.lanes.values()))[0]

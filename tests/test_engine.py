@@ -1,4 +1,4 @@
-"""The engine process: what it answers, how it fails, and that nothing is left of it."""
+"""The engine process: its answers, its failures, and its end without remains."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_commands_are_done_in_another_process(engine: Engine) -> None:
 
 def test_the_front_answers_while_it_waits(engine: Engine) -> None:
     assert engine.request("ask", [3, 4], answer=lambda q: q * q) == [9, 16]
-    assert engine.request("ask", [3]) == [None]  # nobody to ask
+    assert engine.request("ask", [3]) == [None]  # there is no front to ask
 
 
 def test_a_command_may_be_a_conversation(engine: Engine) -> None:

@@ -1,4 +1,4 @@
-"""What a run says when something breaks that nobody raised on purpose: memory that ran out is not a fault of ours."""
+"""What a run says when something breaks unexpectedly: memory that ran out is not a fault of ours."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_an_engine_without_memory_says_so(engine: Engine, command: str) -> None:
 
 @pytest.mark.parametrize("error", [*SHORT_OF_MEMORY, ZeroDivisionError("one by none")])
 def test_an_episode_ends_with_the_sentence(tmp_path: Path, error: Exception) -> None:
-    """Whoever listens to an episode runs within it."""
+    """A listener of an episode runs within it."""
 
     def tell(what: str, value: Any) -> None:
         raise error

@@ -1,4 +1,6 @@
-"""Clients that are none of stock Python: a C++ program that drives the ego, and one that knows TraCI only up to 21."""
+"""Clients that are none of stock Python: a C++ program that drives the ego, and a client that knows TraCI only up to
+21.
+"""
 
 from __future__ import annotations
 

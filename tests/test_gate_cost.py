@@ -1,4 +1,4 @@
-"""The gate's benchmark in miniature: it runs, and what it prints is of the right size; bounds are not checked here."""
+"""The gate's benchmark in miniature: it runs and prints figures of the right size; bounds are not checked here."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def track(name: str, speed: object, *, y: float = 0.0, heading: object = 0.0) ->
 
 
 def noisy() -> Track:
-    """A log until 1.0 s, whose last speed is 11 m/s, and an adversary that goes on at an even 10 m/s."""
+    """A log until 1.0 s with a last speed of 11 m/s, and an adversary that goes on at an even 10 m/s."""
     return track("bv", 10.0 + np.concatenate([NOISE, np.zeros(20)]))
 
 

@@ -106,7 +106,7 @@ def test_a_run_teaches_its_own_bank_and_never_the_shipped_one(runs: Runs) -> Non
 
 
 def test_an_intent_that_was_composed_is_kept_with_all_its_modes(program: Program) -> None:
-    """Nothing in the library is for who comes from a road that joins: what worked there is the rush through a junction
+    """Nothing in the library is for a vehicle from a road that joins. The success there is the rush through a junction
     for another movement. All its modes are kept, since the next time nothing is composed."""
     merge = ROOT / "suites" / "suite81" / "intersection-30.toml"
     succeeded(program("run", merge, "--seed", "2", "--out", "out", "--json"))

@@ -60,7 +60,7 @@ def test_merging_moves_planners_and_evidence_and_the_old_label_finds_the_other(t
         found = bank.retrieve("Hard Stop", "xylophone")
         assert (found.hit, found.distance) == (BRAKING.label, 0.0)
         assert [label for label, _ in found.nearest] == [BRAKING.label]
-    with MemoryBank.open(path) as bank:  # who never heard of the merger does not bring the old one back
+    with MemoryBank.open(path) as bank:  # a bank without the merger does not bring the old intent back
         bank.record(evidence(label=HARD_STOP.label, planner_hash=LATE.hash, seed=3), intent=HARD_STOP, planner=LATE)
         assert bank.intent(HARD_STOP.label) == replace(HARD_STOP, status="retired")
         assert [planner.mode for planner in bank.planners(BRAKING.label)] == ["late", "plain", "plain-2"]

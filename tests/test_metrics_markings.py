@@ -11,7 +11,7 @@ from sumo_adv.metrics.markings import Marking, Strip, markings_crossed
 
 
 def lane(y: float, *, start: float = 0.0, end: float = 200.0, west: bool = False, internal: bool = False) -> Strip:
-    """A straight lane along x whose centre line is at ``y``."""
+    """A straight lane along x with its centre line at ``y``."""
     points = np.array([[start, y], [end, y]])
     return Strip(points[::-1] if west else points, 3.2, internal)
 

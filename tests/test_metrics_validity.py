@@ -36,7 +36,7 @@ def soft_braking(start: float, rate: float, x0: float) -> Track:
 
 
 def test_a_late_cut_in_from_beside_nobody_avoids() -> None:
-    """1.2 m lie between the cars; from 0.375 m to 1.2 m of a 2.5 s drift pass 0.4 s: nobody has begun to brake."""
+    """1.2 m lie between the cars; from 0.375 m to 1.2 m of a 2.5 s drift pass 0.4 s: no driver has begun to brake."""
     v = judge(EGO, LATE_CUT_IN, [], trigger_time=1.0)
     assert v.collided and v.feasible and not v.rear_end
     assert v.hazard_time == pytest.approx(2.7) and v.contact_time == pytest.approx(3.11, abs=0.01)
@@ -84,7 +84,7 @@ def test_an_ego_that_runs_into_a_braking_leader_is_at_fault_and_could_have_brake
 
 
 def test_a_side_swipe_from_behind_is_not_a_rear_end() -> None:
-    """The adversary overtakes and touches the ego's flank with its own: lateral, whoever is faster."""
+    """The adversary overtakes and touches the ego's flank with its own: lateral, at any speeds."""
     adversary = drift("adversary", -8, 3.2, 18, 2.0, 3.0, 0.0)
     v = judge(EGO, adversary, [], trigger_time=1.0)
     assert v.collided and not v.rear_end
@@ -235,7 +235,7 @@ def test_the_full_verdict_adds_sensitivity_last_moments_severity_and_a_second_op
 
 
 def test_the_last_moment_to_brake_for_a_closing_speed_of_six() -> None:
-    """6 m/s are lost in t = 6 / 7.593 + 0.3 s; what is closed until then is the gap at which to begin."""
+    """6 m/s are lost in t = 6 / 7.593 + 0.3 s; the distance closed until then is the gap at which to begin."""
     full = full_judge(EGO, SLOW_DRIFT, [], trigger_time=1.0)
     t = 6.0 / CAREFUL_BRAKING + 0.3
     needed = 6.0 * t - CAREFUL_BRAKING * (0.06 + (t - 0.6) * 0.3 + (t - 0.6) ** 2 / 2)

@@ -134,7 +134,7 @@ def test_the_opposite_lane_is_found_from_where_the_vehicle_is() -> None:
     two_way = road("two_way")
     assert two_way.opposite_offset(500.0, -1.6, 0.0) == pytest.approx(3.2)
     assert two_way.opposite_offset(500.0, -2.0, 0.0) == pytest.approx(3.6)
-    assert two_way.opposite_offset(500.0, 1.6, math.pi) == pytest.approx(3.2)  # the same for those who oppose
+    assert two_way.opposite_offset(500.0, 1.6, math.pi) == pytest.approx(3.2)  # the same for oncoming vehicles
     assert two_way.opposite_offset(500.0, 3.0, 0.0) is None  # beyond it there is no further one
     assert road("straight_3lane").opposite_offset(500.0, 0.0, 0.0) is None
 

@@ -1,4 +1,4 @@
-"""The shipped networks and scenarios: built as their sources say, clean, and calm while nobody attacks."""
+"""The shipped networks and scenarios: built as their sources say, clean, and calm without an attack."""
 
 from __future__ import annotations
 

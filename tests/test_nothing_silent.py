@@ -1,4 +1,4 @@
-"""What is misspelt or would have no effect is refused by name, and what changes the next run is said."""
+"""Misspelt names and options without effect are refused, and a change of the next run is reported."""
 
 from __future__ import annotations
 

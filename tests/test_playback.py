@@ -1,4 +1,4 @@
-"""A log played back through SUMO: where everybody is, who is handed over, what is a box, and that it repeats."""
+"""A log played back through SUMO: places, hand-overs, boxes, and repetition."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def judged(drive: Drive) -> tuple[str, frozenset[str]]:
     return danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead", "gap"])
 
 
-# ---- where everybody is
+# ---- places
 
 
 def test_all_are_where_and_when_the_log_says(tmp_path: Path) -> None:
@@ -348,7 +348,7 @@ def test_rewound_it_repeats_bit_for_bit(tmp_path: Path, name: str, background: s
 
 
 def test_a_box_that_the_adversary_hits_first_is_a_third_party(tmp_path: Path) -> None:
-    """The leader swerves to the left, where somebody stands at 190 m, before the ego could ever touch it."""
+    """The leader swerves to the left, where a vehicle stands at 190 m, before the ego could ever touch it."""
     standing = moving("walker", 190.0, MIDDLE, 0.0, kind="pedestrian", size=(0.6, 0.6))
     for there in (True, False):
         with playing(tmp_path, [EGO, LEADER, *([standing] if there else [])]) as drive:

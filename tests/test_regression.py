@@ -1,4 +1,4 @@
-"""``keep`` and ``regress``: what a case holds, what it comes to against other drivers, and what is refused."""
+"""``keep`` and ``regress``: the contents of a case, its outcome against other drivers, and refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The replay page as text: what is in it, how large it is, and what it refuses."""
+"""The replay page as text: its contents, its size, and refusals."""
 
 from __future__ import annotations
 

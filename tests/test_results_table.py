@@ -18,7 +18,7 @@ HIT: dict[str, Any] = {
 
 
 def hit(**other: Any) -> dict[str, Any]:
-    """The outcome of a run whose second attempt is a serious collision."""
+    """The outcome of a run with a serious collision in its second attempt."""
     told = outcome(attempts=[attempt(0, "a"), attempt(1, "a", kind="Cut-in / neighbour / left")], best=1, **other)
     told["outcome"] |= HIT
     told["encounter"] |= {"road": "motorway", "ego_speed": 27.6}

@@ -1,4 +1,4 @@
-"""Who must wait at a line, with numbers worked out by hand on ``priority_crossing``.
+"""Waiting at a line, with numbers worked out by hand on ``priority_crossing``.
 
 The ego comes from the south in the left lane, straight on: it meets the lane from the west 7.6 m behind its line, which
 is 17.2 m behind theirs (right lane).
@@ -55,7 +55,7 @@ def test_a_reason_to_wait_stays_until_the_car_has_left() -> None:
 
 
 def test_those_who_give_way_themselves_do_not_count_until_they_are_on_the_junction() -> None:
-    """Straight on from the north nobody meets the ego; the left turn from there gives way to it."""
+    """Straight on from the north no vehicle meets the ego; the left turn from there gives way to it."""
     left = ("centre", 3)
     assert not must_wait(RightOfWay(MEETINGS), comes(10.0, 8.0, NORTH))
     assert not must_wait(RightOfWay(MEETINGS), comes(5.0, 8.0, left))

@@ -59,7 +59,7 @@ def test_distances_ahead_count_from_the_centre_of_the_box(before_crossing: Mappi
     assert line.ahead == pytest.approx(100.1) and (line.signal, line.sign) == (None, "yield")
     (limit,) = before_crossing["limits"]
     assert limit.ahead == pytest.approx(-107.5) and limit.speed == 13.9
-    assert not before_crossing["must_wait"]  # nobody comes
+    assert not before_crossing["must_wait"]  # no vehicle comes
 
 
 def test_conflicts_say_where_they_are_and_who_gives_way(before_crossing: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Proposals weighed together with their neighbours: a fake scorer whose good place is known."""
+"""Proposals weighed together with their neighbours: a fake scorer with a known good place."""
 
 from __future__ import annotations
 

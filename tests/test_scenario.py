@@ -1,4 +1,4 @@
-"""The scenario file: what it says is what is read, and whatever else it says is refused by name."""
+"""The scenario file: known keys are read, and unknown ones are refused by name."""
 
 from __future__ import annotations
 

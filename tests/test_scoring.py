@@ -1,4 +1,6 @@
-"""What predicted rollouts score: who could have avoided it, with what to spare, and whether others leave room."""
+"""What predicted rollouts score: which driver could have avoided it, with what margin, and whether others leave
+room.
+"""
 
 from __future__ import annotations
 
@@ -208,8 +210,8 @@ def test_a_motion_that_leaps_is_no_hit_that_counts() -> None:
 
 
 def test_a_motion_that_jerks_is_no_hit_that_counts() -> None:
-    """A brake of 3 m/s2 that is there within a step has 30 m/s3, one that grows by 1 m/s2 a step 10; 12 are allowed,
-    and 3 for rounding."""
+    """A brake of 3 m/s2 that is there within a step has 30 m/s3, a brake that grows by 1 m/s2 a step 10; 12 are
+    allowed, and 3 for rounding."""
     ego, (x, y, h, v) = motion(0.0, 0.0, 20.0), motion(40.0, 0.0, 10.0)
     for brakes, beyond in (([3.0], True), ([1.0, 2.0, 3.0], False)):
         a = np.concatenate([np.zeros(9), brakes, np.full(STEPS - 9 - len(brakes), 3.0)])
@@ -232,7 +234,7 @@ def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts()
 @pytest.mark.parametrize(("behind", "role", "reacting", "third"), [
     (30.0, Role.BACKGROUND, True, False),  # it brakes
     (30.0, Role.BACKGROUND, False, True),  # a log moves it
-    (30.0, Role.OBSTACLE, True, True),  # nobody drives it
+    (30.0, Role.OBSTACLE, True, True),  # it has no driver
     (7.0, Role.BACKGROUND, True, True),  # 2 m behind: it cannot stop in time
     (6.0, Role.BACKGROUND, True, False),  # 1 m behind: they touch at the first driven step, which the gate allows
 ])  # fmt: skip

@@ -206,7 +206,7 @@ def test_of_each_mode_the_two_versions_that_come_first_are_drawn_from() -> None:
 
 
 def test_versions_that_were_learnt_are_told_from_the_authors_and_two_of_them_count() -> None:
-    """A planner adapted from another intent's is no version of it; a version whose author's planner is gone stands for
+    """A planner adapted from another intent's is no version of it; a version without its author's planner stands for
     the mode."""
     first = shifts(1)[0]
     learnt = [make_planner("Shift", "side", f"{TABLE}# learnt {k}\n{ENDPOINT}", "expert", first.hash) for k in range(3)]
@@ -232,7 +232,7 @@ def test_what_is_drawn_does_not_hang_on_the_library_s_order() -> None:
 
 
 def test_a_library_that_has_grown_adds_to_the_pool() -> None:
-    """A half of ten for what is new; what was predicted stays."""
+    """A half of ten for new candidates; predicted ones stay."""
     old = LibraryEntry("Shift", "", ("neighbour",), (SHIFT,))
     new = LibraryEntry("New", "", ("neighbour",), (replace(SHIFT, label="New"),), "generated")
     some = search_of(Best(), [old])

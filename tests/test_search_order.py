@@ -113,7 +113,7 @@ def search_of(scorer, situations, library, proposals: int = 30, share: int = 8, 
 
 
 def shifts_of(scorer, proposals: int = 30, delays: tuple[float, ...] = (0.0,)) -> AttackSearch:
-    """A search whose pool holds predictions of one way to attack."""
+    """A search with a pool that holds predictions of one way to attack."""
     return search_of(scorer, dict.fromkeys(delays, straight_situation()), [entry("Shift", ("neighbour",))], proposals)
 
 

@@ -113,7 +113,7 @@ def test_a_client_that_is_killed_costs_one_encounter(program: Program, policy: s
 
 @pytest.mark.parametrize("ask", ["step(1e3)", "step(0.0) * 3000"], ids=["to a time", "one by one"])
 def test_a_client_that_asks_for_very_many_steps_and_vanishes_is_lost(program: Program, ask: str) -> None:
-    """In the middle of an attack: it never ends with a contact that the ego was steered into by nobody."""
+    """In the middle of an attack: it never ends with a contact without a driver of the ego."""
     flag, script = program.folder / "attack", program.folder / "vanishing.py"
     script.write_text(
         "import os, struct, sys, traci\n"

@@ -1,4 +1,4 @@
-"""One simulation shared with a client: who drives the ego without it, what is kept, what a decision is worth later."""
+"""One simulation shared with a client: the ego's driver without it, what is kept, what a decision is worth later."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ def can_be_private(folder: Path) -> bool:
 
 
 def driven(folder: Path, told: list[Event], *, private: bool) -> float:
-    """Time [s] after ten steps of a simulation whose ego a client drives."""
+    """Time [s] after ten steps of a simulation with a client as the ego's driver."""
     with Gate() as gate:
         events = Events(lambda e: told.append(dict(e)))
         sumo, ours = shared_sumo(
@@ -90,7 +90,7 @@ def test_nobody_finds_a_sumo_with_a_network_of_its_own(tmp_path: Path, hunter: s
 
 @pytest.mark.parametrize("hunter", [1], indirect=True)
 def test_a_stranger_that_is_faster_costs_a_start_of_sumo(tmp_path: Path, hunter: subprocess.Popen[str]) -> None:
-    """Where the system allows no namespace. Who is faster is up to the machine; either way the simulation runs."""
+    """Where the system allows no namespace. The faster one depends on the machine; either way the simulation runs."""
     told: list[Event] = []
     assert driven(tmp_path, told, private=False) == 1.0
     assert [e["event"] for e in told] in ([], ["stranger"])
@@ -108,7 +108,7 @@ def test_a_stranger_at_a_port_is_seen() -> None:
 
 @pytest.mark.parametrize("hunter", [1000], indirect=True)
 def test_after_some_tries_the_run_ends_with_a_sentence(tmp_path: Path, hunter: subprocess.Popen[str]) -> None:
-    """One that never has enough; the run may be faster once in a while."""
+    """A stranger that never has enough; the run may be faster once in a while."""
     told: list[Event] = []
     with Gate() as gate:
         events = Events(lambda e: told.append(dict(e)))

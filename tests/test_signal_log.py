@@ -1,4 +1,4 @@
-"""Recorded traffic lights: what they show and until when, and what is refused."""
+"""Recorded traffic lights: their states, how long these hold, and refusals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The adapter over libsumo, against the real thing: what is injected is what is there after the next step."""
+"""The adapter over libsumo, against the real thing: an injected pose is there after the next step."""
 
 from __future__ import annotations
 
@@ -326,8 +326,8 @@ def test_snapshots_become_tracks_of_box_centres() -> None:
 
 
 def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> None:
-    """From 17 m/s with 9 m/s2 at most, asked for a standstill or behind one that is suddenly there; then it is SUMO's
-    again, with the 4.5 m/s2 of its type."""
+    """From 17 m/s with 9 m/s2 at most, asked for a standstill or behind a vehicle that is suddenly there; then it is
+    SUMO's again, with the 4.5 m/s2 of its type."""
     for asked in (0.0, 17.0):
         with running(pair(tmp_path)) as simulation:
             own = simulation.model("ego").deceleration

@@ -1,4 +1,4 @@
-"""Slots of intents: what is read off a text, and which behaviours are no longer taken for another."""
+"""Slots of intents: the values read off a text, and behaviours that are no longer confused."""
 
 from __future__ import annotations
 

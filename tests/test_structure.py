@@ -1,4 +1,6 @@
-"""The shape of the source itself: imports point one way, modules say what they are, nothing ties it to one machine."""
+"""The shape of the source itself: imports point one way, modules state their purpose, nothing ties it to one
+machine.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded tracks: what is read from a file, what is refused by file and line, and between samples."""
+"""Recorded tracks: reading, refusals by file and line, and interpolation."""
 
 from __future__ import annotations
 

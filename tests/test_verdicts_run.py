@@ -139,7 +139,7 @@ def test_the_series_agree_with_the_states_and_the_extremes(crossing: Run) -> Non
 
 
 def test_rows_are_the_adversary_s_and_those_of_whoever_is_within_60_m() -> None:
-    """A leader 10 m before the ego and 5 m/s slower; a far adversary; one that is 61 m away and stays so."""
+    """A leader 10 m before the ego and 5 m/s slower; a far adversary; a vehicle that is 61 m away and stays so."""
     ego = cruise("ego", 0.0, 0.0, 15.0)
     tracks = [ego, cruise("adversary", 200.0, 0.0, 15.0), cruise("a,b", 15.0, 0.0, 10.0), cruise("c", 61.0, 0.0, 15.0)]
     rows = series_rows(ego.between(0.0, 0.1), tracks, "adversary")

@@ -1,4 +1,4 @@
-"""Measures of a conversion, each on a network whose figures are worked out by hand."""
+"""Measures of a conversion, each on a network with figures worked out by hand."""
 
 from __future__ import annotations
 

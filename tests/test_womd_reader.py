@@ -110,7 +110,7 @@ def test_choosing_by_id_index_and_number(tmp_path: Path) -> None:
 
 
 def test_records_are_read_as_they_are_asked_for(tmp_path: Path) -> None:
-    """The second record is broken, and nobody minds until it is its turn."""
+    """The second record is broken, which matters only when it is its turn."""
     path = write(tmp_path / "a.tfrecord", straight())
     path.write_bytes(path.read_bytes() + b"broken")
     records = read_records(path)

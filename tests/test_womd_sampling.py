@@ -23,7 +23,7 @@ def straight_at(times: Any) -> Record:
 
 
 def test_an_even_record_is_taken_as_it_is() -> None:
-    """Also one whose clock is slow by half a per cent: 90 steps of 0.0995 s end 0.045 s early."""
+    """Also with a clock that is slow by half a per cent: 90 steps of 0.0995 s end 0.045 s early."""
     for step in (0.1, 0.0995):
         record = straight_at(step * np.arange(91))
         even, sampling = evenly_sampled(record)

@@ -79,7 +79,7 @@ def two_lanes(folder: Path) -> SumoNet:
 
 
 def test_parked_is_what_stands_on_no_lane(tmp_path: Path) -> None:
-    """Beside the road, or across it; one that queues in the lane, and the ego itself, are not parked."""
+    """Beside the road, or across it; a vehicle that queues in the lane, and the ego itself, are not parked."""
     message = straight()
     track(message, 10, line((200.0, 0.4), (210.0, 0.4)), start=0.0, speed=0.0)  # queues
     track(message, 11, line((220.0, -1.0), (220.0, 8.0)), start=0.5, speed=0.0)  # stands across the lane

@@ -235,7 +235,7 @@ def merge(name: str = "merge") -> Any:
 
 
 def one_point(name: str = "one_point") -> Any:
-    """A road whose middle lane has a single point, and a lane without any."""
+    """A road with a middle lane of a single point, and a lane without any."""
     message = empty(name)
     first, second = line((0.0, 0.0), (100.0, 0.0)), line((100.0, 0.0), (200.0, 0.0))
     lane(message, 1, first, exits=[2, 3])
@@ -247,7 +247,7 @@ def one_point(name: str = "one_point") -> Any:
 
 
 def gap(name: str = "gap") -> Any:
-    """A lane whose exit lane begins 100 m further on."""
+    """A lane with an exit lane that begins 100 m further on."""
     message = empty(name)
     first, second = line((0.0, 0.0), (100.0, 0.0)), line((200.0, 0.0), (300.0, 0.0))
     lane(message, 1, first, exits=[2])

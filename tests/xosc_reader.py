@@ -49,7 +49,7 @@ def events(root: Element, name: str) -> list[Element]:
 
 
 def motion(root: Element, name: str, trajectory: Element, start: float) -> Motion:
-    """The motion of a trajectory whose time 0 is ``start`` [s] of the simulation."""
+    """The motion of a trajectory that begins at ``start`` [s] of the simulation."""
     thing = entity(root, name)
     ahead = number(thing.find("BoundingBox/Center"), "x")
     size = thing.find("BoundingBox/Dimensions")
@@ -65,7 +65,7 @@ def motion(root: Element, name: str, trajectory: Element, start: float) -> Motio
 
 
 def replayed(file: Path) -> dict[str, Motion]:
-    """Every entity's motion in a file that replays everybody."""
+    """Every entity's motion in a file that replays all vehicles."""
     root = ElementTree.parse(file).getroot()
     begin = float(properties(root)["begin"])
     found = {}

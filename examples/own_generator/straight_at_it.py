@@ -1,4 +1,4 @@
-"""A generator of one's own for the benchmark: the most dangerous vehicle drifts to where the ego will be."""
+"""Your own generator in the benchmark: the most dangerous vehicle drifts to where the ego will be."""
 
 import numpy as np
 

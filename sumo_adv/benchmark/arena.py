@@ -1,7 +1,7 @@
 """One encounter of a suite, opened once, and attacked by row after row.
 
 Every row gets the same trigger, the same unattacked run, the same budget, the same stop rule and the same choice of the
-attempt that counts.  Where a scenario leaves the trigger open it is the one that the shipped library takes.
+attempt that counts.  Where a scenario leaves the trigger open, the shipped library chooses it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from sumo_adv.simulation.inputs import RunInput
 
 
 def _silent(*_: object) -> None:
-    """Nobody looks on."""
+    """No observer."""
 
 
 class Arena:
     """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none.
 
     ``common``: the settings of all rows, by which an encounter is chosen where the trigger is open; ``settings``: those
-    of its own rows, who attack.
+    of its own rows that attack.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Which memory bank a row has: the library as it is, two intents of it, or one that grows as encounters go by."""
+"""Which memory bank a row has: the library as it is, two intents of it, or a bank that grows as encounters go by."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
 def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
     """The bank as the encounters before left it; what this one learns is kept for the next.
 
-    ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that one that was cut off
-    is done again from the same bank.  An encounter that broke, or that was none, leaves no bank: the next one has the
-    newest there is.
+    ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that an
+    interrupted encounter is done again from the same bank.  An encounter that broke, or that was none, leaves no bank:
+    the next one has the newest there is.
     """
     place = job.place or 0
     folder = _folder(job, setup)
@@ -57,7 +57,7 @@ def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
     before = folder / f"{known_place(job, setup)}.sqlite"
     if place == 0 or not before.exists():
         shutil.copyfile(setup.bank, before)
-    for other in folder.iterdir():  # of encounters long done, or of one that was cut off
+    for other in folder.iterdir():  # of finished encounters, or of an interrupted one
         if other != before:
             other.unlink()
     part, after = folder / f"{place + 1}.part", folder / f"{place + 1}.sqlite"

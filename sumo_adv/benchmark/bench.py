@@ -1,4 +1,4 @@
-"""All cells of a table: what is missing is run on worker processes, what is there is kept."""
+"""All cells of a table: missing cells are run on worker processes, the others are kept."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
 
 class Watcher(Protocol):
-    """Whoever shows how it goes on."""
+    """Shows the progress."""
 
     def begin(self, total: int, before: int) -> None:
-        """So many cells, some of them there before."""
+        """``total`` cells, ``before`` of them there already."""
         ...
 
     def finished(self, job: Job) -> None:
@@ -59,7 +59,7 @@ class Bench:
 
     def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float) -> None:
         self._setup, self._workers, self._watcher, self._deadline = setup, workers, watcher, deadline
-        self._suspects: deque[tuple[Job, int | None]] = deque()  # one at a time, so that it is known who it was
+        self._suspects: deque[tuple[Job, int | None]] = deque()  # one at a time, so that the culprit is known
         self._waiting: deque[Job] = deque()
         self._chains: dict[int, deque[Job]] = {}
 
@@ -132,7 +132,7 @@ class Bench:
             self._waiting.popleft()
 
     def _begun(self, pool: ProcessPoolExecutor, job: Job) -> Future[None]:
-        """The job, given to a process; a cell that hangs on one that was missing is void. Raises BrokenProcessPool."""
+        """The job, given to a process; a cell that depends on a missing one is void. Raises BrokenProcessPool."""
         for row in job.rows:
             self._cell(job, row).unlink(missing_ok=True)
         with deaf():
@@ -203,7 +203,7 @@ def _kill_all() -> None:
 
 
 def read_cells(folder: Path) -> list[Cell]:
-    """Every cell of a bench. Raises UsageError for one that cannot be read."""
+    """Every cell of a bench. Raises UsageError for a cell that cannot be read."""
     cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:

@@ -48,7 +48,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Rows of one encounter. ``place``: of the case in the suite, for a row that learns: its bank is the one that the
+    """Rows of one encounter. ``place``: of the case in the suite, for a row that learns: its bank is what the
     encounter before left."""
 
     case: Case

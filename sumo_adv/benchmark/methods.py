@@ -5,7 +5,7 @@
     llm-f                      a bank of Close Car-following and Emergency Braking, nothing learnt (the paper's LLM-F)
     llm-a:MODEL, llm-f:MODEL   the same with a language model in all parts
     expert+tuner=off           any setting of ``run`` changed; several: ``expert+learn=off+replan=12``
-    expert+shift=-1.5          the trigger so many seconds later (negative: earlier)
+    expert+shift=-1.5          the trigger by these seconds later (negative: earlier)
 
 Whatever else is an opponent (``rows/``).
 """
@@ -43,7 +43,7 @@ ABLATIONS: Mapping[str, str] = {
 """Row -> what is left out; each compared with ``REFERENCE``."""
 REFERENCE = "expert+learn=off"
 SAMPLES = (1, 3, 5)
-GROWING = ("", "+learn=off", "+recall=scene")  # learning, what it is to be compared with, and recall by scene
+GROWING = ("", "+learn=off", "+recall=scene")  # learning, its reference, and recall by scene
 
 
 def sampled(model: str) -> dict[str, str]:
@@ -105,7 +105,7 @@ def method_of(row: str) -> Method | None:
 
 
 def growing_banks(rows: Sequence[str]) -> list[str]:
-    """A sentence for each row whose bank changes as a table goes on."""
+    """A sentence for each row that changes its bank as a table goes on."""
     return [
         f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
         "learn=off it stays as it is."

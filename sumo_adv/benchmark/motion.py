@@ -15,12 +15,12 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import PAPER_EPSILON
 from sumo_adv.simulation.recording import tracks_of
 
-NEAR = 60.0  # m from the ego's middle: traffic whose motion is compared with
+NEAR = 60.0  # m from the ego's middle: traffic for comparison
 MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
 
 
 def unattacked(episode: Episode) -> dict[str, Any] | None:
-    """The raw run as an outcome: the ego and whoever of the shortlist comes nearest to it, from the trigger on."""
+    """The raw run as an outcome: the ego and the vehicle of the shortlist that comes nearest, from the trigger on."""
     encounter = episode.found
     if encounter is None:
         return None

@@ -15,7 +15,7 @@ from sumo_adv.situation import Situation
 GROUPS = ("straight", "intersection")
 
 Cell = Mapping[str, Any]
-"""What came of a case x ego x row x seed; ``docs/benchmark.md`` lists its keys."""
+"""The outcome of a case x ego x row x seed; ``docs/benchmark.md`` lists its keys."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Encounter:
 
 
 class Opponent(Protocol):
-    """Whoever makes attacks. It is asked until one succeeds or the budget is used up."""
+    """Makes attacks. It is asked until one succeeds or the budget is used up."""
 
     name: str
 

@@ -1,4 +1,4 @@
-"""One table from the command to its cells: what was asked for, what is there, what is run."""
+"""One table from the command to its cells: the request, the cells that are there, the cells to run."""
 
 from __future__ import annotations
 

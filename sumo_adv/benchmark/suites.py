@@ -1,4 +1,4 @@
-"""Suites: frozen, versioned lists of encounters. Shipped ones, folders of one's own, scenario files, Waymo records.
+"""Suites: frozen, versioned lists of encounters. Shipped ones, your own folders, scenario files, Waymo records.
 
     schema = 1                            # suite.toml
     name = "mine"
@@ -82,7 +82,7 @@ class _Choice(_Table):
 def load_suite(*named: str) -> Suite:
     """The suite that ``named`` means: a shipped name, a list or its folder, ``womd:FOLDER``, or scenario files.
 
-    Raises UsageError for what is missing, damaged, or was changed since it was frozen.
+    Raises UsageError for a file that is missing, damaged, or changed since it was frozen.
     """
     if not named:
         raise UsageError(f"Name a suite: {', '.join(shipped_suites())}, a folder, scenario files or {WOMD}FOLDER.")
@@ -237,13 +237,13 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
 
 
 def _group(network: Path) -> str:
-    """intersection where somebody must give way to somebody, else straight."""
+    """intersection where one vehicle must give way to another, else straight."""
     states = {c.state for lane in read_network(network).lanes.values() for c in lane.connections}
     return GROUPS[1] if states - {"M"} else GROUPS[0]
 
 
 def _womd(folder: Path) -> Suite:
-    """The records that a folder's manifest holds to be straight or intersection; kind: whose future is recorded."""
+    """The records that a folder's manifest holds to be straight or intersection; kind: the kind of recorded future."""
     manifest = folder / "manifest.csv"
     if not manifest.is_file():
         raise UsageError(f"{folder} has no manifest.csv: give a folder of Waymo records that lists them.")

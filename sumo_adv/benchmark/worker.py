@@ -89,7 +89,7 @@ class Bencher:
         self, shift: float, source: RunInput, common: Settings, bank: MemoryBank, scratch: Path
     ) -> float | None:
         """The trigger [s], ``shift`` s after that of the other rows: the scenario's, or, where it leaves it open, the
-        one that they find, and then not before the beginning. None where they find none."""
+        found time, and then not before the beginning. None where they find none."""
         if source.trigger != "auto":
             return float(source.trigger) + shift
         task = make_task(source, common, scratch)
@@ -186,7 +186,7 @@ _bencher: list[Bencher] = []
 
 
 def begin(setup: Setup, scratch: Path) -> None:
-    """Make this process ready for jobs: a group of its own, whose temporary files are in ``scratch``."""
+    """Make this process ready for jobs: a group of its own, with its temporary files in ``scratch``."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the front's
     if hasattr(os, "setpgrp"):
         os.setpgrp()

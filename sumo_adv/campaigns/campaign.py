@@ -1,4 +1,4 @@
-"""One batch from its plan to its table: what is missing is run, everything that finished is kept."""
+"""One batch from its plan to its table: missing episodes are run, finished ones are kept."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ class Workers(Protocol):
 
 
 class Watcher(Protocol):
-    """Whoever shows how it goes on."""
+    """Shows the progress."""
 
     def begin(self, total: int, before: Sequence[Row]) -> None:
-        """So many episodes, some of them finished ``before``."""
+        """``total`` episodes, ``before`` of them finished."""
         ...
 
     def finished(self, job: Job, row: Row) -> None:
@@ -58,7 +58,7 @@ class Watcher(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """How a batch is to be run. ``bank``: the user's; ``open_bank`` makes it where it is not there."""
+    """How a batch is run. ``bank``: the user's; ``open_bank`` makes it where it is not there."""
 
     out: Path
     bank: Path
@@ -215,7 +215,7 @@ def stopping(watcher: Watcher) -> Iterator[Stop]:
 
     try:
         before = {s: signal.signal(s, press) for s in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not the main thread: nobody presses anything
+    except ValueError:  # not the main thread: there is no keyboard
         yield stop
         return
     try:

@@ -115,7 +115,7 @@ def broken(source: Path, record: str | None, error: str) -> Input:
 
 
 def hash_of(files: Sequence[Path]) -> str:
-    """SHA-256 over the contents of files in their order; where they lie and what they are called does not count."""
+    """SHA-256 over the contents of files in their order; places and names do not count."""
     digest = hashlib.sha256()
     for file in files:
         digest.update(hashlib.sha256(file.read_bytes()).digest())

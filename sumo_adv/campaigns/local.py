@@ -20,7 +20,7 @@ from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
 
-TRIES = 2  # of an episode whose worker crashes or hangs, or whose simulation fails
+TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
 STARTS = 3  # workers in a row that may die before they are ready
 START_SECONDS = 120.0
 TICK = 0.25  # s between looks at deadlines and at Ctrl-C

@@ -1,4 +1,4 @@
-"""The nouns of a batch: an input, an episode to run, the functions that the command line composes, what came of it."""
+"""The nouns of a batch: an input, an episode to run, the functions that the command line composes, the outcome."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What came of one try. ``again``: it failed in a way that another try may not; then nothing was kept, and
+    """The outcome of one try. ``again``: it failed in a way that another try may not; then nothing was kept, and
     ``text`` is a traceback or what its processes said."""
 
     id: str

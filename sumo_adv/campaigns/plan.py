@@ -1,4 +1,4 @@
-"""The plan of a batch: lists whose product are the episodes, each with an id made of its content.
+"""The plan of a batch: lists that are multiplied into episodes, each with an id made of its content.
 
     schema = 1
     inputs = ["scenarios/*.toml", "motorway", "records.tfrecord"]   # files, patterns, folders, shipped names
@@ -59,7 +59,7 @@ class PlanFile(BaseModel):
 
 @dataclass(frozen=True)
 class Plan:
-    """Lists whose product are the episodes. ``variants``: settings as data; ``varied``: what tells them apart."""
+    """Lists that are multiplied into episodes. ``variants``: settings as data; ``varied``: what tells them apart."""
 
     inputs: Sequence[Input]
     egos: Sequence[str | None]

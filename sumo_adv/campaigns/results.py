@@ -34,7 +34,7 @@ TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary"
 
 
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
-    """The row of an episode whose folder is called ``name``, from its ``outcome.json``."""
+    """The row of the episode in the folder ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
     failure = outcome.get("failure") or ""
     if not failure and outcome["ending"] in FAILED_ENDINGS:
@@ -55,7 +55,7 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
 
 
 def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """Who attacked, and where; None without an attempt or an encounter."""
+    """The adversary, and its place; None without an attempt or an encounter."""
     encounter, best = outcome["encounter"] or {}, outcome["best"]
     adversary = outcome["adversaries"][0]["id"] if outcome["adversaries"] else None
     relations = {each["id"]: each["relation"] for each in encounter.get("ranking", ())}
@@ -137,7 +137,7 @@ def _cell(value: Any) -> Any:
 
 
 def read_csv(file: Path) -> dict[str, list[Any]]:
-    """The columns of a ``results.csv`` with their types; what is empty is None. Raises UsageError: it is damaged."""
+    """The columns of a ``results.csv`` with their types; empty cells are None. Raises UsageError: it is damaged."""
     try:
         with file.open(newline="", encoding="utf-8") as text:
             reader = csv.DictReader(text)

@@ -1,6 +1,6 @@
 """The folder of a batch: its plan, the snapshot of the bank, the folders of its runs, the table.
 
-OUT/plan.json      what was asked for; a changed plan is told apart by it
+OUT/plan.json      the plan; a changed plan is told apart by it
 OUT/bank.sqlite    the memory bank as it was at the start, which every episode reads
 OUT/inputs/        networks, demand ..., each content once: those of the runs are links to them
 OUT/runs/ID/       a run as ``run`` writes it
@@ -82,7 +82,7 @@ class Store:
         part.replace(self.bank)
 
     def rows(self, jobs: Mapping[str, Job]) -> dict[str, Row]:
-        """The rows of those jobs that are finished, packed ones too. What is damaged is taken for missing."""
+        """The rows of those jobs that are finished, packed ones too. Damaged rows count as missing."""
         packed = packed_rows(self.folder)
         rows = {name: row for name, row in packed.items() if name in jobs}
         for entry in self.runs.iterdir():

@@ -52,7 +52,7 @@ class Runner:
             stack.callback(self._engine.close)
 
     def run(self, job: Job, *, last: bool) -> Done:
-        """One episode, and its folder in its place. Unless this is the ``last`` try, one whose simulation failed is not
+        """One episode, and its folder in its place. Unless this is the ``last`` try, a failed simulation is not
         kept.
 
         Raises:
@@ -105,7 +105,7 @@ class Runner:
         )  # fmt: skip
 
     def _bank(self, settings: Settings) -> MemoryBank:
-        """The bank with the metric of the settings, as it is to be seen by this episode."""
+        """The bank with the metric of the settings, as this episode sees it."""
         learn = self._setup.learn
         if (stamp := self._setup.bank.stat().st_mtime_ns) != self._stamp and learn is not Learn.DURING:
             while self._banks:  # on a cluster a newer snapshot may have come
@@ -147,7 +147,7 @@ class Runner:
 
 
 def share(folder: Path, shared: Path) -> None:
-    """Make the files of ``folder``, whose names begin with a hash of their content, links to equal ones in ``shared``;
+    """Make the files of ``folder`` (their names begin with a hash of their content) links to equal ones in ``shared``;
     where a file system knows no links they stay as they are."""
     try:
         shared.mkdir(exist_ok=True)

@@ -256,7 +256,7 @@ def _order(
 
 
 def _check_models(request: TableRequest) -> None:
-    """Raises UsageError for a row whose model has no server or no key; asks nothing."""
+    """Raises UsageError for a row with a model that has no server or no key; asks nothing."""
     from sumo_adv.agents.agents import ROLES
     from sumo_adv.benchmark.methods import method_of
     from sumo_adv.llm.client import connect
@@ -320,7 +320,7 @@ def _write(
 
 
 def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, *, as_json: bool) -> None:
-    """What came of it; exit status 1 if every cell failed."""
+    """The outcome; exit status 1 if every cell failed."""
     from sumo_adv.benchmark.tables.cells import failed
 
     broken = [c for c in cells if failed(c)]

@@ -58,7 +58,7 @@ class Bar(Quiet):
         self._task = self._display.add_task("cells", total=total, completed=before)
 
     def finished(self, job: Job) -> None:
-        """On by so many."""
+        """On by the rows of the job."""
         self._display.update(self._task, advance=len(job.rows), description=job.case.name)
 
 

@@ -26,7 +26,7 @@ EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
 
 def doctor(
     llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
-    memory: Annotated[Path | None, typer.Option(help="The memory bank [default: your own].")] = None,
+    memory: Annotated[Path | None, typer.Option(help="The memory bank (default: your own).")] = None,
     ego: Annotated[
         str | None, typer.Option(help="Check this driver instead: drive it unattacked through twelve scenarios.")
     ] = None,
@@ -39,7 +39,7 @@ def doctor(
     """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to fix it.
 
     ok; warn: something that a plain run does not need; fail: a run cannot work, and the exit status is 1.
-    With --ego: what is wrong with a driver or its adapter; the exit status is 3 if anything is.
+    With --ego: faults of a driver or its adapter; the exit status is 3 if there are any.
     """
     if ego is not None:
         from sumo_adv.cli.doctor_ego import check

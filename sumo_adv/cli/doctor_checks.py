@@ -1,4 +1,4 @@
-"""What ``doctor`` looks at on the machine: each check tries the real thing, says what it found and how to mend it."""
+"""What ``doctor`` looks at on the machine: each check tries the real thing, says what it found and how to fix it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Level(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line: what was looked at, how it is, what was found, and how to mend it."""
+    """One line: the thing that was checked, its level, the finding, and how to fix it."""
 
     name: str
     level: Level

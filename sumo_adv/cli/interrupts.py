@@ -1,4 +1,4 @@
-"""Ctrl-C or SIGTERM during a run: it ends the episode, and never the writing of what came of it."""
+"""Ctrl-C or SIGTERM during a run: it ends the episode, and never the writing of its files."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limi
 
 
 class Interrupts:
-    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows one that comes while
-    it runs a planner (measured). A context manager for the main thread."""
+    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows an interrupt that
+    comes while it runs a planner (measured). A context manager for the main thread."""
 
     happened = False  # in this process, ever
 

@@ -70,7 +70,7 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print program, SUMO, memory bank.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print versions and the memory bank.")
     ] = False,
 ) -> None:
     """Finds the dangerous case inside SUMO, online, against your driver."""
@@ -102,7 +102,7 @@ def _leave(status: int) -> None:
     """Clean up and exit with a status.
 
     CPython remembers a KeyboardInterrupt that passed through an ``exec`` of text (dataclasses do that on import), even
-    one that was caught, and would end the process by SIGINT in place of the status.
+    an interrupt that was caught, and would end the process by SIGINT in place of the status.
     """
     atexit._run_exitfuncs()  # temporary folders, the engine's process
     sys.stdout.flush()

@@ -121,7 +121,7 @@ def calibrate(
 ) -> None:
     """How well the bank tells known from novel intents: epsilon from one half of the files, figures from the others.
 
-    Behaviours whose intent the bank lacks count as novel. The intervals are 95 % bootstrap.
+    Behaviours with an intent that the bank lacks count as novel. The intervals are 95 % bootstrap.
     """
     from sumo_adv.memory.calibrate import calibrate as measure
     from sumo_adv.memory.calibrate import read_paraphrases

@@ -87,7 +87,7 @@ def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applie
 
 def merge(
     label: Annotated[str | None, typer.Argument(metavar="A", help="The intent that is given up.")] = None,
-    word: Annotated[str | None, typer.Argument(metavar="INTO")] = None,
+    word: Annotated[str | None, typer.Argument(metavar="INTO", help="The word into.")] = None,
     into: Annotated[str | None, typer.Argument(metavar="B", help="The intent that takes over its planners.")] = None,
     propose: Annotated[bool, typer.Option("--propose", help="Only print what could be merged.")] = False,
     memory: Bank = None,

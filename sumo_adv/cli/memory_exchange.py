@@ -13,7 +13,7 @@ from sumo_adv.cli.memory_common import Bank, Json, answer, parse_parameters
 
 
 def export(
-    folder: Path,
+    folder: Annotated[Path, typer.Argument(help="Folder to write.")],
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export there.")] = False,
     memory: Bank = None,
     as_json: Json = False,
@@ -28,7 +28,7 @@ def export(
 
 
 def import_(
-    folder: Path,
+    folder: Annotated[Path, typer.Argument(help="Folder that export wrote.")],
     skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where something is refused.")] = False,
     memory: Bank = None,
     as_json: Json = False,
@@ -54,7 +54,10 @@ def import_(
     ])  # fmt: skip
 
 
-def build(folder: Path, target: Path) -> None:
+def build(
+    folder: Annotated[Path, typer.Argument(help="Folder of the sources.")],
+    target: Annotated[Path, typer.Argument(help="The bank to write.")],
+) -> None:
     """Build a bank from text sources: a folder an intent, with intent.toml and a planner a mode."""
     from sumo_adv.memory.build import build as build_bank
 

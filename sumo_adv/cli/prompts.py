@@ -1,4 +1,4 @@
-"""``run --show-prompts``: what a model would be asked about an encounter, without asking anybody."""
+"""``run --show-prompts``: what a model would be asked about an encounter, without asking it."""
 
 from __future__ import annotations
 

@@ -33,7 +33,9 @@ def report(
     force: Annotated[bool, typer.Option("--force", help="Of a batch: make all pages again.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """Make one HTML file that replays a run, or an index of a batch whose rows open theirs. Nothing needs a network."""
+    """Make one HTML file that replays a run, or an index of a batch with a replay behind each row. Nothing needs a
+    network.
+    """
     if (folder / OUTCOME).is_file():
         said = _run(folder, out)
     elif (folder / RESULTS).is_file() or _loose(folder):

@@ -41,7 +41,7 @@ def run(
     instruction: own.Instruction = None, show_prompts: own.ShowPrompts = False, out: own.Out = None,
     force: own.Force = False, as_json: shared.AsJson = False,
 ) -> None:  # fmt: skip
-    """Turn an encounter into a dangerous one and write what happened."""
+    """Find an encounter, attack the ego in it, and write what happened."""
     if replay is not None:
         _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)

@@ -13,7 +13,7 @@ Source = Annotated[
     Path | None,
     typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, or a shipped name."),
 ]
-Record = Annotated[str | None, option(INPUT, "Of a .tfrecord: id, or place from 0.", default="0")]
+Record = Annotated[str | None, option(INPUT, "Record of a .tfrecord: its id, or its place from 0.", default="0")]
 Begin = Annotated[float | None, option(INPUT, "Simulation begin, s.", default="first departure")]
 End = Annotated[float | None, option(INPUT, "Look for an encounter until this time, s.", default="120 s after begin")]
 Density = Annotated[
@@ -22,7 +22,7 @@ Density = Annotated[
 Background = Annotated[
     str | None,
     option(
-        INPUT, "Who drives recorded vehicles: log, sumo, or mixed (SUMO drives those near the adversary).",
+        INPUT, "What drives recorded vehicles: log, sumo, or mixed (SUMO drives those near the adversary).",
         default="as the input says, else log for a replayed ego",
     ),
 ]  # fmt: skip
@@ -48,7 +48,7 @@ Memory = Annotated[
 Metric = Annotated[
     str | None,
     option(
-        SEARCH, "Distance of intents: tfidf, endpoint:MODEL (embeddings of a server) or local:DIR.", setting="metric"
+        SEARCH, "Distance of intents: slots, endpoint:MODEL (embeddings of a server) or local:DIR.", setting="metric"
     ),
 ]
 Seed = Annotated[int | None, option(SEARCH, "Of SUMO, demand, search and planners.", setting="seed")]
@@ -61,8 +61,8 @@ Llm = Annotated[
     ),
 ]  # fmt: skip
 Analyzer = Annotated[str | None, option(MODEL, "builtin or a model, for this part alone.", default="as --llm")]
-Generator = Annotated[str | None, option(MODEL, "The same.", default="as --llm")]
-Modifier = Annotated[str | None, option(MODEL, "The same.", default="as --llm")]
+Generator = Annotated[str | None, option(MODEL, "builtin or a model, for planners of new intents.", default="as --llm")]
+Modifier = Annotated[str | None, option(MODEL, "builtin or a model, for changes of a planner.", default="as --llm")]
 Fallback = Annotated[
     str | None, option(MODEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
 ]

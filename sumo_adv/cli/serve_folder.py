@@ -31,7 +31,7 @@ def claim(target: Path, *, force: bool) -> None:
 
 
 def note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
-    """``serve.json``: what runs here, and at the end what came of it."""
+    """``serve.json``: the job of this server, and at the end its outcome."""
     from dataclasses import asdict
 
     from sumo_adv.report.outcome import SCHEMA, versions

@@ -1,4 +1,4 @@
-"""What a person sees of a server: a line for what matters, and in a terminal one that lives below them."""
+"""What a person sees of a server: a line for what matters, and in a terminal a line that lives below them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Lines(Quiet):
 
 
 class Live(Quiet):
-    """The same lines above one that says what goes on."""
+    """The same lines above a line of the present state."""
 
     def __init__(self) -> None:
         from rich.console import Console

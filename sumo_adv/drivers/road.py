@@ -49,7 +49,7 @@ class SpeedLimit:
 class StopLine:
     """A line before or on a junction at which the ego's path has a traffic light, or has to give way.
 
-    ahead: to the line [m]. signal: ``green``, ``yellow``, ``red``, or None without a light or with one that is off.
+    ahead: to the line [m]. signal: ``green``, ``yellow``, ``red``, or None if there is no light or it is off.
     sign: ``yield`` or ``stop`` where the ego has to give way while the light, if there is one, lets it go; else None.
     must_wait: the ego must not pass the line now (``docs/ego.md`` has the rule).
     """
@@ -64,8 +64,8 @@ class StopLine:
 class Conflict:
     """A place on a junction where the ego's path meets another lane.
 
-    ahead [m]; lane: id of the other lane; x, y [m]; ego_yields: those who come on it go first, by signs and lights now.
-    joins: the other lane ends there in the lane that the ego enters, else it crosses.
+    ahead [m]; lane: id of the other lane; x, y [m]; ego_yields: vehicles that come on it go first, by signs and lights
+    now. joins: the other lane ends there in the lane that the ego enters, else it crosses.
     """
 
     ahead: float

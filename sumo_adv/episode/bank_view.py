@@ -49,7 +49,7 @@ class BankView:
         learnt = [f"planners of {', '.join(new)}"] if new else []
         learnt += ["another order of planners"] if not new and after.templates != self.templates else []
         learnt += ["how this ego drives"] if after.driver != self.driver else []
-        learnt += ["what came of this scene"] if after.evidence != self.evidence else []
+        learnt += ["the outcome of this scene"] if after.evidence != self.evidence else []
         if not learnt:
             return ""
         return (

@@ -58,7 +58,7 @@ class Drive:
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
-        self.lights: LightsNear | None = None  # set where the states of traffic lights are to be recorded
+        self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
         self.playback = playback
         if playback is not None:
             playback.start(self.simulation)

@@ -138,8 +138,8 @@ def retrieve(
 ) -> list[LibraryEntry]:  # fmt: skip
     """The library with entries for the episode's intents.
 
-    An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Where nobody
-    has judged it, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
+    An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Without a
+    judgement, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
     entry, with generated planners.
 
     Raises:

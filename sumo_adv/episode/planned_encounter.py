@@ -63,7 +63,7 @@ def find_attackable(
 
     The episode says why there is none. Raises UsageError for intents in the settings that the bank does not know.
     """
-    selection_of(episode, bank)  # what is misspelt is refused before anything is simulated
+    selection_of(episode, bank)  # refuses misspelt names before anything is simulated
     while True:
         found = seek(episode, engine, tell)
         if found is None:

@@ -80,7 +80,7 @@ class Refiner:
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
-        self._favourites: list[Proposal] = []  # of a model whose answers disagree: tried first, side by side
+        self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
         self._intents: Sequence[Intent] = ()
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:

@@ -54,7 +54,7 @@ class Foe:
 
 
 def signal_of(letter: str, *, light: bool) -> str | None:
-    """``green``, ``yellow``, ``red``; None without a light or with one that is off."""
+    """``green``, ``yellow``, ``red``; None if there is no light or it is off."""
     colours = {
         "G": "green",
         "g": "green",
@@ -76,8 +76,8 @@ def sign_of(letter: str) -> str | None:
 
 
 class RightOfWay:
-    """State: for whom the ego waits, at which lines it has waited and may go, for how long it has stood at which stop
-    signs [s], and at which yellow lights it stops."""
+    """State: for which vehicles the ego waits, at which lines it has waited and may go, for how long it has stood at
+    which stop signs [s], and at which yellow lights it stops."""
 
     def __init__(self, meetings: Meetings) -> None:
         self._meetings = meetings
@@ -126,7 +126,7 @@ class RightOfWay:
         self._let_go.discard(link)
 
     def _goes_first(self, line: Line, length: float, speed: float, foe: Foe) -> bool:
-        """Whether the ego has to wait for a vehicle; one on the junction already counts whoever has the priority."""
+        """Whether the ego has to wait for a vehicle; a vehicle on the junction counts even without priority."""
         entered = foe.to_line < 0.0
         if foe.letter in "rRuyY" and not entered:
             return False

@@ -195,7 +195,7 @@ class RoadNow(Road):
         return tuple(chain), tuple(junctions)
 
     def _lines(self) -> Iterator[Line]:
-        """The lines on the path, nearest first; also one that the front bumper has passed and the centre has not."""
+        """The lines on the path, nearest first; also a line between front bumper and centre."""
         for junction in self._stretches[1]:
             bay = _length(self._here.map.lanes[junction.way.via[0]]) if len(junction.way.via) > 1 else 0.0
             entry = self._line(junction, 0.0)

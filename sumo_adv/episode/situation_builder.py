@@ -88,7 +88,7 @@ def build_situations(
 ) -> dict[float, Situation]:
     """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once.
 
-    delay: the only one that may be tried; None = those of ``start_times.py``.
+    delay: the only delay to try; None = those of ``start_times.py``.
     """
 
     def at(moments: Sequence[float]) -> dict[float, Situation]:

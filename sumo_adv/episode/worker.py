@@ -282,7 +282,7 @@ class Worker:
     def _survey(self, ranking: Sequence[RankedVehicle]) -> str:
         """Run on unattacked and describe the encounter. Why it is passed over, or empty."""
         self._trigger_step = len(self._drive.recording.snapshots)
-        given = self._task.delay is not None  # a given attack: what is dangerous later is for its verdict
+        given = self._task.delay is not None  # a given attack: later danger is left to its verdict
         built = build_encounter(
             self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed,
             checked=LEAST + self._settings.step_length if given else math.inf, delay=self._task.delay,

@@ -144,7 +144,7 @@ class MemoryBank:
         """The evidence of a success in a similar scene, at most ``limit`` away by ``recall.signature_distance``.
 
         Valid collisions have precedence over other successes, then the nearest scene. Retired intents and planners are
-        left out, and so is evidence whose parameters the planner does not have or does not allow.
+        left out, and so is evidence with parameters that the planner does not have or does not allow.
         """
         if self._scenes is None:
             active = {

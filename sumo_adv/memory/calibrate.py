@@ -122,7 +122,7 @@ def best_epsilon(measured: Measured) -> float:
 
 
 def top1(measured: Measured) -> float:
-    """Share of the known ones whose nearest intent is the right one."""
+    """Share of the known ones with the right nearest intent."""
     return float(np.mean(measured.right[measured.known]))
 
 

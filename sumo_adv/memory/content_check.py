@@ -1,6 +1,6 @@
-"""Columns of the bank to nouns. Whoever made the file, what comes out of here is what the program would have written.
+"""Columns of the bank to nouns. Its results are as if the program had written the file.
 
-Each function raises ValueError, TypeError, RecursionError or BankError, whose text says what is wrong.
+Each function raises ValueError, TypeError, RecursionError or BankError with a text that names the fault.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Changes to what a bank holds, beside new evidence: taking in another's content, merging, retiring.
 
-Every function is to be called within a transaction; it raises BankError before it changes anything it cannot finish.
+Call every function within a transaction; it raises BankError before it changes anything it cannot finish.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sumo_adv.memory.records import Evidence, IntentRecord, Source, canonical
 
 @dataclass(frozen=True, slots=True)
 class Absorbed:
-    """How much of what was offered was new."""
+    """How much of an offer was new."""
 
     intents: int = 0
     planners: int = 0

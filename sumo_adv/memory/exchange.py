@@ -82,8 +82,8 @@ def import_bank(
 ) -> tuple[Absorbed, list[Refused]]:
     """Add what the bank lacks of an export, in one transaction, after ``verify`` had a look at each of its planners.
 
-    With ``skip_refused`` the rest is taken where planners are refused or files cannot be read. Returns what was added
-    and what was refused; where anything was refused without ``skip_refused`` nothing is added. Raises BankError for a
+    With ``skip_refused`` the rest is taken where planners are refused or files cannot be read. Returns the additions
+    and the refusals; after a refusal without ``skip_refused`` nothing is added. Raises BankError for a
     folder that cannot be read.
     """
     refused: list[Refused] = []

@@ -98,7 +98,7 @@ class SceneSignature:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """What one planner once achieved in one scene. ``min_ttc`` [s], ``inf`` = never; ``valid`` and ``strict`` are None
-    where there was no collision; ``acceleration`` [m/s2] and ``delay`` [s] are what it was driven with, ``parameters``
+    where there was no collision; ``acceleration`` [m/s2] and ``delay`` [s] are those of the attempt, ``parameters``
     the planner's tuned values. ``created`` (ISO 8601, UTC) is set by the bank and no part of the content.
 
     Raises BankError for a number that is not finite or beyond ``LARGEST``, and for a value of another kind.
@@ -198,7 +198,7 @@ def evidence_of(
 class Retrieval:
     """The answer to "is this intent known?". ``hit`` is the label within ``epsilon``, or None; ``distance`` that of
     the nearest (0 for the same label, 1 = nothing in common, also for an empty bank); ``nearest`` is sorted, at most
-    five (label, distance). ``band``: the distance is so near to epsilon, within a tenth of it, that whoever asks may
+    five (label, distance). ``band``: the distance is so near to epsilon, within a tenth of it, that the caller may
     have the first three of ``nearest`` confirmed."""
 
     hit: str | None

@@ -78,7 +78,7 @@ def read(connection: sqlite3.Connection) -> Content:
 
 @contextmanager
 def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
-    """Within it, what is wrong with a row is raised as BankError that names the file and the row."""
+    """Within it, a faulty row raises a BankError that names the file and the row."""
     try:
         yield
     except (ValueError, TypeError, RecursionError, BankError) as error:

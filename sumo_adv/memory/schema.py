@@ -1,7 +1,7 @@
 """Is a file of the bank's format laid out as a bank, with all that refers to something referring to what is there?
 
 A file with the bank's application id and version may hold anything else: a view in place of a table (which may never
-end), a trigger, a table without its checks.  So its schema is compared with the one that the migrations make.
+end), a trigger, a table without its checks.  So its schema is compared with that of the migrations.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Schema = frozenset[tuple[str, str, str, str]]
 
 
 def check_schema(connection: sqlite3.Connection, name: str, version: int) -> None:
-    """Refuse a file whose schema is not that of ``version``. No table is read. Raises BankError, sqlite3.Error."""
+    """Refuse a file with another schema than that of ``version``. No table is read. Raises BankError, sqlite3.Error."""
     found, wanted = _schema(connection), _schema_of(version)
     if found != wanted:
         which = sorted(f"{kind} {each}" for kind, each, *_ in found ^ wanted)[0]

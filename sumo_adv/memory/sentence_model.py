@@ -46,7 +46,7 @@ class SentenceModel:
                 _json(folder / "1_Pooling" / "config.json", there=False).get("pooling_mode_cls_token")
             )
             self.name = f"{folder.resolve().name}-{digest[:8]}"
-            self._encode("Tried once, so that what is missing is said now.")
+            self._encode("Tried once, so that a missing part is named now.")
         except (OSError, KeyError, TypeError, ValueError, IndexError) as error:
             raise UsageError(
                 f"The folder {folder} holds no sentence model that can be used ({_why(error)}); "

@@ -2,7 +2,7 @@
 
 Entries are separated by commas; an entry of several words is a phrase, and the longest phrase wins.  A word may stand
 under two concepts.  The list was written from the vocabulary of traffic rules and crash typologies before the test set
-of paraphrases was; what was changed afterwards was chosen on the tuning half of that set alone.
+of paraphrases was; later changes were chosen on the tuning half of that set alone.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What of a recording is judged: the ego, the adversary with what it planned to do next, and who was near."""
+"""The judged part of a recording: the ego, the adversary with its further plan, and the vehicles near."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Limits, Track
 from sumo_adv.metrics.log_noise import log_breaches, smoothed
 
-NEAR = 60.0  # m between centres: others that never come so near are no third party
+NEAR = 60.0  # m between centres: vehicles that never come that near are no third party
 LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
 
 

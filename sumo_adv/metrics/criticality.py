@@ -146,7 +146,7 @@ class Encroachment:
 
     pet: float
     point: tuple[float, float] | None
-    first: str | None  # "a" | "b": who was there first
+    first: str | None  # "a" | "b": was there first
 
 
 def pet(a: Track, b: Track) -> Encroachment:
@@ -181,7 +181,7 @@ def _pick(track: Track, index: NDArray[np.intp]) -> Boxes:
 def _refined(a: Track, b: Track, i: int, j: int) -> float:
     """PET inside the last step: the least lag at which the boxes overlap, a later by up to a step, b earlier, in 50ths.
 
-    ``a`` is the one that was there first.
+    ``a`` was there first.
     """
     part = np.linspace(0.0, 1.0, FINE)
     leaving = _between(a, i, min(i + 1, len(a.time) - 1), part)

@@ -1,4 +1,4 @@
-"""Whose fault: nuPlan's at-fault rules, and Responsibility-Sensitive Safety as a second opinion.
+"""Fault: nuPlan's at-fault rules, and Responsibility-Sensitive Safety as a second opinion.
 
 nuPlan (nuplan-devkit, ``no_ego_at_fault_collisions``): the ego is at fault when it runs into a stopped vehicle or hits
 with its front bumper, and in a lateral collision while between lanes or off the road; never when it stands or is hit
@@ -105,10 +105,10 @@ def lateral_safe_distance(own: Floats, other: Floats, rss: Rss = DEFAULT_RSS) ->
 
 @dataclass(frozen=True, slots=True)
 class SecondOpinion:
-    """RSS's view of a same-direction collision: since when it was dangerous [s], why, and who is to blame."""
+    """RSS's view of a same-direction collision: since when it was dangerous [s], why, and which vehicle is to blame."""
 
     dangerous_since: float
-    trigger: str  # lateral (somebody moved across) | longitudinal (somebody followed too closely)
+    trigger: str  # lateral (a vehicle moved across) | longitudinal (a vehicle followed too closely)
     blame: str
 
 

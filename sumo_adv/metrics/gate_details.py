@@ -1,4 +1,4 @@
-"""Which gates an adversary fails, in words: when, where and by how much. For whoever changes its planner."""
+"""Which gates an adversary fails, in words: when, where and by how much. For the modifier."""
 
 from __future__ import annotations
 

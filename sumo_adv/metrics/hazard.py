@@ -60,8 +60,8 @@ def hazard_index(
     Same direction (headings within 45 degrees at contact): the first step, after the last maximum of its lateral
     offset, at which the adversary has come 0.375 m closer to the ego's path.  Oncoming (over 135 degrees): the
     start of the final spell before contact in which its box is over the edge of the ego's lane.  Crossing (between, or
-    one that turned into the ego's direction): the start of the final spell in which it could not stop at 3 m/s2 short
-    of the corridor of the ego's path.  A same-direction adversary that never drifted closer (a leader that
+    a vehicle that turned into the ego's direction): the start of the final spell in which it could not stop at 3 m/s2
+    short of the corridor of the ego's path.  A same-direction adversary that never drifted closer (a leader that
     brakes) is *other*: the first 2D TTC < 3 s, else the contact.  Never
     before ``trigger_index`` nor after ``contact_index``.
     """

@@ -99,7 +99,7 @@ def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floa
 
 
 def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[Strip]) -> NDArray[np.intp]:
-    """The strip whose centre line is nearest, in its widths, at each step ``(n,)``; -1 where no strip holds it."""
+    """The strip with the nearest centre line, in its widths, at each step ``(n,)``; -1 where no strip holds it."""
     if not strips:
         return np.full(abreast.shape[1], -1)
     width = np.array([[s.width] for s in strips])

@@ -78,7 +78,7 @@ def _finite(values: Values) -> Floats:
 
 
 def _resampled(data: Floats, resamples: int, seed: int, of: Summary) -> Floats:
-    """The summary of each resample, so many at a time that memory stays small."""
+    """The summary of each resample, in portions that keep memory small."""
     generator, size = np.random.default_rng(seed), len(data)
     at_once = max(AT_ONCE // size, 1)
     counts = [min(at_once, resamples - begun) for begun in range(0, resamples, at_once)]

@@ -60,7 +60,7 @@ class _Table(BaseModel):
 
 
 class Expectation(_Table):
-    """What is expected of the ego; everything that is given must hold. ``min_ttc`` [s]."""
+    """Expectations of the ego; all that are given must hold. ``min_ttc`` [s]."""
 
     avoid: Avoided | None = None
     min_ttc: Annotated[float, Field(ge=0.0)] | None = None
@@ -122,7 +122,7 @@ class _File(_Table):
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A kept attack. ``settings``: those that shape the run, as data; ``found``: what it came to where it was found.
+    """A kept attack. ``settings``: those that shape the run, as data; ``found``: its outcome when it was kept.
 
     relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
     ego's driver takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.

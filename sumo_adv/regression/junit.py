@@ -43,7 +43,7 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
 
 
 def _kind(case: Judged, allow_untested: bool) -> str:
-    """The element inside the test case; empty for one that passes."""
+    """The element inside the test case; empty if it passes."""
     if case.result is Result.PASS:
         return ""
     if case.result is Result.ERROR:

@@ -100,7 +100,7 @@ def _slug(name: str) -> str:
 
 
 def _traffic(recorded: Recorded) -> dict[Path, str]:
-    """The run's copies of demand, additional files and what is played back, and what they are called in the case."""
+    """The run's copies of demand, additional files and recordings, and their names in the case."""
     spec, played = recorded.task.spec, recorded.task.playback
     files = (*spec.routes, *spec.additional, *(played.files if played is not None else ()))
     names: dict[Path, str] = {}

@@ -32,7 +32,7 @@ UNTESTED = (Result.NO_ENCOUNTER, Result.INVALID)
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """What came of a case. Times in s, speeds in m/s, never = None.
+    """The outcome of a case. Times in s, speeds in m/s, never = None.
 
     broken: why nothing was measured, with ``missed``: because there was no encounter. level, collided, rear_end,
     failed_gates, min_ttc, delta_v, severity, contact_time, preventable_by: of the attempt's verdict. touched: another

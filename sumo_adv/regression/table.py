@@ -11,7 +11,7 @@ HEAD = ("case", "result", "level", "min TTC", "delta-v", "baseline", "")
 
 
 def lines(run: SuiteRun) -> list[str]:
-    """A line a case, and one that sums up; the baseline's column only if there is a baseline."""
+    """A line a case, and a sum; the baseline's column only if there is a baseline."""
     rows = [_row(case) for case in run.cases]
     shown = [k for k in range(len(HEAD)) if k != 5 or any(case.before for case in run.cases)]
     widths = [max(len(row[k]) for row in (HEAD, *rows)) for k in range(len(HEAD))]

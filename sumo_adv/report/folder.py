@@ -1,4 +1,4 @@
-"""The folder of a run: staged beside its place and moved there whole, so that nobody ever sees half of it."""
+"""The folder of a run: staged beside its place and moved there whole, so that half of it is never seen."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
-FIRST = "first.csv.gz"  # there is one where the first attempt is not the one that counts
+FIRST = "first.csv.gz"  # written if another attempt than the first counts
 SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
 PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact, and one for each support
 
@@ -47,7 +47,8 @@ class RunFolder:
 
 @contextmanager
 def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Iterator[RunFolder]:
-    """A folder to write into; removed again unless it was kept. ``force`` replaces one that holds the file ``marker``.
+    """A folder to write into; removed again unless it was kept. ``force`` replaces a folder that holds the file
+    ``marker``.
 
     Raises:
         UsageError: the place is taken (without ``force``), or cannot be written.

@@ -1,4 +1,4 @@
-"""``outcome.json`` and ``manifest.json``: what came of a run, and what it takes to run it again bit for bit."""
+"""``outcome.json`` and ``manifest.json``: the outcome of a run, and all it takes to run it again bit for bit."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _ego_actions(episode: Episode) -> dict[str, int] | None:
 
 
 def _agents(episode: Episode) -> dict[str, Any]:
-    """Who played which part. The built-in expert is never presented as a language model."""
+    """The players of the parts. The built-in expert is never presented as a language model."""
     agents = episode.agents
     players = dict(BUILT_IN) if agents is None else {role: agents.player(role) for role in ROLES}
     models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
@@ -126,7 +126,7 @@ def _llm(episode: Episode) -> dict[str, Any]:
 
 
 def _bought(episode: Episode) -> list[dict[str, Any]]:
-    """What came of each question to a model; of a planner's text, also the attempts with it and their best level."""
+    """The result of each question to a model; of a planner's text, also the attempts with it and their best level."""
     found = []
     for each in [] if episode.agents is None else episode.agents.bought:
         own = [a for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]

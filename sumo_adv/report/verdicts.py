@@ -32,7 +32,7 @@ from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.recording import tracks_of
 
 LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
-MOST_MAPPED = 40  # reference vehicles whose distance to the road's edge is taken
+MOST_MAPPED = 40  # reference vehicles that are measured against the road's edge
 WOSAC_FEATURES = (
     "linear_speed", "linear_acceleration", "angular_speed", "angular_acceleration", "distance_to_road_edge",
 )  # fmt: skip
@@ -55,7 +55,7 @@ TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"'](
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What came of judging the attempt that counts. ``full`` is None where one of the two was gone at once."""
+    """The judgement of the attempt that counts. ``full`` is None where one of the two was gone at once."""
 
     full: FullVerdict | None
     markings: Sequence[Crossing]

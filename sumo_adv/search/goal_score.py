@@ -1,7 +1,7 @@
 """Scores of candidates for a goal that is more than a level: a near miss in a band of TTC, or a hard collision.
 
-The scores stay in the ranges of ``ScoreSettings``: what is predicted to meet the goal is below ``valid``. What counts
-but does not meet it is a miss.
+The scores stay in the ranges of ``ScoreSettings``: an attack that is predicted to meet the goal is below ``valid``.
+What counts but does not meet it is a miss.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ class Gate:
         ``older``: clients know TraCI only up to version 21.
 
         Raises:
-            UsageError: an address is none, or the host is not loopback and nobody is allowed.
+            UsageError: an address is invalid, or the host is not loopback and no address is allowed.
         """
         self._host, self._wanted_port, self._deadline, self._rules = host, port, deadline, rules
         self._older = older
@@ -130,7 +130,7 @@ class Gate:
 
     @property
     def stepped_by(self) -> Stepper:
-        """Who made the last step for the ego's side."""
+        """The maker of the last step on the ego's side."""
         return self._turns.stepped_by if self._turns else Stepper.GATE
 
     @property
@@ -170,7 +170,7 @@ class Gate:
         """Become SUMO's second client. Do it before your own connection asks for its order.
 
         ``own``: vehicles the client may set; ``kept``: those of them that it neither adds nor removes. ``hidden``:
-        objects whose subscription results are the server's alone.
+        objects with subscription results for the server alone.
 
         Raises:
             StrangerError: another program connected to SUMO first.
@@ -250,7 +250,7 @@ class Gate:
         self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
 
     def _greet(self, connection: socket.socket, peer: str) -> None:
-        """Give the seat to whoever sends a whole message."""
+        """Give the seat to the first that sends a whole message."""
         try:
             client = Client(Line(connection, LONGEST), peer)
             message = client.receive(self._deadline, lambda: self._stopping)

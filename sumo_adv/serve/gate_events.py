@@ -19,7 +19,7 @@ class EventKind(StrEnum):
 
 
 class Stepper(StrEnum):
-    """Who made a step for the ego's side."""
+    """The maker of a step on the ego's side."""
 
     CLIENT = "client"
     GATE = "gate"

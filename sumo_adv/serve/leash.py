@@ -1,8 +1,8 @@
 """Becomes ``sumo``, killed with the process that started it, and where possible in a network of its own (Linux).
 
 Run as a script, by path and with nothing but the standard library: ``leash.py PARENT TALK COMMAND ..``.  PARENT is the
-process id of who started it, TALK a Unix socket, or -1 for a ``sumo`` that others connect to by its port.  SUMO listens
-on all interfaces until its clients are there; in a network namespace of its own that is a loopback nobody else has.
+process id of its starter, TALK a Unix socket, or -1 for a ``sumo`` that others connect to by its port.  SUMO listens
+on all interfaces until its clients are there; in a network namespace of its own that loopback is its own.
 Through TALK go the connections to it that were made in there, or the word OPEN where the system allows no namespace.
 """
 
@@ -40,7 +40,7 @@ def have_own_network() -> bool:
 
 
 def send_connections(talk: socket.socket, port: int) -> None:
-    """Connect to the port as soon as somebody listens, and send the connections, unless the other end goes first."""
+    """Connect to the port as soon as a program listens, and send the connections, unless the other end goes first."""
     made: list[socket.socket] = []
     while len(made) < CLIENTS:
         one = socket.socket()

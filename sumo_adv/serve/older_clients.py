@@ -1,7 +1,7 @@
 """For clients that know TraCI only up to version 21: they are told that version, and subscribe to stops as then.
 
 SUMO 1.23 made it version 22.  Its getter 0x73 (``getNextStops``) still answers in the old form, but subscribing to it
-is refused (measured with 1.28).  So it becomes one to 0x74 (``getStops``), whose results are rewritten.
+is refused (measured with 1.28).  So it becomes one to 0x74 (``getStops``); its results are rewritten.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class OlderClients:
         if payload[4 : shapes.name_end(payload, 0)] not in self._names:
             return result
         at = payload.find(_BEGIN)
-        while at >= 0:  # what is found too early is part of another value: stops come last and end with the result
+        while at >= 0:  # a match too early is part of another value: stops come last and end with the result
             stops = _old_form(payload, at + len(_BEGIN))
             if stops is not None:
                 return make_command(_RESULT, payload[:at] + bytes((_NEXT_STOPS, 0, 0x0F)) + stops)

@@ -16,11 +16,11 @@ class Mode(StrEnum):
 
 
 class OnLoss(StrEnum):
-    """Who drives the ego while its client is lost or late."""
+    """What drives the ego while its client is lost or late."""
 
     SUMO = "sumo"
     BRAKE = "brake"
-    END = "end"  # nobody: the server ends
+    END = "end"  # nothing: the server ends
 
 
 @dataclass(frozen=True, slots=True)

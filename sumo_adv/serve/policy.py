@@ -212,7 +212,7 @@ def _filter_fits(payload: bytes) -> bool:
     if not payload:
         return False
     kind = payload[0]
-    if kind == 0x01:  # lanes: a count and so many bytes
+    if kind == 0x01:  # lanes: a count and as many bytes
         return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
     wanted = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
     return shapes.fits(payload, 1, (wanted,))

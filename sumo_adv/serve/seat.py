@@ -1,4 +1,4 @@
-"""The one seat at the gate: the client that drives the ego, and who else comes."""
+"""The one seat at the gate: the client that drives the ego, and other visitors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sumo_adv.serve import framing
 from sumo_adv.serve.framing import FramingError, Gone, Line
 from sumo_adv.serve.gate_events import EventKind, GateEvent
 
-FAREWELL = 60.0  # s in which one that was sent away may still hear why
+FAREWELL = 60.0  # s in which a client that was sent away may still hear why
 
 
 class Late(SumoAdvError):
@@ -97,7 +97,7 @@ class ClientSlot:
         self._client: Client | None = None
 
     def tell(self, event: GateEvent) -> None:
-        """Tell what happened; whoever listens cannot stop the gate by failing."""
+        """Tell what happened; a listener cannot stop the gate by failing."""
         try:
             self._listener(event)
         except Exception:
@@ -105,11 +105,11 @@ class ClientSlot:
 
     @property
     def client(self) -> Client | None:
-        """Who sits there."""
+        """The client on the seat."""
         return self._client
 
     def take(self, client: Client) -> bool:
-        """Whether the client got the seat; one whose connection is dead loses it."""
+        """Whether the client got the seat; a client with a dead connection loses it."""
         sitting = self._client
         if sitting is not None and sitting.line.cut:
             self.leave(sitting, EventKind.LOST, f"The client at {sitting.peer} was lost: its connection broke.")
@@ -122,7 +122,7 @@ class ClientSlot:
         return True
 
     def leave(self, client: Client, kind: EventKind, sentence: str) -> None:
-        """Free the seat, unless it was already, and end the client's connection; one that is late hears why."""
+        """Free the seat, unless it was already, and end the client's connection; a late client hears why."""
         with self._changed:
             if self._client is not client:
                 return
@@ -135,6 +135,6 @@ class ClientSlot:
         self.tell(GateEvent(kind, sentence))
 
     def wait(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` seconds until somebody sits there."""
+        """Wait up to ``timeout`` seconds until a client sits there."""
         with self._changed:
             return self._changed.wait_for(lambda: self._client is not None, timeout)

@@ -7,7 +7,7 @@ context of variables that its objects do not have.
 A shape is a string, one letter a value, as in ``traci``: ``i`` integer, ``d`` double, ``b`` byte, ``B`` unsigned byte,
 ``s`` string, ``l`` list of strings, ``v`` list of vehicle classes, ``n`` an icon's name, ``f`` list of doubles, ``c``
 colour, ``p`` polygon, ``o``/``O``/``g``/``G`` positions, ``r`` a place on a road, each after the byte of its type;
-``u`` an unsigned byte without one; ``(...)`` a compound of so many values, those in ``[...]`` may be missing;
+``u`` an unsigned byte without one; ``(...)`` a compound of these values, those in ``[...]`` may be missing;
 ``{...}`` a compound of any number of such values.
 """
 

@@ -1,4 +1,4 @@
-"""A new ``sumo`` with its two clients, the gate and our own connection, and with nobody else."""
+"""A new ``sumo`` with its two clients, the gate and our own connection, and with no third one."""
 
 from __future__ import annotations
 

@@ -63,6 +63,6 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
             self.wfile.write(body)
 
         def log_message(self, format: str, *arguments: Any) -> None:
-            """Requests are nobody's business."""
+            """Requests are not logged."""
 
     return Handler

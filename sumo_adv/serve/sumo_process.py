@@ -28,7 +28,7 @@ class StrangerError(SimulationError):
 
 
 def free_port() -> int:
-    """A port of the loopback interface that nobody listens on now."""
+    """A port of the loopback interface on which no program listens now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -38,7 +38,7 @@ def free_port() -> int:
 class SumoProcess:
     """A running ``sumo`` that waits for its clients.
 
-    On Linux it is killed when the thread that made it ends, so make it in one that lasts; elsewhere it ends once
+    On Linux it is killed when the thread that made it ends, so make it in a thread that lasts; elsewhere it ends once
     its clients' connections break.
     """
 
@@ -88,7 +88,7 @@ class SumoProcess:
         """One of its ``CLIENTS`` connections, as soon as it listens.
 
         Raises:
-            StrangerError: somebody else took one (noticed on Linux).
+            StrangerError: a stranger took one (noticed on Linux).
             SimulationError: it ended, or does not listen within ``timeout`` seconds.
         """
         until = time.monotonic() + timeout
@@ -104,7 +104,7 @@ class SumoProcess:
 
     @property
     def is_private(self) -> bool:
-        """Whether it turned out, after a ``dial``, that nobody else can connect."""
+        """Whether it turned out, after a ``dial``, that no stranger can connect."""
         return self._talk is not None
 
     def _handed_over(self) -> socket.socket | None:
@@ -123,7 +123,9 @@ class SumoProcess:
         return self._made.pop(0) if self._made else None
 
     def _connected(self, timeout: float) -> socket.socket | None:
-        """A connection to our port; None if nobody listens there yet: the kernel could connect such a one to itself."""
+        """A connection to our port; None if no program listens there yet: the kernel could connect such a one to
+        itself.
+        """
         dialling = socket.socket()
         try:
             dialling.bind(("127.0.0.1", 0))
@@ -190,7 +192,8 @@ class SumoProcess:
 
 
 def strangers(port: int, ours: Sequence[int]) -> bool:
-    """Whether somebody has a connection to a local port from another one than ``ours``; False where it cannot be seen.
+    """Whether a stranger has a connection to a local port from another one than ``ours``; False where it cannot be
+    seen.
 
     Source: proc(5), ``/proc/net/tcp``: local and remote address and state stand in columns 2 to 4.
     """

@@ -98,7 +98,7 @@ class Turns:
             self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} said close.")
 
     def _guarded(self, client: Client, talk: Callable[[Client], None]) -> None:
-        """Talk with a client; one that fails at it loses its seat."""
+        """Talk with a client; if it fails it loses its seat."""
         try:
             talk(client)
         except Interrupted:
@@ -270,7 +270,8 @@ class Turns:
         return self._shown(self._steps(client, count))
 
     def _steps(self, client: Client, count: int) -> bytes:
-        """Step one at a time, and only while the client is there: one that asked for an hour and went drives no longer.
+        """Step one at a time, and only while the client is there: a client that asked for an hour and went drives no
+        longer.
 
         Raises:
             Gone: it is not there any longer.

@@ -24,7 +24,7 @@ class EncounterMonitor:
         self._encounter = self._fresh()
 
     def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
-        """Step until one begins: who could attack, most dangerous first; empty at ``end`` [s] or without traffic.
+        """Step until one begins: possible adversaries, most dangerous first; empty at ``end`` [s] or without traffic.
 
         ``trigger``: attack from this time on whatever the risk; ``quiet``: s from now on in which none may begin.
 
@@ -65,7 +65,7 @@ class EncounterMonitor:
         return session.ready(0.0)
 
     def changed(self, tracks: Mapping[str, Track], bv: str, relation: str) -> str:
-        """Why the scene is no longer the one that was foreseen; empty if it is."""
+        """Why the scene differs from the predicted one; empty if it does not."""
         session = self._session
         raw = session.snapshot.raw
         assert session.ego is not None

@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 
-FREE_DENSITY = 10.0  # departures per minute and origin lane where nobody must yield: a third of a lane's capacity
+FREE_DENSITY = 10.0  # departures per minute and origin lane without yielding: a third of a lane's capacity
 YIELDING_DENSITY = 4.0  # the same where some route must yield or stop at lights
 MAX_DEFAULT_DENSITY = 30.0  # departures per minute over the whole network
 INNER_DENSITY = 12.0  # departures per minute over a network that has no fringe
@@ -95,7 +95,7 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
 
 
 def default_density(found: list[Journey]) -> float:
-    """Departures per minute that give lively but free traffic: so many for each lane on which vehicles enter."""
+    """Departures per minute that give lively but free traffic: in proportion to the lanes on which vehicles enter."""
     lanes = {journey.edges[0]: journey.lanes for journey in found if journey.fringe}
     share = YIELDING_DENSITY if any(journey.yields for journey in found) else FREE_DENSITY
     return min(share * sum(lanes.values()), MAX_DEFAULT_DENSITY) or INNER_DENSITY

@@ -291,8 +291,8 @@ def in_forks(
 ) -> list[Any]:
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
-    reloaded: makes of a piece of work one that loads the simulation again first. A fork that dies is repeated with it.
-    lost: makes a result of the sentence that says why a fork died, for one that dies again when it is repeated.
+    reloaded: adds to a piece of work that it loads the simulation again first. A fork that dies is repeated with it.
+    lost: makes a result of the sentence that says why a fork died, if it dies again when it is repeated.
 
     Raises:
         SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.

@@ -36,8 +36,8 @@ def write_scenario(
 ) -> int:
     """Network, tracks, routes and scenario into ``folder``; gives the number of objects.
 
-    ``types``: files whose vTypes say how long and wide vehicles are (else SUMO's 5 by 1.8 m). ``warm_up`` [s]: how long
-    the recording moves everybody after the ego came.
+    ``types``: files with the vTypes of the vehicles (else SUMO's 5 by 1.8 m). ``warm_up`` [s]: how long
+    the recording moves all vehicles after the ego came.
 
     Raises UsageError: a file that is damaged or no FCD, an ego that is not in it or never on a lane.
     """
@@ -111,7 +111,7 @@ def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Siz
     if count * len(seen) > MOST_STATES:
         raise UsageError(
             f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {step:.3g} s with {len(seen)} objects, more"
-            f" than {MOST_STATES:.0e} states; cut it to the part that is to be run."
+            f" than {MOST_STATES:.0e} states; cut it to the part that you need."
         )
     grid = times[0] + step * np.arange(count)
     try:

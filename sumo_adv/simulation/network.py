@@ -65,7 +65,7 @@ class Way:
     junction: float  # station at which the first junction begins, inf if none is in reach
     rule: str = ""  # SUMO's right of way letter there (see ``Connection``), empty where there is no junction
     first: Connection | None = None  # at that junction
-    bay: float = math.inf  # station at which those who give way wait on it (SUMO's internal junction), else inf
+    bay: float = math.inf  # station at which vehicles that give way wait on it (SUMO's internal junction), else inf
 
     @property
     def gives_way(self) -> bool:

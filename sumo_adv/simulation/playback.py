@@ -1,4 +1,4 @@
-"""A log played back beside SUMO's traffic: who is moved by it, when, and who is handed over to whom.
+"""A log played back beside SUMO's traffic: which vehicles it moves, when, and when they are handed over.
 
 Up to the hand-over (the ego's first recorded step and the scenario's warm-up) the log moves every recorded vehicle.
 Then the ego gets its driver. Each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo"), or goes
@@ -7,7 +7,7 @@ vehicles near the adversary are handed to SUMO, so that they can react to it.  A
 it comes; to be handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever the
 ego's driver or an attack drives, the log leaves alone for good.
 
-What is no vehicle is a box beside SUMO, except a parked one whose centre is in a lane: that is a standing SUMO vehicle,
+Other objects are boxes beside SUMO, except parked ones with their centre in a lane: these are standing SUMO vehicles,
 so that SUMO's drivers see it.
 """
 
@@ -34,7 +34,7 @@ ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
 
 
 class Playback:
-    """Plays one spec back in one simulation; ``start`` makes it ready for one that was just loaded."""
+    """Plays one spec back in one simulation; ``start`` makes it ready for a simulation that was just loaded."""
 
     def __init__(
         self, spec: PlaybackSpec, road: RoadMap, *, begin: float, step: float, ego: str | None, warm_up: float
@@ -86,7 +86,7 @@ class Playback:
         """Whether the scenario itself, not a log, has put this pedestrian or cyclist there."""
         return self._placed.get(obstacle) in OBJECTS
 
-    # -- who drives -------------------------------------------------------------------------------------------------
+    # -- the drivers -------------------------------------------------------------------------------------------------
 
     def may_take(self, vehicle: str, raw: Mapping[str, RawState], now: float, *, replayed: bool) -> bool:
         """Whether the ego's driver can have a vehicle now: from the hand-over on, and on a lane unless ``replayed``."""
@@ -119,7 +119,7 @@ class Playback:
     def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
         """Add to ``driven`` the vehicles that the log moves in the step that begins ``now``; insert and hand over.
 
-        ``raw``: SUMO's present states; ``driven``: who is put where by others in this step.
+        ``raw``: SUMO's present states; ``driven``: the vehicles that others place in this step, and where.
         """
         then = round(now + self._step, 6)
         self._moved, self._gone = {}, []
@@ -200,7 +200,7 @@ class Playback:
         self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
 
     def _room(self, vehicle: Recorded, pose: Pose, raw: Mapping[str, RawState]) -> bool:
-        """Whether nothing will be where a vehicle is to be inserted, or just before or behind it."""
+        """Whether the place at which a vehicle will be inserted is free, also just before and behind it."""
         c, s = math.cos(pose.heading), math.sin(pose.heading)
         for name, (x, y, angle_deg, speed, _) in raw.items():
             length, width = self._fleet.sizes[name]

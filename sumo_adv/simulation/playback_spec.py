@@ -19,8 +19,8 @@ from sumo_adv.simulation.tracks import read_tracks
 class PlaybackSpec:
     """What is played back. Paths exist and hold what they should.
 
-    background: who drives recorded BVs from the hand-over on; None: not said yet (``with_background`` decides).
-    routes: edges of recorded vehicles, by id; vehicles, obstacles: ids of what is one and of what is not; begin, end
+    background: what drives recorded BVs from the hand-over on; None: not said yet (``with_background`` decides).
+    routes: edges of recorded vehicles, by id; vehicles, obstacles: ids of vehicles and of other objects; begin, end
     [s]: of the log, 0 and inf without one.
     """
 
@@ -52,7 +52,7 @@ def make_playback(
     props: Sequence[Prop],
     route_files: Sequence[Path],
 ) -> PlaybackSpec | None:
-    """The spec with what its files say; None where nothing is to be played back.
+    """The spec with what its files say; None without anything to play back.
 
     Raises:
         UsageError: a file is missing, damaged or wrong, two things have one id, or there is no log where one is needed.

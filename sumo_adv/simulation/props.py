@@ -40,7 +40,7 @@ class Prop:
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """An object of a log, whose grid begins at ``begin`` [s] with steps of ``step`` [s]."""
+    """An object of a log; its grid begins at ``begin`` [s] with steps of ``step`` [s]."""
 
     track: LoggedTrack
     begin: float

@@ -15,7 +15,7 @@ from sumo_adv.errors import SimulationError
 
 SIMSTEP, VEHICLE_GET, SIMULATION_GET = 0x02, 0xA4, 0xAB
 POSITION, ANGLE, SPEED, LANE_POSITION, LANE, ID_LIST, TIME = 0x42, 0x43, 0x40, 0x56, 0x51, 0x00, 0x66
-STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane, whose name may have any length, is the last
+STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane is the last: its name may have any length
 STATUS = 7  # bytes of a status without words
 LENGTH = struct.Struct("!i")
 STEP = struct.pack("!BBd", 10, SIMSTEP, 0.0)
@@ -111,7 +111,7 @@ class Remote:
         return states
 
     def _place(self, size: int) -> struct.Struct:
-        """Where the numbers of a vehicle lie whose id has ``size`` bytes."""
+        """Where the numbers of a vehicle lie if its id has ``size`` bytes."""
         place = self._places.get(size)
         if place is None:
             two, one = (STATUS + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))

@@ -30,7 +30,7 @@ class NetworkScan:
 
 @dataclass(frozen=True, slots=True)
 class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (whose vehicles are ``flow.0``, ...)."""
+    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...)."""
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]

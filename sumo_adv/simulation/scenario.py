@@ -18,7 +18,7 @@
                  x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
 
 Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a duration.
-With ``tracks`` the log moves everybody until the warm-up is over: then the ego gets its driver and the BVs theirs.
+With ``tracks`` the log moves all vehicles until the warm-up is over: then the ego gets its driver and the BVs theirs.
 A recorded vehicle's route is the ``<route>`` of its id in the demand's files; without one it is only ever replayed.
 Nothing here opens any file but the scenario; ``inputs.py`` checks what it names.
 """
@@ -58,7 +58,7 @@ class _Table(BaseModel):
 
 
 class Demand(_Table):
-    """Who drives: route files, or generated traffic of ``density`` [departures per minute over the whole network]."""
+    """The traffic: route files, or generated traffic of ``density`` [departures per minute over the whole network]."""
 
     files: tuple[Located, ...] = ()
     density: Annotated[float, Field(gt=0.0)] | None = None

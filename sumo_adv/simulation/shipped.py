@@ -1,4 +1,4 @@
-"""What is shipped: scenarios, each with a line on what it is."""
+"""The shipped scenarios, each with its description."""
 
 from __future__ import annotations
 

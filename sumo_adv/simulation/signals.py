@@ -29,7 +29,7 @@ class SignalLog:
     lights: Mapping[str, tuple[tuple[float, ...], tuple[str, ...]]]
 
     def states(self, time: float) -> dict[str, str]:
-        """The state of every light whose first row is not after ``time`` [s]."""
+        """The state of every light with a row at or before ``time`` [s]."""
         found = {}
         for name, (times, states) in self.lights.items():
             k = bisect_right(times, time + 1e-6)

@@ -1,6 +1,6 @@
 """The one adapter over SUMO: libsumo in this process, or a SUMO of its own over TraCI (the functions are the same).
 
-SUMO's poses (front bumper, degrees clockwise from north) exist in this file alone; everybody else sees box centres and
+SUMO's poses (front bumper, degrees clockwise from north) exist in this file alone; all other code sees box centres and
 headings in rad counter-clockwise from +x.  Facts about SUMO that shape the calls are measured ones: a moved vehicle
 needs ``setSpeedMode, setSpeed, moveToXY(keepRoute=2)`` in this order and in every step, or its speed is wrong.
 """
@@ -116,7 +116,7 @@ class Simulation:
     def __init__(self, spec: SimulationSpec, remote: Remote | None = None) -> None:
         self.spec = spec
         self.fleet = Fleet()
-        self.unrouted: frozenset[str] = frozenset()  # vehicles that somebody else moves as he likes
+        self.unrouted: frozenset[str] = frozenset()  # vehicles that another program moves freely
         self._remote = remote
         self._moved = MovedSpeeds()
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
@@ -238,7 +238,7 @@ class Simulation:
         return self.state_as(VehicleState, snapshot, vehicle, acceleration)
 
     def state_as(self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float) -> S:
-        """The same as another class, whose first arguments are those of ``VehicleState``."""
+        """The same as another class that begins with the arguments of ``VehicleState``."""
         raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
         return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
 
@@ -247,7 +247,7 @@ class Simulation:
         return int(self._sumo.simulation.getMinExpectedNumber())
 
     def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
-        """A vehicle's edges and the index of the present one; nothing where nobody knows its way (``unrouted``)."""
+        """A vehicle's edges and the index of the present one; nothing where its way is unknown (``unrouted``)."""
         if vehicle in self.unrouted:
             return (), 0
         return tuple(self._sumo.vehicle.getRoute(vehicle)), int(self._sumo.vehicle.getRouteIndex(vehicle))
@@ -308,7 +308,7 @@ class Simulation:
     def inject(self, poses: Mapping[str, Pose], heeding: str | None = None) -> None:
         """Put vehicles at poses; visible after the next step, and for that step alone.
 
-        heeding: the vehicle whose ``advised`` speed is to heed lights and right of way.
+        heeding: the vehicle that gets an ``advised`` speed with lights and right of way.
 
         Raises:
             SimulationError: SUMO does not know the vehicle, or could not place it.
@@ -337,7 +337,7 @@ class Simulation:
             self._sumo.vehicle.setVehicleClass(vehicle, self.vehicle_class(vehicle))
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
-        """Ask for a speed [m/s], or a lower one that SUMO holds for safe; None gives the speed back to SUMO.
+        """Ask for a speed [m/s], or the lower one which SUMO holds for safe; None gives the speed back to SUMO.
 
         It brakes at most as hard as in an emergency: SUMO clips at the ``decel``, which is the emergency's as long as a
         speed is asked for (also for what SUMO holds for safe); without clipping, its safe speed stops within a step.

@@ -27,7 +27,7 @@ class Stage:
         self._programs: dict[str, str] = {}
 
     def spawn(self, name: str, edges: Sequence[str], pose: Pose, size: tuple[float, float]) -> None:
-        """Insert a vehicle of ``size`` (length, width) [m]; it is to be injected at ``pose`` in the same step.
+        """Insert a vehicle of ``size`` (length, width) [m]; inject it at ``pose`` in the same step.
 
         SUMO refuses a speed above ten times the limit of the route's first edge. Such a vehicle departs as fast as SUMO
         lets it, and the injected pose brings it to its speed.
@@ -61,7 +61,7 @@ class Stage:
     def hand_over(self, name: str, speed: float, edges: Sequence[str], factor: float | None = None) -> None:
         """From the next step on SUMO drives, from ``speed`` [m/s], along ``edges`` from where the vehicle is on them.
 
-        factor: of the speed limit that its driver goes for; None = 1, or what it goes at if that is more.
+        factor: of the speed limit that its driver goes for; None = 1, or its own speed if that is more.
         """
         vehicle = self._sumo.vehicle
         vehicle.setPreviousSpeed(name, speed)

@@ -2,7 +2,7 @@
 
 The file is a CSV, packed by gzip or not, with the header ``time,id,kind,valid,x,y,heading,speed,length,width``: a row
 an object and step; time [s] of the simulation; x, y box centre [m]; heading [rad]; speed [m/s].  A step that has no
-row, or one with ``valid`` 0 (whose numbers may be empty), says nothing of the object: it may come late, leave early
+row, or one with ``valid`` 0 (its numbers may be empty), says nothing of the object: it may come late, leave early
 and be unseen in between.  Sizes wander in recordings; an object has one here, the median of its valid rows.
 """
 

@@ -115,7 +115,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
         made.mkdir()
         report = convert_record(record, made, traffic=traffic)
         if kept:
-            with contextlib.suppress(OSError):  # somebody else was faster: theirs is the same
+            with contextlib.suppress(OSError):  # another process was faster: its file is the same
                 made.rename(place)
             made = place
             _trim(place.parent.parent)

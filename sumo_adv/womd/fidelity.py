@@ -241,7 +241,7 @@ def travelled(track: ObjectTrack) -> float:
 def _routes(
     record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
 ) -> dict[str, Any]:
-    """Driven tracks, those whose edges in SUMO break, and those that break on the record's own graph."""
+    """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
     driven = [t for t in tracks if travelled(t) > DRIVEN]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]

@@ -1,7 +1,7 @@
 """TFRecord framing: ``u64le length | u32le masked CRC of the length | data | u32le masked CRC of the data``.
 
 The checksum is CRC-32C (Castagnoli, reflected polynomial 0x82F63B78). It is linear, so long data are cut into strips
-that numpy runs through the table side by side and that are joined by the operator "append so many zero bytes".
+that numpy runs through the table side by side and that are joined by the operator "append n zero bytes".
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Frame:
 def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
     """The records of ``file`` one at a time; the first ``skip`` ones without their bytes.
 
-    A frame whose data do not match their checksum is given with ``intact`` False.
+    A frame with data that do not match their checksum is given with ``intact`` False.
 
     Raises:
         UsageError: the file ends inside a record, or a length does not match its checksum (nothing can be found

@@ -1,6 +1,6 @@
 """From a TFRecord file of Waymo scenarios to :class:`Record` values, one at a time.
 
-What is wrong with a file or a record is a UsageError of one sentence that names both; a reader that keeps going tells
+A faulty file or record is a UsageError of one sentence that names both; a reader that keeps going tells
 it and takes the next record. Needs the extra ``womd`` (protobuf).
 """
 
@@ -46,7 +46,7 @@ Told = Callable[[UsageError], None]
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Which records of a file: the one of this ``id``, the one at ``index`` (from 0), the ``first`` so many; or all."""
+    """Which records of a file: the one of this ``id``, the one at ``index`` (from 0), the ``first`` ones; or all."""
 
     id: str | None = None
     index: int | None = None
@@ -59,7 +59,7 @@ ALL = Choice()
 def read_records(path: Path, choice: Choice = ALL, told: Told | None = None) -> Iterator[Record]:
     """The chosen records of the file at ``path``, read as they are asked for.
 
-    told: takes what is wrong with a record, which is then passed over; None = it is raised.
+    told: takes the fault of a record, which is then passed over; None = it is raised.
 
     Raises:
         UsageError: protobuf is not installed; the file cannot be read; it has no such record; a record is damaged or
@@ -150,7 +150,7 @@ def _read(frame: Frame, path: Path, wanted: str | None, parse: Callable[[bytes],
         raise UsageError(f"{where} is damaged: its checksum is wrong; fetch the file again.")
     try:
         message = parse(frame.data)
-    except Exception as error:  # DecodeError, whose module differs between releases of protobuf
+    except Exception as error:  # DecodeError; its module differs between releases of protobuf
         raise UsageError(f"{where} is no Scenario message of the Waymo Open Motion Dataset.") from error
     if wanted is not None and message.scenario_id != wanted:
         return None

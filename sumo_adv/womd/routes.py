@@ -44,7 +44,7 @@ class Router:
         return tuple(last + self._on(last, chosen.driven[-1]))
 
     def unbroken(self, stretches: Sequence[Stretch]) -> bool:
-        """Whether a track is one stretch (or none) whose edges follow one another."""
+        """Whether a track is one stretch (or none) with edges that follow one another."""
         return len(stretches) <= 1 and all(len(self._parts(self.edges(s))) == 1 for s in stretches)
 
     def _parts(self, edges: list[str]) -> list[list[str]]:

@@ -104,7 +104,7 @@ def _write_routes(
 
 
 def _write_crosswalks(record: Record, path: Path) -> None:
-    """The crosswalks as filled polygons over the road, for sumo-gui; they rule nobody's way."""
+    """The crosswalks as filled polygons over the road, for sumo-gui; they rule no vehicle's way."""
     lines = ['<?xml version="1.0" encoding="UTF-8"?>\n\n<additional>\n']
     for area in record.areas:
         if area.kind == "crosswalk" and len(area.points) > 2:

@@ -34,7 +34,7 @@ class Hits:
         return Hits(*(v[chosen] for v in (self.point, self.line, self.distance, self.station, self.turned)))
 
     def least(self, points: int, beyond: float) -> Floats:
-        """For each of so many points the least distance; ``beyond`` where it has no pair."""
+        """For each of ``points`` points the least distance; ``beyond`` where it has no pair."""
         found = np.full(points, beyond)
         np.minimum.at(found, self.point, self.distance)
         return found

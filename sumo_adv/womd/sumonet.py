@@ -21,7 +21,7 @@ DEFAULT_WIDTH = 3.2  # m, SUMO's for lanes without one
 
 @dataclass(frozen=True, slots=True)
 class NetLane:
-    """One lane. shape ``(n, 2)`` m; width, length m; cars, bicycles: who may use it."""
+    """One lane. shape ``(n, 2)`` m; width, length m; cars, bicycles: which vehicles may use it."""
 
     id: str
     edge: str
@@ -67,7 +67,7 @@ class SumoNet:
 
 
 def read_net(path: Path) -> SumoNet:
-    """The network at ``path`` (one that we wrote: errors are not dressed up)."""
+    """The network at ``path`` (written by ourselves: errors are not dressed up)."""
     with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
         root = ElementTree.parse(file).getroot()
     lanes: dict[str, NetLane] = {}

@@ -21,7 +21,7 @@ Report = Mapping[str, Any]
 
 
 def row(report: Report) -> tuple[str, ...]:
-    """One record's cells; ``LEGEND`` says what they are."""
+    """One record's cells; ``LEGEND`` explains them."""
     d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
     t = report["traffic"]
     return (
@@ -35,9 +35,9 @@ def row(report: Report) -> tuple[str, ...]:
 
 
 def totals(reports: Sequence[Report]) -> dict[str, float]:
-    """All records together: shares weighted by what they are shares of, counts summed, the median time.
+    """All records together: shares weighted by their wholes, counts summed, the median time.
 
-    disturbed: share of the networks tried whose random traffic had a collision or a teleport.
+    disturbed: share of the networks tried that had a collision or a teleport in random traffic.
     """
     km = np.array([r["lane_length"] for r in reports]) / 1000.0
     samples = [r["deviation"]["samples"] for r in reports]

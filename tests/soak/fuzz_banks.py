@@ -99,7 +99,7 @@ def _quietly(path: Path, statements: tuple[object, ...]) -> None:
 
 
 def _use(bank: MemoryBank, folder: Path) -> None:
-    """Everything that reads a bank, and one that writes."""
+    """All commands that read a bank, and a command that writes."""
     bank.epsilon()
     bank.statistics()
     near_duplicates(bank)

@@ -1,7 +1,7 @@
 """The gate against random and mutated messages: ``python tests/soak/fuzz_gate.py [MINUTES [SEED]]`` (10 and 0).
 
-SUMO must live, time must go on, and nothing may be the client's that is not. Prints what came of the messages, or the
-seed, the number of the message and the last messages before a fault; exit status 1 then.
+SUMO must live, time must go on, and nothing may be the client's that is not. Prints the outcomes of the messages, or
+the seed, the number of the message and the last messages before a fault; exit status 1 then.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ OTHERS = {"other", "crossing"}
 
 
 def fuzz(folder: Path, seed: int, seconds: float, most: int = sys.maxsize) -> Counter[str]:
-    """What came of the messages that a client sent in so many seconds, and at most so many.
+    """The outcomes of the messages that a client sent within ``seconds``, ``most`` at most.
 
     Raises:
         AssertionError: something broke; the last messages are in it.

@@ -1,7 +1,7 @@
 """Episodes in a row in one process, as a user's script would run them; a line of JSON for each.
 
 ``python soak_episodes.py COUNT [FIRST]``: the shipped scenarios in turn, each time with another seed and driver.  A
-line tells the ending and what is left once the episode's engine and sandbox are closed.
+line tells the ending and the remains once the episode's engine and sandbox are closed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OUT = Path("out")
 
 
 def children() -> int:
-    """Processes started by this one that are still there, zombies included (-1 where there is no /proc)."""
+    """Processes of our own that are still there, zombies included (-1 where there is no /proc)."""
     listed = list(Path("/proc/self/task").glob("*/children"))
     return sum(len(file.read_text().split()) for file in listed) if listed else -1
 

@@ -1,4 +1,4 @@
-"""A batch on a cluster of two nodes, of which one or a worker is killed, twenty times, at random times."""
+"""A batch on a cluster of two nodes, a node or a worker of which is killed, twenty times, at random times."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PAUSE = (0.2, 8.0)  # s between kills
 
 
 class Victims:
-    """A cluster whose head stays, and the second node; whom to kill."""
+    """A cluster with a head that stays, and the second node, which may be killed."""
 
     def __init__(self, cluster: Any, rng: random.Random) -> None:
         self._cluster, self._rng = cluster, rng

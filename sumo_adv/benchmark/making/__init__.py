@@ -1,1 +1,1 @@
-"""Makes suites: draws encounters on the shipped networks and keeps those that are calm while nobody attacks."""
+"""Makes suites: draws encounters on the shipped networks and keeps those that are calm without an attack."""

@@ -1,4 +1,4 @@
-"""An encounter on paper: who starts where, and the two files that say so.
+"""An encounter on paper: where each vehicle starts, and the two files that say so.
 
 Nothing in the files tells which vehicle was meant or as what: ids are numbers in the order of departure and place.
 """
@@ -65,7 +65,7 @@ class Draft:
 
 
 def write_draft(draft: Draft, name: str, folder: Path) -> Path:
-    """Writes ``<name>.toml`` and ``demand/<name>.rou.xml`` into ``folder``, whose ``networks`` it counts on."""
+    """Writes ``<name>.toml`` and ``demand/<name>.rou.xml`` into ``folder``, which must hold ``networks``."""
     demand = folder / "demand" / f"{name}.rou.xml"
     _write(demand, _demand(draft))
     scenario = folder / f"{name}.toml"

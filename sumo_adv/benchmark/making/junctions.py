@@ -33,7 +33,7 @@ SLOWEST, FASTEST = 8.0, 22.0  # m/s
 MOST_ROUTE = 6  # edges
 DEEPEST = 65.0  # m behind the stop line that ways may meet: a quarter of a roundabout
 APPROACH = 30.0  # m before the stop line that both start at least
-COMFORT = 3.0  # m/s2: whoever starts nearer to a junction than he could stop at is not let in by SUMO
+COMFORT = 3.0  # m/s2: SUMO inserts no vehicle nearer to a junction than it could stop at
 BEFORE = 6.0  # m from a lane's begin to a front bumper at least
 LATE_TRAFFIC = 9.0  # s after the begin until which others depart
 
@@ -98,7 +98,7 @@ def _routes(road: RoadMap) -> list[tuple[str, ...]]:
 
 @cache
 def meetings(network: str) -> tuple[Meeting, ...]:
-    """All pairs of routes from different edges whose ways meet."""
+    """All pairs of routes from different edges that meet."""
     found = []
     for ego in approaches(network):
         for bv in approaches(network):
@@ -131,7 +131,7 @@ def draw_junction(kind: str, number: int, draw: Random) -> Draft:
 
 
 def _wanted(meetings: Sequence[Meeting], number: int) -> Sequence[Meeting]:
-    """Those with the manoeuvre and (two of three) the right of way whose turn it is, as far as there are any."""
+    """Those with the manoeuvre and (two of three) the right of way that is next, as far as there are any."""
     manoeuvre, yields = MANOEUVRES[number % len(MANOEUVRES)], number % 3 == 2
     by_movement = [m for m in meetings if m.ego.movement == manoeuvre] or list(meetings)
     return [m for m in by_movement if m.ego.yields == yields] or by_movement

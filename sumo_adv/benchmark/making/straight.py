@@ -1,4 +1,4 @@
-"""Encounters on roads without junctions: the ego keeps its lane; somebody is ahead, beside, behind or oncoming."""
+"""Encounters on roads without junctions: the ego keeps its lane; a vehicle is ahead, beside, behind or oncoming."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TRAFFIC = {"no": 0, "light": 3, "medium": 7, "dense": 12}
 
 SIZES = ((4.8, 1.8), (4.4, 1.8), (5.0, 1.9), (6.0, 2.1))  # m, the last one a van
 STAYS = 16.0  # s that the ego must have road for after the trigger
-OWN_SPACE = 24.0  # m around the ego in which nobody drives beside it but whoever was meant
+OWN_SPACE = 24.0  # m around the ego in which only the intended vehicle drives beside it
 
 
 @dataclass(frozen=True, slots=True)

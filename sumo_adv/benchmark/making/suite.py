@@ -1,4 +1,4 @@
-"""Makes a suite: so many encounters of each kind, drawn with a seed until they are calm, and the list of them.
+"""Makes a suite: a number of encounters of each kind, drawn with a seed until they are calm, and the list of them.
 
 The same seed gives the same files byte for byte (same SUMO); another seed gives as many of each kind, on the same
 networks, in the same lanes and as dense traffic, with other figures.
@@ -36,7 +36,7 @@ SHARES: Mapping[str, int] = {
 """How many encounters of each kind: 50 on straight roads, 31 at junctions."""
 
 MOST_TRIES = 60  # candidates for one place in the list
-Report = Callable[[str, str], None]  # name of the case, what was wrong with a candidate (empty: it is taken)
+Report = Callable[[str, str], None]  # name of the case, why a candidate is refused (empty: it is taken)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def _provide_network(network: str, work: Path) -> None:
 
 
 def _fault(draft: Draft, scenario: Path, engine: Engine) -> str:
-    """What is wrong with a candidate, with the driver it is wrong for; the first driver alone, then all others."""
+    """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
         trials = [trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
         for fault in engine.request("trials", trials):

@@ -1,6 +1,6 @@
 """Runs a drawn encounter unattacked in SUMO, with each driver under test, and says what is wrong with it.
 
-The drive is the one of ``run`` (``Worker.open``, ``Worker.seek``), so what is kept here is found there.  Each trial is
+The drive is the one of ``run`` (``Worker.open``, ``Worker.seek``), so ``run`` finds the same encounters.  Each trial is
 a fork of a process that has imported everything and run nothing.
 """
 
@@ -41,7 +41,7 @@ MEETING = ("crossing", "merging", "oncoming")
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An encounter with one driver. ``bv``: who is meant to be the adversary, ``kind``: as what; ``first``: whether it
+    """An encounter with one driver. ``bv``: the intended adversary, ``kind``: as what; ``first``: whether it
     must be the most dangerous one."""
 
     task: Task

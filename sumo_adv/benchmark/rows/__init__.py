@@ -1,1 +1,1 @@
-"""The opponents of the benchmark: one method a file, with what it is, its limits and its citation on top."""
+"""The opponents of the benchmark: one method a file, with idea, limits and citation on top."""

@@ -1,11 +1,11 @@
 """The Bezier rule: a cubic curve from the vehicle to where the ego will be.
 
-What it is: the adversary's centre runs along a cubic Bezier curve whose control points are its own pose, where it would
+Idea: the adversary's centre runs along a cubic Bezier curve; its control points are its own pose, where it would
 be after a third of the time at its speed, where the ego will be after two thirds, and where the ego will be at the end,
 evenly in the curve's parameter. Where the ego is a replay its future is known, and it is hit always (100 % raw
 collisions); else it is taken to keep its speed along its path. The times ``ARRIVALS`` and the vehicles of the
 shortlist, most dangerous first, are tried in turn, at every delay.
-Limits: none of a car's are kept (acceleration, curvature, road, other vehicles), so most of what it does is infeasible
+Limits: none of a car's are kept (acceleration, curvature, road, other vehicles), so most attacks are infeasible
 and fails the gates: it shows why raw collision rates say nothing.
 Citation: the rule-based baseline of CAT's published code (github.com/metadriverse/cat, ``adv_generator_rule.py``) for
 Zhang, Peng, Li and Zhou 2023, "CAT: Closed-loop Adversarial Training for Safe End-to-End Driving", CoRL; there the

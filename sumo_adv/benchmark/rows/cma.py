@@ -1,6 +1,6 @@
 """CMA-ES over a bicycle's controls: an evolution strategy that learns from its attempts alone.
 
-What it is: Hansen's covariance matrix adaptation, by its author's library ``cma`` (extra ``bench``), over the vector of
+Idea: Hansen's covariance matrix adaptation, by its author's library ``cma`` (extra ``bench``), over the vector of
 ``controls.py``, of the vehicle with the highest risk, on the way that meets the ego's, from the earliest moment on. Its
 first draws are those of random search: the two differ by the adaptation and by the choice of the vehicle. A generation
 is ``POPULATION`` attempts; the objective comes from their verdicts. Where a search has come to rest the next one begins

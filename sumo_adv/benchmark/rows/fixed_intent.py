@@ -1,10 +1,10 @@
 """Fixed intent: always the same behaviour, whatever the encounter.
 
-What it is: one intent of the library, on every vehicle, with every mode and at every moment it applies to: first all of
+Idea: one intent of the library, on every vehicle, with every mode and at every moment it applies to: first all of
 them with their authors' numbers, earliest and most dangerous first, then in turn with drawn ones. No prediction. The
 row ``best fixed`` of the tables is the label with the best rate over a suite: what can be had without looking at the
 encounter, chosen in hindsight, so it flatters.
-Limits: where the intent applies to nobody there is nothing to try and the encounter counts as failed.
+Limits: where the intent applies to no vehicle there is nothing to try and the encounter counts as failed.
 Citation: the best constant answer, the usual floor of a classifier; the paper's LLM-F is two such behaviours.
 """
 

@@ -1,6 +1,6 @@
 """The intent oracle: all intents, modes and moments simulated, to know afterwards which was the most dangerous.
 
-What it is: every family (vehicle, intent, mode, delay) is driven against the real ego with its author's numbers; what
+Idea: every family (vehicle, intent, mode, delay) is driven against the real ego with its author's numbers; what
 is left of ``MOST`` simulations goes, with drawn numbers, to the intents that had fewest, so that shares are of like
 precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a success.
 ``oracle_labels`` reads from that the label an analyzer should have answered: the largest share of collisions that count
@@ -132,7 +132,7 @@ def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
 
 
 def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
-    """Whether a simulation counts: a valid collision, or a feasible one that is not rear-end."""
+    """Whether a simulation counts: a valid collision, or a feasible one, but no rear-end."""
     return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and counts(attempt)
 
 

@@ -1,6 +1,6 @@
 """Random intent: any vehicle, intent, mode and moment that apply, with numbers drawn within their bounds.
 
-What it is: the library's planners without any choice. Each attempt draws one of all ways to attack (vehicle, intent,
+Idea: the library's planners without any choice. Each attempt draws one of all ways to attack (vehicle, intent,
 mode, delay) uniformly, then every number of its planner uniformly within the bounds its author gave. Nothing is
 predicted and nothing is learnt from the attempts before. What a method gains over this row is what choosing is worth.
 Limits: an intent with many modes, or that applies to many vehicles, is drawn more often.

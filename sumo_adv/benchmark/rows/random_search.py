@@ -1,6 +1,6 @@
 """Random search over a bicycle's controls: no library, no prediction, no memory.
 
-What it is: each attempt is a standard normal vector of steering and accelerations (``controls.py``) for the next of all
+Idea: each attempt is a standard normal vector of steering and accelerations (``controls.py``) for the next of all
 vehicles, ways and delays, in turn, most dangerous first. Every simulation is one attempt of the budget.
 Limits: it learns nothing from its attempts and knows nothing of the ego; what it gains, chance gains. Normal draws
 around driving on keep it on the road more often than uniform ones over all controls would, which favours it.

@@ -1,6 +1,6 @@
 """Resampling: kinematic motions weighed by how likely they are and how likely they meet the ego's predicted rollouts.
 
-What it is: for every vehicle of the shortlist ``DRAWN`` motions along its ways are drawn: two target speeds, one after
+Idea: for every vehicle of the shortlist ``DRAWN`` motions along its ways are drawn: two target speeds, one after
 the other, and two moves to another offset (its lane, a lane beside it, or a little off) that begin and last as drawn;
 all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering to that
 very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
@@ -10,7 +10,7 @@ After each attempt, futures that had foretold otherwise lose weight: the closed 
 rollouts replace its predictions.
 Limits: the proposals come from a kinematic family and a hand-made prior, where CAT has a learnt predictor (DenseTNT on
 Waymo data); the motion is fixed at the takeover and never answers to the ego; only collisions that are not rear-end
-weigh, which CAT does not ask, but not who could avoid them.
+weigh, which CAT does not ask, but not whether they are avoidable.
 Citation: Zhang, Peng, Li and Zhou 2023, "CAT: Closed-loop Adversarial Training for Safe End-to-End Driving", CoRL, PMLR
 229:2357-2372: the probability factorised into prior, ego's rollout and collision.
 """
@@ -40,12 +40,12 @@ DRAWN = 256  # motions a vehicle and delay
 FUTURES = {"model": 0.4, "unattacked": 0.3, "constant": 0.1, "gentle": 0.1, "firm": 0.1}
 BRAKES = {"gentle": 2.0, "firm": 5.0}  # m/s2
 BRAKES_AFTER = 1.5  # s
-DOUBT = 0.96  # a second further away, a collision is so much less likely to come as predicted
+DOUBT = 0.96  # factor per second: later collisions come less often as predicted
 RIGHT, WRONG = 0.8, 0.3  # likelihood of what an attempt came to under a future that foretold it, or did not
 USUAL = 1.5  # m/s2: standard deviation of accelerations that drivers are used to
 ACCELERATIONS = (-4.0, 2.0)  # m/s2: mean ones are drawn from here
 STRAYS = 1.3  # m: half the moves end so far off the middle of a lane at most
-MOVE, STRAY = 0.3, 0.5  # prior odds of a move to another lane, and of one that ends off the middle
+MOVE, STRAY = 0.3, 0.5  # prior odds of a move to another lane, and of a move that ends off the middle
 SLACK = 0.2  # m
 UNLIKELY = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
 

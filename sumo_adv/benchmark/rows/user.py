@@ -1,8 +1,8 @@
 """A user's own generator, ``--row module:Class``, behind our protocol.
 
-What it is: any class that is made without arguments and has ``begin(encounter)`` and ``propose(tried)``
+Idea: any class that is made without arguments and has ``begin(encounter)`` and ``propose(tried)``
 (``benchmark.nouns.Opponent``). It gets the budget, the stop rule and the gates of all rows; ``examples/own_generator``
-has one in twenty lines. What it answers is checked before it is driven.
+has one in twenty lines. Answers are checked before they are driven.
 Limits: it runs in our process and may import anything: it is the user's own code, not a model's.
 Citation: none, it is yours.
 """
@@ -25,7 +25,7 @@ ARRAYS = ("x", "y", "heading", "speed")
 
 
 class UserRow:
-    """A user's generator whose errors become one sentence that names it."""
+    """A user's generator; its errors become one sentence that names it."""
 
     def __init__(self, spec: str) -> None:
         """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
@@ -60,7 +60,7 @@ class UserRow:
 
 
 def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
-    """The proposal, marked as the generator's. Raises ValueError with what was returned and what is needed."""
+    """The proposal, marked as the generator's. Raises ValueError that names the answer and the need."""
     if not isinstance(answer, Proposal):
         raise ValueError(f"{type(answer).__name__}; propose must return a Proposal or None")
     if answer.delay not in situations:

@@ -76,7 +76,7 @@ def analyze(
     analyzers: Sequence[str] | None = None,
     reference: str | None = None,
 ) -> Analysis:
-    """The answers of the rows ``analyzers`` (left out: all whose cells rank intents) against the cases' labels.
+    """The answers of the rows ``analyzers`` (left out: all that rank intents) against the cases' labels.
 
     Labels are read off the cells of the row ``oracle``, which also tell what applies and how often what an analyzer
     ranked first succeeds; where an encounter has none they are the case's own. People's annotations are a case's own.

@@ -31,7 +31,7 @@ def key(cell: Cell) -> Key:
 
 
 def is_raw(cell: Cell) -> bool:
-    """Whether nobody attacked."""
+    """Whether there was no attack."""
     return bool(cell["row"] == RAW)
 
 

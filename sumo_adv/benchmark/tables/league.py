@@ -1,7 +1,7 @@
 """The league: which of several drivers is harder to bring into a collision that counts.
 
 One attacker meets every driver in the same encounters. The harder a driver is to hit, the more attempts it takes, and
-the fewer attacks are valid. The search predicts drivers whose model it has; against others it must find out first. So
+the fewer attacks are valid. The search has a model of known drivers and must find out about others. So
 the ranks of known drivers and of unknown ones stand apart.
 """
 

@@ -56,7 +56,7 @@ ANALYZER_NOTE = (
 def counterpart(row: str) -> str | None:
     """The paper's row that a row of ours stands for; None for opponents and changed rows, which the paper has not.
 
-    LLM-A stands beside its better figure, R1's, whoever plays ours, but for DeepSeek-V3 itself.
+    LLM-A stands beside its better figure, R1's, but for DeepSeek-V3 itself.
     """
     name = row.lower()
     if "+" in name:

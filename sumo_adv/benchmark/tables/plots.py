@@ -31,7 +31,7 @@ DPI = 150
 def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = None) -> list[Path]:
     """Every picture of a table's cells into ``folder``, for each ego; gives back the files.
 
-    ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows, ``distributions-EGO-ROW.png`` is of one that attacks.
+    ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows, ``distributions-EGO-ROW.png`` is of one row with attacks.
     Raises UsageError where the folder cannot be written.
     """
     paths: list[Path] = []
@@ -82,7 +82,7 @@ def _range(values: Floats, low: float, high: float) -> tuple[float, float]:
 
 
 def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> Path:
-    """The share of encounters with a min TTC of at most so many seconds, for each row."""
+    """The share of encounters with a min TTC of at most x seconds, for each row."""
     figure, axes = _figure(9.0, 5.5, 1, 1)
     panel = axes[0][0]
     for k, (row, cells) in enumerate(by_row.items()):
@@ -132,7 +132,7 @@ def _seconds(cell: Cell) -> float | None:
 
 
 def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
-    """``confusion-EGO-CRITERION-WHO.png`` for every matrix."""
+    """``confusion-EGO-CRITERION-ROW.png`` for every matrix."""
     paths = []
     for part in analysis.parts:
         accuracy = {s.who: s.accuracy for s in part.scores}

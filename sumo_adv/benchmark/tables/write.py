@@ -1,4 +1,4 @@
-"""Tables as files: Markdown for people, CSV and JSON for programs, a manifest that says what they were made of."""
+"""Tables as files: Markdown for people, CSV and JSON for programs, a manifest of their ingredients."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def manifest(about: About, cells: Sequence[Cell], files: Sequence[str]) -> dict[
 
 
 def digest(cells: Iterable[Cell]) -> str:
-    """SHA-256 over what came of the cells, in any order: equal where only seconds differ."""
+    """SHA-256 over the outcomes of the cells, in any order: equal where only seconds differ."""
     kept = [{k: cell.get(k) for k in DIGESTED} for cell in cells]
     lines = sorted(json.dumps(cell, sort_keys=True, ensure_ascii=False, default=str) for cell in kept)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
@@ -93,7 +93,7 @@ def as_csv(head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Rounded to 6 decimals; what is not finite is None."""
+    """Rounded to 6 decimals; a number that is not finite becomes None."""
     if isinstance(value, float):
         return round(value, 6) if math.isfinite(value) else None
     if isinstance(value, Mapping):

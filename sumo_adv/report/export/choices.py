@@ -15,7 +15,7 @@ class Format(StrEnum):
 
 
 class Variant(StrEnum):
-    """Who is driven by an OpenSCENARIO file: everybody, or everybody but the ego."""
+    """The vehicles that an OpenSCENARIO file drives: all, or all but the ego."""
 
     REPLAY = "replay"
     FREE_EGO = "free-ego"

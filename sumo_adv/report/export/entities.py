@@ -2,7 +2,7 @@
 
 An OpenSCENARIO vehicle stands where the middle of its rear axle is, on the ground.  SUMO's vehicle types have no axles,
 so a convention stands in, the same for every vehicle: wheelbase 0.6 of the length, equal overhangs, hence the box's
-centre 0.3 of the length ahead of the rear axle.  The reference point of what is no vehicle is its box's centre.
+centre 0.3 of the length ahead of the rear axle.  The reference point of other objects is their box's centre.
 """
 
 from __future__ import annotations

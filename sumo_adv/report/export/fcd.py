@@ -56,7 +56,7 @@ def _lane(track: Track, k: int, road: RoadMap) -> Lane | None:
 
 
 def track_rows(track: Track, road: RoadMap, lane_of: Callable[[Track, int, RoadMap], Lane | None]) -> Iterator[Row]:
-    """A row a state; ``lane_of`` says on which lane SUMO is to have it."""
+    """A row a state; ``lane_of`` says on which lane SUMO has it."""
     kind = type_name(track)
     for k in range(len(track.time)):
         x, y = front(track, k)
@@ -68,7 +68,7 @@ def track_rows(track: Track, road: RoadMap, lane_of: Callable[[Track, int, RoadM
 
 
 def fcd_text(rows: Iterator[Row] | Sequence[Row], piece: Piece) -> str:
-    """Rows by time; a step in which nobody is there has none."""
+    """Rows by time; a step without vehicles has none."""
     steps: dict[int, list[Row]] = defaultdict(list)
     for row in rows:
         steps[round(row.time / piece.step)].append(row)

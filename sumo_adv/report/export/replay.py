@@ -1,9 +1,9 @@
 """A folder that plain ``sumo`` or ``sumo-gui`` plays by itself: network, vehicle types, trajectories, configuration.
 
 SUMO's own ``fcd-replay`` device moves every vehicle along its trajectory.  Two things about it (SUMO 1.28, measured):
-a vehicle comes in at a place on a lane, so one that is first seen beside a lane's middle is let in a step earlier; and
-the route is put together from the lanes in the file, which fails for one that drives against the traffic, so each is
-said to be on one lane throughout: where it is placed does not depend on it.
+a vehicle comes in at a place on a lane, so a vehicle that is first seen beside a lane's middle is let in a step
+earlier; and the route is put together from the lanes in the file, which fails for a vehicle that drives against the
+traffic, so each is said to be on one lane throughout: where it is placed does not depend on it.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _shape(track: Track) -> str:
 
 
 def _view(piece: Piece) -> str:
-    """The view follows nobody: it stands over where ego and adversary come closest, or over the ego's middle."""
+    """The view follows no vehicle: it stands over where ego and adversary come closest, or over the ego's middle."""
     ego = piece.track(piece.ego)
     x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
     if piece.adversary is not None:

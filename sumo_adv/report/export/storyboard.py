@@ -1,6 +1,7 @@
-"""What happens in the OpenSCENARIO file: who is where at its start, and the timed trajectories from then on.
+"""What happens in the OpenSCENARIO file: the positions at its start, and the timed trajectories from then on.
 
-Time 0 of the file is the piece's begin.  A vehicle that comes later is added by an action, one that leaves is deleted.
+Time 0 of the file is the piece's begin.  A vehicle that comes later is added by an action; it is deleted when it
+leaves.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Names = dict[str, str]
 
 
 def add_replay(parent: Element, piece: Piece, names: Names) -> None:
-    """Everybody as recorded."""
+    """All vehicles as recorded."""
     act = _add_story(parent, piece, names)
     for track in piece.tracks:
         _add_recorded(act, piece, track, names)
@@ -42,7 +43,7 @@ def add_free_ego(parent: Element, piece: Piece, names: Names) -> None:
 
 
 def _add_story(parent: Element, piece: Piece, names: Names) -> Element:
-    """Storyboard, Init and an Act that is to be filled."""
+    """Storyboard, Init and an Act to fill."""
     storyboard = SubElement(parent, "Storyboard")
     actions = SubElement(SubElement(storyboard, "Init"), "Actions")
     for track in piece.tracks:

@@ -72,7 +72,7 @@ def write_report(
     """Make the pages that are missing, ``most`` of them (None: all), the most critical first, then the index.
 
     ``runs``: the folder of the runs, by id; ``coverage``: shown in the index; ``again``: make all pages anew. On Ctrl-C
-    what is done is kept. Raises UsageError where ``out`` cannot be written.
+    finished pages are kept. Raises UsageError where ``out`` cannot be written.
     """
     made, roads = _read(out) if not again else ({}, {})
     stamps = _stamps(runs, table, packs)
@@ -119,7 +119,7 @@ def _stamps(runs: Path, table: Table, packs: Packs) -> dict[str, int]:
 def _all_pages(
     names: Sequence[str], runs: Path, packs: Packs, target: Path, workers: int, roads: dict[str, Any]
 ) -> Iterator[tuple[str, tuple[tuple[float, float] | None, str] | str]]:
-    """Each name with its place and network, or what is wrong; networks' maps are added to ``roads``."""
+    """Each name with its place and network, or its fault; networks' maps are added to ``roads``."""
     plain = [n for n in names if (runs / n / OUTCOME).is_file()]
     others = [n for n in names if n not in set(plain)]
     with _Mapper(workers if len(names) > FEW else 1) as every:

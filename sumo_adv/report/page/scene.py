@@ -112,7 +112,7 @@ def _columns(attempts: Sequence[Shown], road: RoadNear, grid: Grid) -> Iterator[
 
 
 def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
-    """The grid, and the attempts to show: the one that counts first. None where nothing was recorded."""
+    """The grid, and the attempts to show: first the attempt that counts. None where nothing was recorded."""
     ego = (run.outcome.get("ego") or {}).get("id")
     pivot = _pivot(run.outcome)
     played = [t for t in run.best if len(t.time)]
@@ -201,7 +201,7 @@ def _shown(
 
 
 def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
-    """A track cut where it has gaps; only what is near ``lead`` at the time, if that is given."""
+    """A track cut where it has gaps; only parts near ``lead`` at the time, if that is given."""
     frames = np.rint((track.time - grid.start) / grid.step).astype(np.int64)
     keep = np.ones(len(frames), dtype=bool)
     if lead is not None:

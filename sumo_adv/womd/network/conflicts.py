@@ -19,7 +19,7 @@ from sumo_adv.womd.network.strands import Strand
 
 STEP = 1.0  # m between samples
 OVERPASS = 3.0  # m of height that keep two lanes apart
-BESIDE = 1.2  # m, lanes of one direction whose centres are nearer overlap
+BESIDE = 1.2  # m, lanes of one direction with nearer centres overlap
 ACROSS = 2.6  # m, the same for lanes at a right angle
 OPPOSITE = np.deg2rad(150.0)  # lanes that head against each other share their ground (left-turn lanes of both sides)
 JOINT = 8.0  # m around the joint of a lane and its exit where they are near by nature

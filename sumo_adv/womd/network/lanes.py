@@ -43,7 +43,7 @@ class KeptLane:
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """The lanes kept, those dropped with the reason, links whose ends lie too far apart, lanes of assumed speed."""
+    """The lanes kept, those dropped with the reason, links with ends too far apart, lanes of assumed speed."""
 
     lanes: dict[int, KeptLane]
     dropped: dict[int, str]

@@ -1,4 +1,4 @@
-"""The layout of a network: what is edge and what is junction, settled until no edge begins and ends in one junction."""
+"""The layout of a network, edges and junctions, settled until no edge begins and ends in one junction."""
 
 from __future__ import annotations
 

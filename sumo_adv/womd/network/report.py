@@ -60,7 +60,7 @@ def make_report(
 def _missing(
     wanted: Iterable[tuple[int, int]], pieces: Mapping[int, tuple[Piece, ...]], roads: Roads, via: list[str]
 ) -> list[list[int]]:
-    """Pairs of lanes whose ends are neither on one SUMO lane nor joined by a link."""
+    """Pairs of lanes with ends that are neither on one SUMO lane nor joined by a link."""
     joined = set()
     for link, inner in zip(roads.links, via, strict=True):
         source, target = f"{link.source}_{link.from_lane}", f"{link.target}_{link.to_lane}"

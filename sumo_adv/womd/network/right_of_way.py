@@ -1,8 +1,9 @@
-"""Who gives way to whom in a junction without signals.
+"""Right of way in a junction without signals.
 
-Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so nobody waits
-in a ring. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns: straight before right
-before left. Where all approaches have a stop sign, or three and every road has one, the first to arrive goes first.
+Every link has a rank; of two links in each other's way the lower one yields. Ranks are a strict order, so there is no
+ring of waiting vehicles. Stop signs come last, then the road (axis) of less speed and fewer lanes, then turns:
+straight before right before left. Where all approaches have a stop sign, or three and every road has one, the first to
+arrive goes first.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from sumo_adv.womd.network.roads import Link, RoadEdge
 
-AXIS = math.radians(35.0)  # approaches whose directions (or their opposites) differ by less are one road
+AXIS = math.radians(35.0)  # approaches with directions (or opposites) that differ by less are one road
 SPEED_STEP = 2.2  # m/s (5 mph), limits that differ by less count as the same
 ORDER = {"s": 3, "r": 2, "l": 1, "t": 0}
 

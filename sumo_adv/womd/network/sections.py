@@ -53,7 +53,7 @@ class _Shared:
 
 
 def make_sections(lanes: dict[int, KeptLane], held: Collection[int]) -> dict[int, Section]:
-    """All sections by key; ``held``: lanes whose start is left alone."""
+    """All sections by key; ``held``: lanes with a fixed start."""
     heads = _shared(lanes, held, at_end=False)
     tails = _shared(lanes, held, at_end=True)
     head_of = {lane: n for n, shared in enumerate(heads) for lane in shared.lanes}

@@ -1,4 +1,4 @@
-"""Signals: phases as recorded, then a default for streams whose green was never seen, over and over.
+"""Signals: phases as recorded, then a default for streams without a recorded green, over and over.
 
 A link is ruled by the first signal lane that begins on it. Where a lane's state is unknown for a while, the last known
 state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else as logged vehicles
@@ -22,7 +22,7 @@ LETTERS = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's numbe
 ENOUGH = 5.0  # s of green in the record after which the default need not serve a stream
 GREEN, YELLOW, CLEARANCE = 8.0, 3.0, 1.0  # s of the default's phases
 
-Rulers = Mapping[int, int | None]  # link -> the lane whose signal rules it, None where the record has none for it
+Rulers = Mapping[int, int | None]  # link -> the lane of its signal, None where the record has none for it
 Stream = tuple[str, str]  # edge and direction
 
 
@@ -45,8 +45,8 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Programs by junction, and what the report tells: lanes with a signal, those that rule a link, those whose state
-    is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
+    """Programs by junction, and the report's counts: lanes with a signal, those that rule a link, those with a state
+    that is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
     without a recorded signal."""
 
     programs: dict[str, Program]
@@ -167,7 +167,7 @@ def _needy(links: Sequence[Link], members: list[int], phases: list[tuple[float, 
 def _default(
     links: Sequence[Link], members: list[int], needy: list[Stream], order: RightOfWay
 ) -> list[tuple[float, str]]:
-    """Few green phases that serve every needy stream, each with all others that are in nobody's way."""
+    """Few green phases that serve every needy stream, each with all others that are in no other's way."""
     of_stream: dict[Stream, list[int]] = {}
     for n in members:
         of_stream.setdefault(_stream(links[n]), []).append(n)

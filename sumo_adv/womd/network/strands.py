@@ -13,7 +13,7 @@ from sumo_adv.womd.network.lanes import KeptLane
 from sumo_adv.womd.network.polyline import stations
 from sumo_adv.womd.network.sections import Section, make_sections
 
-SAME_SPEED = 0.5  # m/s, sections whose limits differ by less are one road
+SAME_SPEED = 0.5  # m/s, sections with limits that differ by less are one road
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
 
 
 def _follows(sections: dict[int, Section]) -> dict[int, int]:
-    """Section -> the one that goes on from it, where there is no other and both are alike."""
+    """Section -> its successor, where there is no other and both are alike."""
     found = {}
     for key, section in sections.items():
         if len(section.exits) == 1 and section.exits[0] != key:

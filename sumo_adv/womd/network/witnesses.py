@@ -1,4 +1,4 @@
-"""What logged vehicles tell of a signal that the record does not: whoever drives over a stop line has green.
+"""What logged vehicles tell of a signal that the record does not: a vehicle that drives over a stop line has green.
 
 Green lasts from when the vehicle last stood (if it did not, from ``LEAD`` before) until just after its front is over
 the line; short breaks between two vehicles are green too. Yellow follows.
@@ -55,7 +55,7 @@ def logged_traffic(record: Record) -> Traffic:
 
 
 def witnessed_letters(traffic: Traffic, links: Sequence[Link]) -> list[str]:
-    """A letter a step (g, y or r) for links that have one signal; empty if nobody drove off on any of them."""
+    """A letter a step (g, y or r) for links that have one signal; empty if no vehicle drove off on any of them."""
     green = np.zeros(traffic.valid.shape[1], bool)
     for link in links:
         for vehicle, over in _drives(traffic, link):
