@@ -1,4 +1,4 @@
-"""Does the interval of a crash rate cover plain Monte Carlo? Many estimates of one scene, with other seeds.
+"""Does the interval of a crash rate cover plain Monte Carlo? Many estimates of one scene, each with another seed.
 
     python benchmarks/rate/coverage.py benchmarks/rate/crossing.toml --errors 3 --out runs/coverage
 
@@ -34,10 +34,10 @@ def main() -> None:
     parser.add_argument("--ego", default="idm")
     parser.add_argument("--errors", type=float, default=1.0)
     parser.add_argument("--duration", type=float, default=6.0)
-    parser.add_argument("--runs", type=int, default=440)
+    parser.add_argument("--runs", type=int, default=640)
     parser.add_argument("--pilot", type=int, default=60)
     parser.add_argument("--repetitions", type=int, default=100)
-    parser.add_argument("--plain-runs", type=int, default=160_000)
+    parser.add_argument("--plain-runs", type=int, default=320_000)
     parser.add_argument("--workers", type=int, default=1, help="for the plain runs")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
