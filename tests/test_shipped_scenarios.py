@@ -31,8 +31,9 @@ WORDS = {
 def holds(scenario: ShippedScenario, folder: Path) -> None:
     """The best attack of a run until serious, with the default settings and a bank that has learnt nothing."""
     run = sumo_adv.run(
-        scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name
-    )
+        scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name,
+        adversaries=scenario.adversaries,
+    )  # fmt: skip
     told = run.outcome.document
     relations = {vehicle["id"]: vehicle["relation"] for vehicle in told["encounter"]["ranking"]}
     assert told["intent"]["label"] == scenario.intents[0]
