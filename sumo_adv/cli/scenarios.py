@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: sumo-adv scenarios"
 MEANS = (
-    "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off, with\n"
-    "--adversaries 2 for those of two."
+    "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off,\n"
+    "with --adversaries 2 for one of 2."
 )
 
 
