@@ -77,7 +77,7 @@ class LatticeEgo:
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
         """Predicted by ``lattice_model.py``; SUMO's lane rules do not hold for it."""
-        return replace(numbers, kind=self.name, known=True)
+        return replace(numbers, kind=self.name, known=True, hardest_braking=self.settings.braking)
 
     def act(self, observation: Observation) -> Action:
         """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""
