@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from cli_samples import Program
+from model_server import Asked, ModelServer
+from scripted_models import intent
 from situation_samples import EGO_PATH, car, line, situation, target
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, TeamAnalysis, analyzer_prompt
@@ -21,7 +25,7 @@ from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import Composition, Part, record_composition
+from sumo_adv.memory.compositions import Composition, Part, compositions, record_composition
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.search import AttackSearch
@@ -201,3 +205,41 @@ def test_a_composition_of_more_vehicles_than_allowed_is_not_tried() -> None:
     alone = search(1)
     alone.add_casts([Cast(PINCH, ("right", "left"))], "scripted")
     assert not any(p.supports for p in alone.pool)
+
+
+# ---- a run
+
+SQUEEZE = "The leader slows down until a vehicle on the right comes level with the ego again and cuts in."
+
+
+def squeezing(asked: Asked) -> Mapping[str, Any]:
+    """A model that has the leader hold the ego up for a cut-in of the vehicle on the right."""
+    collider, leader = (
+        re.search(rf"^(BV\d+): .*{may}", asked.last, re.MULTILINE) for may in (r"\bcollider\b", r"slow \(Slow Leader\)")
+    )
+    assert collider is not None and leader is not None
+    parts = ((collider[1], "collider", "Aggressive Cut-in"), (leader[1], "slow", "Slow Leader"))
+    return {
+        "intents": [intent(collider[1], "Aggressive Cut-in")],
+        "compositions": [team(*parts, label="Held-up Cut-in", description=SQUEEZE)],
+    }
+
+
+def test_what_a_model_composes_is_tried_and_learnt_under_its_label(tmp_path: Path) -> None:
+    """The vehicle on the right is too slow to reach the ego alone. The search may have varied the numbers, and then the
+    success is its own; the composition is the model's."""
+    program = Program(tmp_path, tmp_path / "caches")
+    with ModelServer(squeezing) as server:
+        program.variables = server.environment()
+        done = program(
+            "run", "box_in_motorway", "--adversaries", "2", "--until", "valid", "--attempts", "3", "--llm", "scripted",
+            "--out", "out", "--memory", "bank.sqlite",
+        )  # fmt: skip
+    assert done.status == 0, done.err
+    attempt = done.outcome["attempts"][-1]
+    assert (attempt["level"], attempt["composition"]) == ("valid", "Held-up Cut-in")
+    assert done.outcome["llm"]["bought"][0]["what"].endswith(", compositions: 1")
+    with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
+        (kept,) = compositions(bank)
+    assert (kept.label, kept.description, kept.succeeded) == ("Held-up Cut-in", SQUEEZE, 1)
+    assert [part.intent for part in kept.parts] == ["Aggressive Cut-in", "Slow Leader"]

@@ -141,7 +141,7 @@ class Agents:
             novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
             self._novel = novel > 0
             what = f"{len(intents)} intents, {novel} of them novel, {ways} ways"
-            teams = f", {len(self.casts)} compositions" if self.casts else ""
+            teams = f", compositions: {len(self.casts)}" if self.casts else ""
             self.bought.append(Bought("analyzer", f"{what}{teams}"))
             return intents
 
