@@ -23,7 +23,8 @@ WORDS = {
     "red_light": {"Intersection Rush-through Go-straight"}, "blind_side": {"Straight Lane Shift", "neighbour"},
     "from_right": {"crossing"}, "cyclist_swerve": {"Cyclist Swerve"}, "cyclist_crossing": {"Cyclist Crossing"},
     "cyclist_from_behind": {"Cyclist Crossing"}, "steps_out": {"Pedestrian Steps Out"},
-    "parked": {"Pedestrian From Behind Obstacle"},
+    "parked": {"Pedestrian From Behind Obstacle"}, "box_in": {"Aggressive Cut-in"}, "opens_gap": {"Aggressive Cut-in"},
+    "squeezed_merge": {"Aggressive Cut-in"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 
