@@ -150,7 +150,7 @@ def _member_fault(
     if not teamwork.may_collide(name):
         return f"{bv} may not be the collider, only a support."
     if is_unprotected(target.state):  # all adversaries of a candidate have the same limits
-        return f"{bv} is a pedestrian or cyclist, who has no supports: choose another collider."
+        return f"{bv} is a pedestrian or cyclist, and only vehicles have supports: choose another collider."
     return None if _applies(target, entry) else f"'{entry.label}' does not apply to {bv} from where it is."
 
 

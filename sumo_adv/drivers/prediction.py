@@ -137,7 +137,7 @@ class PredictedEgos:
         self.v = v
 
     def _seen(self, adversary: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
-        """The adversaries as the egos see them: one that others of the same ego hide is ``AWAY``."""
+        """The adversaries as the egos see them. An adversary that others of the same ego hide is ``AWAY``."""
         each, (s, d, h) = self._each, adversary
         ego = Boxes(self.s[:, None], self.d[:, None], self.turn[:, None], self.v[:, None], 0.0, 0.0)
         x, y, heading, length, width = (

@@ -14,7 +14,7 @@ ANY = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A composition that is to be tried. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY``;
+    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY``;
     empty if any may."""
 
     composition: Composition

@@ -31,7 +31,7 @@ def predicted_escapes(
     """What supports have to do so that each candidate succeeds, by its rollout.
 
     Where a third party is in the collider's way, it is to make room. Where the ego does not react and the collider
-    stays behind it, the ego is to be held up; nothing where it does not react and the collider does not.
+    stays behind it, a support has to hold the ego up; there is nothing to do where the collider does not stay behind.
     """
     x, y, _, v = rollouts.ego
     steps = np.hypot(x - rollouts.adversary[0], y - rollouts.adversary[1]).argmin(axis=1).tolist()

@@ -167,7 +167,7 @@ def carried_out(
     settings: SupportSettings, label: Callable[[Proposal, Sequence[Proposal]], str],
 ) -> list[Proposal]:  # fmt: skip
     """Candidates in which vehicles support a base as a composition says; none where a part fits no vehicle, or not the
-    one that it is cast with."""
+    vehicle of the cast."""
     made = []
     for _ in range(settings.drawn):
         supports = list[Proposal]()
