@@ -12,10 +12,10 @@ from sumo_adv.search.early_termination import EarlyTermination
 from sumo_adv.situation import Target
 
 
-def gone(one: Target, stations: list[float], egos: list[float]) -> list[bool]:
+def gone(one: Target, stations: list[float], egos: list[float], *, held_up: bool = False) -> list[bool]:
     """Whether it has parted, asked at one moment after the other; centres, [m] along its way and the ego's path."""
     ground = AdversaryBatch([situation([one])], ["bv"])
-    parting, start = EarlyTermination(ground), ground.begin()
+    parting, start = EarlyTermination(ground, held_up=held_up), ground.begin()
     return [
         bool(parting.gone(start._replace(s=np.array([s])), np.array([ego]))[0])
         for s, ego in zip(stations, egos, strict=True)
@@ -52,3 +52,7 @@ def test_a_vehicle_is_gone_after_it_fell_behind_three_times_running_without_catc
     beside = neighbour(x=0.0)
     assert gone(beside, [0.0] * 5, [14.0, 15.5, 18.0, 20.0, 22.0]) == [False, False, False, True, True]
     assert gone(beside, [0.0, 0.0, 5.0, 5.0], [16.0, 18.0, 20.0, 22.0]) == [False, False, False, False]
+
+
+def test_a_vehicle_that_falls_behind_an_ego_which_a_support_may_hold_up_is_not_gone() -> None:
+    assert gone(neighbour(x=0.0), [0.0] * 5, [14.0, 15.5, 18.0, 20.0, 22.0], held_up=True) == [False] * 5

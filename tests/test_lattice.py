@@ -23,6 +23,7 @@ from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
 from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.road import Road, StopLine
 from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
@@ -227,7 +228,11 @@ def test_wrong_settings_are_named() -> None:
         make_ego("lattice", {"braking": "hard"})
     with pytest.raises(UsageError, match="no parameter 'swerve'; it knows tau"):
         make_ego("lattice", {"swerve": 1})
+    with pytest.raises(UsageError, match="'lattice' needs 'visible_only' to be true or false, not 1"):
+        make_ego("lattice", {"visible_only": 1})
     assert make_ego("lattice", {"horizon": 3.0, "tau": 1.5}).sumo_type["tau"] == "1.5"
+    tables: list[dict[str, Any]] = [{}, {"visible_only": True}]
+    assert [wishes_of(make_ego("lattice", table)).visible_only for table in tables] == [False, True]
 
 
 # ---- as predicted: the same as in the simulation

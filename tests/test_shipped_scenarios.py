@@ -23,7 +23,8 @@ WORDS = {
     "red_light": {"Intersection Rush-through Go-straight"}, "blind_side": {"Straight Lane Shift", "neighbour"},
     "from_right": {"crossing"}, "cyclist_swerve": {"Cyclist Swerve"}, "cyclist_crossing": {"Cyclist Crossing"},
     "cyclist_from_behind": {"Cyclist Crossing"}, "steps_out": {"Pedestrian Steps Out"},
-    "parked": {"Pedestrian From Behind Obstacle"},
+    "parked": {"Pedestrian From Behind Obstacle"}, "box_in": {"Aggressive Cut-in"}, "opens_gap": {"Aggressive Cut-in"},
+    "squeezed_merge": {"Aggressive Cut-in"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 
@@ -31,8 +32,9 @@ WORDS = {
 def holds(scenario: ShippedScenario, folder: Path) -> None:
     """The best attack of a run until serious, with the default settings and a bank that has learnt nothing."""
     run = sumo_adv.run(
-        scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name
-    )
+        scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name,
+        adversaries=scenario.adversaries,
+    )  # fmt: skip
     told = run.outcome.document
     relations = {vehicle["id"]: vehicle["relation"] for vehicle in told["encounter"]["ranking"]}
     assert told["intent"]["label"] == scenario.intents[0]

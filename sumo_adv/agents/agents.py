@@ -21,6 +21,7 @@ from sumo_adv.agents.generator import ExpertGenerator, ModelGenerator, Trial
 from sumo_adv.agents.modifier import Change, ModelModifier
 from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.protocols import Analyzer, Generator, Modifier
+from sumo_adv.agents.teams import Teamwork
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
@@ -29,6 +30,7 @@ from sumo_adv.llm.chat import ChatModel
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
+from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import COMPOSED, NAME
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.selection import Selection
@@ -72,6 +74,7 @@ class Agents:
         self.calls = dict.fromkeys(ROLES, 0)
         self.failed: dict[str, str] = {}  # role -> why the expert took over
         self.bought: list[Bought] = []
+        self.casts: tuple[Cast, ...] = ()  # compositions that the analysis proposes
         self._novel = False  # whether the analysis has a new intent
 
     def player(self, role: str) -> str:
@@ -113,12 +116,14 @@ class Agents:
         *,
         selection: Selection,
         remembered: Mapping[str, str],
+        teamwork: Teamwork | None = None,
     ) -> list[Intent]:
         """Intents, most dangerous first. Raises ModelError.
 
         search: has predicted its candidates; they are the model's evidence, and their ranking is the expert's answer.
         selection: the intents that may be chosen; unless it is open, a model invents none.
         remembered: label -> what the bank knows of that intent, in words.
+        teamwork: what a model may compose (``casts``), None if one adversary is all that is allowed.
         """
 
         def ask(analyzer: Analyzer) -> list[Intent]:
@@ -129,13 +134,15 @@ class Agents:
             analyzer = ModelAnalyzer(
                 self._metered("analyzer"), self.prompts, self._limits, samples=self.settings.samples,
                 allowed=() if selection.is_open else [e.label for e in selection.of(library)],
-                evidence=evidence if self.settings.evidence == "on" else None,
+                evidence=evidence if self.settings.evidence == "on" else None, teamwork=teamwork,
             )  # fmt: skip
             intents = ask(analyzer)
-            self._distribution = analyzer.distribution
+            self._distribution, self.casts = analyzer.distribution, analyzer.casts
             novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
             self._novel = novel > 0
-            self.bought.append(Bought("analyzer", f"{len(intents)} intents, {novel} of them novel, {ways} ways"))
+            what = f"{len(intents)} intents, {novel} of them novel, {ways} ways"
+            teams = f", compositions: {len(self.casts)}" if self.casts else ""
+            self.bought.append(Bought("analyzer", f"{what}{teams}"))
             return intents
 
         return self._played("analyzer", by_model, lambda: ask(ExpertAnalyzer(search)))

@@ -19,9 +19,11 @@ from pydantic import BaseModel, Field
 from sumo_adv.agents.danger import danger_words
 from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
+from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
+from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.situation import Situation
 
@@ -51,6 +53,12 @@ class Analysis(BaseModel):
 
     analysis: str = Field(default="", max_length=8000)
     intents: list[Choice] = Field(max_length=6)
+
+
+class TeamAnalysis(Analysis):
+    """A model's whole answer where several vehicles may act together."""
+
+    compositions: list[Team] = Field(default_factory=list, max_length=MOST_PROPOSED)
 
 
 class Same(BaseModel):
@@ -101,10 +109,12 @@ class ExpertAnalyzer:
 
 
 class ModelAnalyzer:
-    """Asks a model about a situation. ``distribution`` holds the answers of the last analysis.
+    """Asks a model about a situation. ``distribution`` holds the answers of the last analysis, ``casts`` the
+    compositions that they propose.
 
     allowed: labels that the model may choose, empty for all.
     evidence: makes the table of ``agents.evidence`` from the vehicles' aliases, None to leave the table out.
+    teamwork: what the model may compose, None if one adversary is all that is allowed.
     """
 
     def __init__(
@@ -116,10 +126,13 @@ class ModelAnalyzer:
         samples: int = 1,
         allowed: Sequence[str] = (),
         evidence: Evidence | None = None,
+        teamwork: Teamwork | None = None,
     ) -> None:
         self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
+        self._teamwork = teamwork
         self.distribution: Distribution | None = None
+        self.casts: tuple[Cast, ...] = ()
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
         """Intents for the earliest situation, most dangerous first; none if the model sees nothing dangerous.
@@ -129,15 +142,18 @@ class ModelAnalyzer:
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
-        prompt = analyzer_prompt(self._prompts, situations, entries, self._limits, self._evidence)
+        prompt = analyzer_prompt(self._prompts, situations, entries, self._limits, self._evidence, self._teamwork)
+        answer_type = Analysis if self._teamwork is None else TeamAnalysis
 
         def check(answer: Analysis) -> str | None:
             return self._fault(answer, situation, aliases, entries)
 
         answers = ask_many(
-            self._metered, "analyzer", prompt.system, prompt.user, Analysis, samples=self._samples, check=check
+            self._metered, "analyzer", prompt.system, prompt.user, answer_type, samples=self._samples, check=check
         )
         ranked, self.distribution = _ranking(answers, aliases)
+        teams = (team for answer in answers if isinstance(answer, TeamAnalysis) for team in answer.compositions)
+        self.casts = casts_of(teams, aliases, entries)
         return [_intent(choice, aliases, entries, situations) for choice in ranked]
 
     def confirm(
@@ -181,6 +197,8 @@ class ModelAnalyzer:
             if choice.bv not in aliases.bvs:
                 choices = ", ".join(aliases.bvs)
                 return f"There is no vehicle '{sanitize(choice.bv)}' that may be chosen; there are {choices}."
+            if self._teamwork is not None and not self._teamwork.may_collide(aliases.bvs[choice.bv]):
+                return f"{choice.bv} may only be a support, in a composition."
             fault = self._acceleration_fault(choice.acceleration)
             entry = labels.get(sanitize(choice.label).lower())
             if fault is None and choice.novel:
@@ -205,7 +223,10 @@ class ModelAnalyzer:
             seen.add(key)
         if sum(c.novel for c in answer.intents) > MAX_NOVEL:
             return f"At most {MAX_NOVEL} intents may be novel."
-        return None
+        if self._teamwork is None or not isinstance(answer, TeamAnalysis):
+            return None
+        faults = (team_fault(team, self._teamwork, situation, aliases, library) for team in answer.compositions)
+        return next((fault for fault in faults if fault is not None), None)
 
     def _novelty_fault(self, choice: Choice, entry: LibraryEntry | None) -> str | None:
         if self._allowed:
@@ -230,14 +251,16 @@ def analyzer_prompt(
     library: Sequence[LibraryEntry],
     limits: Limits,
     evidence: Evidence | None = None,
+    teamwork: Teamwork | None = None,
 ) -> Prompt:
-    """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose."""
+    """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose; with
+    ``teamwork`` it is asked for compositions too."""
     situation = situations[min(situations)]
     aliases = Aliases.of(situation)
     words = {word for target in situation.target_list() for word in target.applies()}
     fitting = {e.label for e in library if words & set(e.applies)}
     table = evidence(aliases) if evidence is not None else ""
-    return prompts.render(
+    prompt = prompts.render(
         "analyzer",
         library="\n".join(f"- {sanitize(e.label)}: {sanitize(e.description)}" for e in library),
         horizon=f"{situation.horizon:g}",
@@ -248,6 +271,9 @@ def analyzer_prompt(
         starts=starts_words(situations),
         driver=driver_words(situation), evidence=f"\n{table}" if table else "", danger=danger_words(prompts),
     )  # fmt: skip
+    if teamwork is None:
+        return prompt
+    return replace(prompt, user=f"{prompt.user}\n\n{teams_words(prompts, teamwork, situation, aliases, library)}")
 
 
 def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:

@@ -57,6 +57,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.evidence import evidence_words
     from sumo_adv.episode.memory_access import remembered, selection_of
+    from sumo_adv.episode.planned_encounter import teamwork
 
     settings = episode.settings
     known = remembered(bank, planned.library, planned.scene)
@@ -64,7 +65,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     library = selection_of(episode, bank).of(planned.library)
     return analyzer_prompt(
         shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
-        evidence if settings.evidence == "on" else None,
+        evidence if settings.evidence == "on" else None, teamwork(episode, bank),
     )  # fmt: skip
 
 

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+if TYPE_CHECKING:
+    from sumo_adv.simulation.shipped import ShippedScenario
+
 EXAMPLE = "Example: sumo-adv scenarios"
-MEANS = "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off."
+MEANS = (
+    "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off,\n"
+    "with --adversaries 2 for one of 2."
+)
 
 
 def scenarios(
@@ -23,10 +29,16 @@ def scenarios(
         typer.echo(json.dumps({"scenarios": [asdict(s) for s in found], "networks": networks}))
         return
     rows = [("scenario", "road", "adversary", "level", "intent")]
-    rows += [(s.name, s.road, s.relation or "-", s.level or "-", s.intents[0]) for s in found]
+    rows += [(s.name, s.road, _adversary(s), s.level or "-", s.intents[0]) for s in found]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     typer.echo(lines[0])
     for line, s in zip(lines[1:], found, strict=True):
         typer.echo(f"{line}\n    {s.description}")
     typer.echo(f"Networks: {', '.join(networks)}\n{MEANS}")
+
+
+def _adversary(scenario: ShippedScenario) -> str:
+    """The collider's relation, and how many adversaries there are if there are several."""
+    relation = scenario.relation or "-"
+    return relation if scenario.adversaries == 1 else f"{relation}, of {scenario.adversaries}"

@@ -48,11 +48,15 @@ class LatticeEgo:
     name = "lattice"
     forkable = True
     needs_observation = True
-    wishes = Wishes(needs_road=True)
 
     def __init__(self, parameters: Mapping[str, Any] | None = None) -> None:
-        """``parameters``: horizon, braking, lateral of ``LatticeSettings``, and those of IDM. Raises UsageError."""
+        """``parameters``: horizon, braking, lateral of ``LatticeSettings``, visible_only (False) of ``Wishes``, and
+        those of IDM. Raises UsageError."""
         others = dict(parameters or {})
+        visible_only = others.pop("visible_only", False)
+        if not isinstance(visible_only, bool):
+            raise UsageError(f"The ego 'lattice' needs 'visible_only' to be true or false, not {visible_only!r}.")
+        self.wishes = Wishes(needs_road=True, visible_only=visible_only)
         own = {name: others.pop(name) for name in OWN if name in others}
         for name, value in own.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.5 <= value <= 20.0:
@@ -73,7 +77,7 @@ class LatticeEgo:
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
         """Predicted by ``lattice_model.py``; SUMO's lane rules do not hold for it."""
-        return replace(numbers, kind=self.name, known=True)
+        return replace(numbers, kind=self.name, known=True, hardest_braking=self.settings.braking)
 
     def act(self, observation: Observation) -> Action:
         """Pedals and wheel for the step; None (SUMO drives) without a path, and where the route leaves the network."""

@@ -6,6 +6,8 @@ Left out are bends (the profile contains them), all other vehicles, and what hap
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, Floats
@@ -44,7 +46,8 @@ class LatticeDrivers:
         n = len(scenes.of)
         self._scenes, self._length, self._width = scenes, _by_ego(length, n), _by_ego(width, n)
         idm = Idm(tau=model.tau, accel=model.acceleration, decel=model.deceleration, minGap=model.min_gap)
-        self._settings, self._fastest = LatticeSettings(idm=idm), np.full(n, max(model.speed, 1.0))
+        usual, self._fastest = LatticeSettings(idm=idm), np.full(n, max(model.speed, 1.0))
+        self._settings = replace(usual, braking=min(usual.braking, model.hardest_braking))
         self._size = Size(scenes.ego.length, scenes.ego.width)
         sides = [[offset for offset, kind in s.road.sides if kind == "same"] for s in scenes.of]
         half, self._until = scenes.each(lambda s: s.road.lane_width) / 2, scenes.each(lambda s: s.road.junction)

@@ -11,6 +11,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent
 from sumo_adv.episode.refinement import Refinement
 from sumo_adv.episode.task import FoundEncounter, Prefix, Task
+from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.simulation.inputs import RunInput
 
 
@@ -26,6 +27,7 @@ class Episode:
     found: FoundEncounter | None = None
     intents: Sequence[Intent] = ()
     intent: Intent | None = None
+    casts: Sequence[Cast] = ()  # compositions that a model proposed
     refinement: Refinement = field(default_factory=Refinement)
     prefix: Prefix | None = None
     lanes: Sequence[Any] = ()

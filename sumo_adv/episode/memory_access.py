@@ -18,10 +18,10 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import Composition, Part, record_composition
+from sumo_adv.memory.compositions import Composition, Part, record_composition, retrieve_composition
 from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
-from sumo_adv.search.composed_attacks import description_of
+from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
 from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.search.selection import Selection, select
@@ -177,6 +177,28 @@ def retrieve(
     return entries
 
 
+def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
+    """Proposed compositions, each replaced by the bank's own if the bank knows one with its label or description.
+
+    The bank's parts and modes then count. A part is carried out by the vehicle that was proposed for its role, or by
+    any that fits if none was.
+    """
+    found = []
+    for cast in casts:
+        known = retrieve_composition(bank, cast.composition.label, cast.composition.description)
+        if known is not None:
+            left = [(p.duty, bv) for p, bv in zip(cast.composition.parts, cast.vehicles, strict=True)]
+            vehicles = []
+            for part in known.parts:
+                match = next((each for each in left if each[0] is part.duty), None)
+                if match is not None:
+                    left.remove(match)
+                vehicles.append(ANY if match is None else match[1])
+            cast = Cast(known, tuple(vehicles))
+        found.append(cast)
+    return found
+
+
 def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:
     """How often each intent was tried in encounters of this geometry against this driver, as a sentence by label."""
     tallies, key = {}, (now.geometry, now.controller)
@@ -247,7 +269,7 @@ def _learn_compositions(episode: Episode, bank: MemoryBank, entries: Sequence[Li
     for label, attempts in tried.items():
         best = min(attempts, key=lambda a: rank(a.verdict)).proposal
         parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
-        composition = Composition(label, description_of(best, entries), parts)
+        composition = Composition(label, description_of(best, entries, episode.casts), parts)
         met = [episode.settings.goal.met(a.verdict) for a in attempts]
         episode.learnt |= record_composition(bank, composition, met) and any(met)
 

@@ -9,11 +9,13 @@ from functools import partial
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
+from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.drivers.car_following import exact
 from sumo_adv.episode.encounter_detector import ON_RECORDED
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
+    known_casts,
     read_library,
     recall,
     remembered,
@@ -126,7 +128,7 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
     try:
         episode.intents = agents.analyze(
             planned.search, situations, library, selection=selection_of(episode, bank),
-            remembered=remembered(bank, library, planned.scene),
+            remembered=remembered(bank, library, planned.scene), teamwork=teamwork(episode, bank),
         )  # fmt: skip
         if agents.by_model("analyzer") and episode.settings.tuner == "builtin":
             chosen = {(i.bv, i.label) for i in episode.intents}
@@ -135,10 +137,19 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
         entries = retrieve(episode, agents, situations, library, bank)
     finally:
         episode.timing["analyzer"] = time.perf_counter() - began
+    episode.casts = known_casts(agents.casts, bank)
     labels = {i.label for i in episode.intents}
     if entries != library or any(composed(e) and e.label in labels for e in entries):
         planned.search.extend([e for e in entries if not composed(e) or e.label in labels])
+    if episode.casts and episode.settings.tuner == "builtin":
+        planned.search.add_casts(episode.casts, agents.player("analyzer"))
     return entries
+
+
+def teamwork(episode: Episode, bank: MemoryBank) -> Teamwork | None:
+    """What an analyzer may compose; None if one adversary is all that is allowed."""
+    most = episode.settings.adversaries
+    return Teamwork(most, episode.task.colliders, tuple(compositions(bank))) if most > 1 else None
 
 
 def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:

@@ -3,12 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 from sumo_adv.datatypes import Duty, LibraryEntry, Proposal
 from sumo_adv.memory.compositions import Composition, Part
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
-ANY = ""  # of a part: any mode of the intent
+ANY = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits
+
+
+@dataclass(frozen=True, slots=True)
+class Cast:
+    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY``;
+    empty if any may."""
+
+    composition: Composition
+    vehicles: tuple[str, ...] = ()
+
+    def vehicle(self, part: int) -> str:
+        """The vehicle of a part, the collider's being 0."""
+        return self.vehicles[part] if self.vehicles else ANY
 
 
 def _of(label: str, description: str, collider: str, *supports: tuple[Duty, str]) -> Composition:
@@ -58,9 +72,11 @@ def named(collider: Proposal, supports: Sequence[Proposal], known: Iterable[Comp
     return composition.label if composition is not None else " + ".join([collider.label, *(p.label for p in supports)])
 
 
-def description_of(p: Proposal, library: Sequence[LibraryEntry]) -> str:
-    """The description of a candidate's composition: the expert's own, or made of those of its parts."""
-    own = next((c.description for c in EXPERT_COMPOSITIONS if c.label == p.composition), None)
+def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Iterable[Cast] = ()) -> str:
+    """The description of a candidate's composition: that of the expert or of a proposed one, or made of those of its
+    parts."""
+    known = (*EXPERT_COMPOSITIONS, *(cast.composition for cast in proposed))
+    own = next((c.description for c in known if c.label == p.composition), None)
     entries = (*library, *(entry for those in SUPPORT_INTENTS.values() for entry in those))
-    known = {entry.label: entry.description for entry in entries}
-    return own or " ".join(known.get(q.label, q.label) for q in p.members)
+    words = {entry.label: entry.description for entry in entries}
+    return own or " ".join(words.get(q.label, q.label) for q in p.members)

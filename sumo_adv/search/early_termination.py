@@ -24,8 +24,9 @@ BEHIND, TIMES = 15.0, 3  # m, -: an adversary farther behind, with a gap that gr
 class EarlyTermination:
     """Tells which adversaries of a batch have parted from their egos for good; call it at even intervals (0.5 s)."""
 
-    def __init__(self, batch: AdversaryBatch) -> None:
-        self._batch = batch
+    def __init__(self, batch: AdversaryBatch, *, held_up: bool = False) -> None:
+        """``held_up``: supports may hold the egos up, so that adversaries far behind them can catch up."""
+        self._batch, self._held_up = batch, held_up
         reach = {id(t): _reach(t.ways) for t in batch.targets}
         self._way_until, self._ego_until = np.array([reach[id(t)] for t in batch.targets]).T
         n = len(batch.targets)
@@ -41,7 +42,7 @@ class EarlyTermination:
         gap = ego - s
         self._falls_back = np.where((gap > BEHIND) & (gap > self._gap), self._falls_back + 1, 0)
         self._gap = gap
-        return np.asarray(parted | passed | (self._falls_back >= TIMES))
+        return np.asarray(parted | passed | ((self._falls_back >= TIMES) & (not self._held_up)))
 
 
 def _reach(ways: Sequence[ReferencePath]) -> tuple[float, float]:

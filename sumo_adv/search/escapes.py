@@ -11,6 +11,7 @@ from sumo_adv.search.rollouts import Rollouts
 from sumo_adv.situation import Situation
 
 ASIDE = 0.4  # m from its path, from which on the ego has swerved
+BEHIND = 5.0  # m from centre to centre along the ego's path, from which on a vehicle is behind it
 SLOWER = 0.5  # m/s below its unattacked speed, from which on it has braked
 
 
@@ -27,9 +28,10 @@ def against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
 def predicted_escapes(
     situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts
 ) -> list[tuple[Duty, ...]]:
-    """What supports have to do so that each candidate succeeds, by its rollout; nothing where the ego does not react.
+    """What supports have to do so that each candidate succeeds, by its rollout.
 
-    Where a third party is in the collider's way, it is to make room.
+    Where a third party is in the collider's way, it is to make room. Where the ego does not react and the collider
+    stays behind it, a support has to hold the ego up; there is nothing to do where the collider does not stay behind.
     """
     x, y, _, v = rollouts.ego
     steps = np.hypot(x - rollouts.adversary[0], y - rollouts.adversary[1]).argmin(axis=1).tolist()
@@ -39,8 +41,10 @@ def predicted_escapes(
             duties.append((Duty.OPEN,))
             continue
         baseline = situations[p.delay].baseline
-        _, offset = baseline.path.project(float(x[row, k]), float(y[row, k]))
-        duties.append(against(offset, float(v[row, k]), float(baseline.v[min(k, len(baseline.v) - 1)])))
+        station, offset = baseline.path.project(float(x[row, k]), float(y[row, k]))
+        escape = against(offset, float(v[row, k]), float(baseline.v[min(k, len(baseline.v) - 1)]))
+        behind, _ = baseline.path.project(*(float(q[row, k]) for q in rollouts.adversary[:2]))
+        duties.append(escape or ((Duty.SLOW,) if behind < station - BEHIND else ()))
     return duties
 
 

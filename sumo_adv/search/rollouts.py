@@ -72,7 +72,7 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
-    over, parting, driven, asked = np.zeros(n, bool), EarlyTermination(ground), -1, egos.v
+    over, parting, driven, asked = np.zeros(n, bool), EarlyTermination(ground, held_up=each > 1), -1, egos.v
     for k in range(steps):
         now = k * dt
         if k % replan == 0:

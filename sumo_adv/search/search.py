@@ -23,6 +23,7 @@ from dataclasses import replace
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.compositions import Composition
+from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
 from sumo_adv.search.first_attempt import why_first
@@ -160,6 +161,10 @@ class AttackSearch:
         """Predict candidates that a model chose, with variations of their numbers; they join the pool as any other."""
         variations = self._sampler.variations(chosen, self._settings.sampling.around_chosen * len(chosen))
         self.pool += self._scored([*chosen, *variations])
+
+    def add_casts(self, casts: Sequence[Cast], by: str) -> None:
+        """Predict candidates of compositions that an analyzer (``by``: its name) proposes; they join the pool."""
+        self.pool += self._support.proposed(casts, by, self.pool, self.price)
 
     def propose(self, budget: int) -> list[Proposal]:
         """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""

@@ -2,7 +2,7 @@
 
 Where no candidate with one adversary promises a valid collision, the colliders that come nearest get a support against
 the escape that saves the ego: brake, swerve left, swerve right, or a third party in the collider's way. The candidates
-that still miss may get another one. Compositions that the bank knows are tried in the same way.
+that still miss may get another one. Compositions that the bank or the expert knows are tried in the same way.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from random import Random
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.memory.compositions import Composition
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, named
+from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, Cast, named
 from sumo_adv.search.escapes import observed_escape
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.sampling import varied
@@ -35,10 +35,12 @@ class SupportSearch:
         self, scorer: Scorer, situations: Mapping[float, Situation], random: Random, settings: SupportSettings,
         most: int, known: Sequence[Composition] = (), library: Sequence[LibraryEntry] = (),
     ) -> None:  # fmt: skip
-        """known: compositions that are tried whatever the escape; library: intents that their parts may name."""
-        self._known, self._library = known, library
+        """known: compositions that are tried whatever the escape, as the expert's are; library: intents that their
+        parts may name."""
+        self._compositions, self._library = (*known, *EXPERT_COMPOSITIONS), library
         self._scorer, self._situations, self._random, self._settings = scorer, situations, random, settings
         self._most, self._rounds = most, 0
+        self._proposed: tuple[Composition, ...] = ()  # by the analyzer
         self._failures = 0  # attempts since the last round
         self._failed: list[tuple[Proposal, tuple[Duty, ...]]] = []
 
@@ -66,7 +68,7 @@ class SupportSearch:
         bases = [*failed, *zip(alone, self._scorer.escapes(alone) if alone else (), strict=True)]
         found = self._predicted(bases)
         if self._rounds == 1:
-            found += self._composed(pool, price)
+            found += self._scored(self._carried_out([Cast(c) for c in self._compositions], pool, price))
         if self._most > 2:
             missing = nearly_succeeding(found, price, settings.again)
             found += self._predicted(zip(missing, self._scorer.escapes(missing) if missing else (), strict=True))
@@ -76,22 +78,31 @@ class SupportSearch:
         """The candidates of these bases with one support more that are predicted to fail no gate."""
         return self._scored(supported(bases, self._situations, self._random, self._settings, self._label))
 
-    def _composed(self, pool: Sequence[Proposal], price: Callable[[Proposal], float]) -> list[Proposal]:
-        """The candidates of known compositions, each with the best colliders of its intent and mode."""
+    def proposed(
+        self, casts: Sequence[Cast], by: str, pool: Sequence[Proposal], price: Callable[[Proposal], float]
+    ) -> list[Proposal]:
+        """Predicted candidates of compositions that an analyzer (``by``: its name) proposes; from now on supports that
+        make one of them up have its label."""
+        self._proposed = tuple(cast.composition for cast in casts)
+        return self._scored([replace(p, by=by) for p in self._carried_out(casts, pool, price)])
+
+    def _carried_out(
+        self, casts: Sequence[Cast], pool: Sequence[Proposal], price: Callable[[Proposal], float]
+    ) -> list[Proposal]:
+        """Candidates of compositions, each with the best colliders of its intent and mode; without predictions."""
         drawn = list[Proposal]()
         alone = sorted((p for p in pool if not p.supports and p.prediction is not None), key=price)
-        for composition in (c for c in self._known if len(c.parts) <= self._most):
-            first = composition.parts[0]
+        for cast in (c for c in casts if len(c.composition.parts) <= self._most):
+            first = cast.composition.parts[0]
             fitting = [p for p in alone if p.label == first.intent and first.mode in (ANY, p.planner.mode)]
+            fitting = [p for p in fitting if cast.vehicle(0) in (ANY, p.bv)]
             for base in fitting[:MOST_OF_A_FAMILY]:
                 situation = self._situations[base.delay]
-                drawn += carried_out(
-                    composition, base, situation, self._library, self._random, self._settings, self._label
-                )
-        return self._scored(drawn)
+                drawn += carried_out(cast, base, situation, self._library, self._random, self._settings, self._label)
+        return drawn
 
     def _label(self, collider: Proposal, supports: Sequence[Proposal]) -> str:
-        return named(collider, supports, (*self._known, *EXPERT_COMPOSITIONS))
+        return named(collider, supports, (*self._compositions, *self._proposed))
 
     def _scored(self, drawn: Sequence[Proposal]) -> list[Proposal]:
         """The candidates with predictions, without those that fail a gate."""
@@ -152,18 +163,20 @@ def _drawn(
 
 
 def carried_out(
-    composition: Composition, base: Proposal, situation: Situation, library: Sequence[LibraryEntry], random: Random,
+    cast: Cast, base: Proposal, situation: Situation, library: Sequence[LibraryEntry], random: Random,
     settings: SupportSettings, label: Callable[[Proposal, Sequence[Proposal]], str],
 ) -> list[Proposal]:  # fmt: skip
-    """Candidates in which vehicles support a base as a composition says; none where a part fits no vehicle."""
+    """Candidates in which vehicles support a base as a composition says; none where a part fits no vehicle, or not the
+    vehicle of the cast."""
     made = []
     for _ in range(settings.drawn):
         supports = list[Proposal]()
-        for part in composition.parts[1:]:
+        for k, part in enumerate(cast.composition.parts[1:], start=1):
             used = (base.bv, *(p.bv for p in supports))
             templates = [
                 AttackTemplate(base.delay, target, entry, planner)
-                for target in situation.target_list() if target.state.id not in used
+                for target in situation.target_list()
+                if target.state.id not in used and cast.vehicle(k) in (ANY, target.state.id)
                 for entry in (*SUPPORT_INTENTS[part.duty], *library) if entry.label == part.intent
                 for planner in entry.planners if part.mode in (ANY, planner.mode) and fits(part.duty, entry, target)
             ]  # fmt: skip

@@ -13,7 +13,7 @@
     [window]     warm_up [s], trigger [s] or "auto", horizon [s]
     [adversary]  candidates = [ids..], supports = [ids..] (in attacks of several adversaries), intents = [labels..]
     [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded states, ``signals.py``)
-    [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level: of the best attack
+    [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level, adversaries: of the best attack
     [[parked]] [[pedestrians]] [[cyclists]]
                  x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
 
@@ -31,7 +31,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
 
-from sumo_adv.datatypes import Relation
+from sumo_adv.datatypes import MOST_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
 
@@ -144,14 +144,15 @@ class Signals(_Table):
 class Label(_Table):
     """The intents held to be the most dangerous here. source: people's annotation, or an oracle's simulations.
 
-    relation, level: of the best attack of a run until serious. All shipped scenarios have them; their best attack is of
-    the first intent.
+    relation, level: of the best attack of a run until serious with this number of ``adversaries``. All shipped
+    scenarios have them; their best attack is of the first intent.
     """
 
     intents: Annotated[tuple[Name, ...], Field(min_length=1)]
     source: Literal["annotated", "oracle"] = "annotated"
     relation: Relation | None = None
     level: Literal["critical", "collision", "valid", "strict", "serious"] | None = None
+    adversaries: Annotated[int, Field(ge=1, le=MOST_ADVERSARIES)] = 1
 
 
 class Scenario(_Table):

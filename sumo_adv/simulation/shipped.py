@@ -14,7 +14,7 @@ class ShippedScenario:
     """One scenario. road: the name of its network.
 
     intents: those held to be the most dangerous, the one of the best attack first. relation, level: of the best attack
-    of a run until serious with the default settings and a bank that has learnt nothing.
+    of a run until serious with the default settings, ``adversaries`` and a bank that has learnt nothing.
     """
 
     name: str
@@ -23,6 +23,7 @@ class ShippedScenario:
     intents: tuple[str, ...]
     relation: str | None
     level: str | None
+    adversaries: int
 
 
 def shipped_scenarios() -> list[ShippedScenario]:
@@ -41,7 +42,7 @@ def _read(path: Path) -> ShippedScenario:
     assert label is not None, "each shipped scenario has a label"
     return ShippedScenario(
         input_name(path), _opening(path), input_name(scenario.network), label.intents,
-        label.relation, label.level,
+        label.relation, label.level, label.adversaries,
     )  # fmt: skip
 
 

@@ -1,0 +1,163 @@
+"""Compositions that a language model may propose: attacks of several adversaries from parts that it is told of.
+
+The analyzer is asked for them only where more than one adversary is allowed. A part is a vehicle, its role, and an
+intent: one of the library for the collider, one of ``SUPPORT_INTENTS`` for a support.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from pydantic import BaseModel, Field
+
+from sumo_adv.agents.prompts import Prompts, sanitize
+from sumo_adv.agents.scene_text import Aliases
+from sumo_adv.datatypes import Duty, LibraryEntry
+from sumo_adv.memory.compositions import Composition, Part
+from sumo_adv.memory.records import canonical
+from sumo_adv.road_users import is_unprotected
+from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, Cast
+from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.situation import Situation, Target
+
+MOST_PROPOSED = 3  # compositions in one answer
+ROLES = {
+    Duty.BLOCK_LEFT: "takes the room into which EGO would swerve to the left",
+    Duty.BLOCK_RIGHT: "takes the room into which EGO would swerve to the right",
+    Duty.SLOW: "holds EGO up from ahead",
+    Duty.HIDE: "keeps between EGO and a collider that crosses or merges",
+    Duty.OPEN: "makes room into which the collider can go",
+}
+
+# The two classes below are sent to the model as a JSON schema, with their names and docstrings.
+
+
+class Member(BaseModel):
+    """What one vehicle does in a composition."""
+
+    bv: str
+    role: str = Field(max_length=40)
+    label: str = Field(min_length=1, max_length=80)
+
+
+class Team(BaseModel):
+    """A composition as a model gives it."""
+
+    label: str = Field(min_length=1, max_length=80)
+    description: str = Field(default="", max_length=600)
+    parts: list[Member] = Field(max_length=6)
+    reason: str = Field(default="", max_length=2000)
+
+
+@dataclass(frozen=True, slots=True)
+class Teamwork:
+    """What an analyzer may compose: ``most`` adversaries at most; ``colliders``: ids of the vehicles that may be the
+    collider, empty for all; ``known``: the compositions of the bank."""
+
+    most: int
+    colliders: tuple[str, ...] = ()
+    known: tuple[Composition, ...] = ()
+
+    @property
+    def named(self) -> list[Composition]:
+        """The compositions that a model is told of: the bank's, and the expert's that the bank does not have."""
+        labels = {canonical(c.label) for c in self.known}
+        new = [c for c in EXPERT_COMPOSITIONS if canonical(c.label) not in labels]
+        return [c for c in (*self.known, *new) if len(c.parts) <= self.most]
+
+    def may_collide(self, name: str) -> bool:
+        """Whether a vehicle may be the collider."""
+        return not self.colliders or name in self.colliders
+
+
+def teams_words(
+    prompts: Prompts, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
+) -> str:
+    """The part of the analyzer's prompt on compositions."""
+    roles = [
+        f"- {duty}: {ROLES[duty]}. Behaviours: "
+        + "; ".join(f"{entry.label} ({entry.description})" for entry in SUPPORT_INTENTS[duty])
+        for duty in ROLES
+    ]  # fmt: skip
+    fitting = []
+    for alias, name in aliases.bvs.items():
+        target = situation.targets[name]
+        collides = teamwork.may_collide(name) and not is_unprotected(target.state)
+        collides = collides and any(_applies(target, entry) for entry in library)
+        may = [
+            *([str(Duty.COLLIDER)] if collides else []),
+            *(f"{duty} ({entry.label})" for duty in ROLES for entry in SUPPORT_INTENTS[duty]
+              if fits(duty, entry, target)),
+        ]  # fmt: skip
+        fitting.append(f"{alias}: {', '.join(may) or 'nothing'}")
+    known = [
+        f"- {sanitize(c.label)}: {sanitize(c.description)} Parts: "
+        + ", ".join(f"{part.duty} {sanitize(part.intent)}" for part in c.parts)
+        for c in teamwork.named
+    ]  # fmt: skip
+    return prompts.piece(
+        "teams", most=str(teamwork.most), proposed=str(MOST_PROPOSED), roles="\n".join(roles),
+        fitting="\n".join(fitting), known="\n".join(known),
+    )  # fmt: skip
+
+
+def team_fault(
+    team: Team, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
+) -> str | None:
+    """What is wrong with a composition as a sentence for the model, None for a usable one."""
+    label = sanitize(team.label)
+    known = {canonical(c.label) for c in teamwork.named}
+    if canonical(label) not in known and len(team.description.split()) < 5:
+        return f"The new composition '{label}' needs a description of one or two sentences."
+    if not 2 <= len(team.parts) <= teamwork.most:
+        return f"The composition '{label}' has {len(team.parts)} parts; it must have 2 to {teamwork.most}."
+    if [member.role == Duty.COLLIDER for member in team.parts] != [True] + [False] * (len(team.parts) - 1):
+        return f"The first part of the composition '{label}' must be the collider, and the others must be supports."
+    if len({member.bv for member in team.parts}) < len(team.parts):
+        return f"A vehicle has two parts in the composition '{label}'."
+    return next((f for m in team.parts if (f := _member_fault(m, teamwork, situation, aliases, library))), None)
+
+
+def casts_of(teams: Iterable[Team], aliases: Aliases, library: Sequence[LibraryEntry]) -> tuple[Cast, ...]:
+    """Usable compositions of a model's answers with their vehicles; of those with one label the first."""
+    casts: dict[str, Cast] = {}
+    for team in teams:
+        parts = tuple(Part(Duty(m.role), _entry(m, library).label, ANY) for m in team.parts)
+        label = sanitize(team.label)
+        same = next((c.description for c in EXPERT_COMPOSITIONS if canonical(c.label) == canonical(label)), "")
+        composition = Composition(label, sanitize(team.description) or same or label, parts)
+        casts.setdefault(canonical(label), Cast(composition, tuple(aliases.bvs[m.bv] for m in team.parts)))
+    return tuple(casts.values())
+
+
+def _member_fault(
+    member: Member, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
+) -> str | None:
+    bv, role = sanitize(member.bv), sanitize(member.role)
+    if member.bv not in aliases.bvs:
+        return f"There is no vehicle '{bv}' that may take part; there are {', '.join(aliases.bvs)}."
+    if member.role not in (Duty.COLLIDER, *ROLES):
+        return f"There is no role '{role}'; choose {', '.join((Duty.COLLIDER, *ROLES))}."
+    duty, name = Duty(member.role), aliases.bvs[member.bv]
+    known = {e.label.lower(): e for e in (library if duty is Duty.COLLIDER else SUPPORT_INTENTS[duty])}
+    entry, target = known.get(member.label.lower()), situation.targets[name]
+    if entry is None:
+        choices = ", ".join(e.label for e in known.values())
+        return f"'{sanitize(member.label)}' is no behaviour of the role {role}; choose {choices}."
+    if duty is not Duty.COLLIDER:
+        return None if fits(duty, entry, target) else f"{bv} cannot carry out '{entry.label}' from where it is."
+    if not teamwork.may_collide(name):
+        return f"{bv} may not be the collider, only a support."
+    if is_unprotected(target.state):  # all adversaries of a candidate have the same limits
+        return f"{bv} is a pedestrian or cyclist, and only vehicles have supports: choose another collider."
+    return None if _applies(target, entry) else f"'{entry.label}' does not apply to {bv} from where it is."
+
+
+def _entry(member: Member, library: Sequence[LibraryEntry]) -> LibraryEntry:
+    entries = library if member.role == Duty.COLLIDER else SUPPORT_INTENTS[Duty(member.role)]
+    return next(e for e in entries if e.label.lower() == member.label.lower())
+
+
+def _applies(target: Target, entry: LibraryEntry) -> bool:
+    return bool(set(target.applies()) & set(entry.applies))
