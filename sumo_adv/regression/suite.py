@@ -97,7 +97,7 @@ def run_suite(
         jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
         setup, pace = Setup(runs.absolute(), ego), Pace(workers, DEADLINE, RECYCLE)
         with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
-            pool.run(jobs, told)  # type: ignore[arg-type]
+            pool.run(jobs, told)
         shutil.rmtree(scratch, ignore_errors=True)
         whole = SuiteRun(suite, ego, [found[case.name] for case in cases])
         _write(folder.stage, whole)
