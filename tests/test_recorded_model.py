@@ -27,7 +27,7 @@ def test_a_recorded_run_repeats(tmp_path: Path, recording: Path) -> None:
 
 
 def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None:
-    """The library has nothing for a neighbour: one analysis with two new intents, a comparison and a planner for each."""
+    """Nothing is known for a neighbour: an analysis with two new intents, for each a comparison and a planner."""
     program = Program(tmp_path, tmp_path)
     known = (
         "Close Car-following,Emergency Braking,Intersection Rush-through Go-straight,"
