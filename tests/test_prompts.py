@@ -48,9 +48,15 @@ from sumo_adv.simulation.simulation import Snapshot
 
 LIMITS = Limits()
 TUNED = Planner(
-    "Straight Lane Shift", "tuned", "# Straight Lane Shift\nX = 1\n", (Parameter("gap", 2.0, 1.0, 8.0, "m"),), "seed"
+    "Straight Lane Shift",
+    "tuned",
+    '# Straight Lane Shift, mode "tuned"\nX = 1\n',
+    (Parameter("gap", 2.0, 1.0, 8.0, "m"),),
+    "seed",
 )
-PLANNER = Planner("Straight Lane Shift", "side", "# Straight Lane Shift\n# Drifts over.\nX = 1\n", (), "seed")
+PLANNER = Planner(
+    "Straight Lane Shift", "side", '# Straight Lane Shift, mode "side"\n# Drifts over.\nX = 1\n', (), "seed"
+)
 SHIFT = LibraryEntry("Straight Lane Shift", "Drifts over.", ("neighbour",), (PLANNER, TUNED))
 BRAKE = LibraryEntry("Emergency Braking", "Brakes.", ("leader",), ())
 
@@ -166,7 +172,9 @@ def test_evidence_counts_what_can_be_avoided() -> None:
 
 
 def test_the_opening_comment_describes_a_planner() -> None:
-    assert opening_comment("# Name\n# Waits.\n# Then goes.\nX = 1\n# not this\n") == "Waits. Then goes."
+    named = '# Name, mode "wait"\n# Waits.\n# Then goes.\nX = 1\n# not this\n'
+    assert opening_comment(named) == "Waits. Then goes."
+    assert opening_comment(named.partition("\n")[2]) == "Waits. Then goes."  # a model may leave the name out
     assert opening_comment("X = 1\n") == "without a word on it"
 
 
@@ -209,7 +217,7 @@ def test_junctions_are_told_of_where_there_is_one() -> None:
 
 
 def test_modes_that_read_the_acceleration_are_marked() -> None:
-    head = "# Name\n# Words.\nPARAMETERS = {}\ndef endpoint(bv, ego, road, parameters, acc, horizon):\n    return "
+    head = "# Words.\nPARAMETERS = {}\ndef endpoint(bv, ego, road, parameters, acc, horizon):\n    return "
     reads, ignores = (Planner("L", name, head + value, (), "seed") for name, value in (("a", "go(acc)"), ("b", "{}")))
     assert modes_words(LibraryEntry("L", "", (), (reads, ignores))) == [
         "  mode a (uses acceleration): Words.", "  mode b: Words.",

@@ -17,7 +17,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.danger import danger_words
-from sumo_adv.agents.prompts import Prompt, Prompts, sanitize
+from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
@@ -41,7 +41,7 @@ class Choice(BaseModel):
     bv: str
     label: str = Field(min_length=1, max_length=80)
     novel: bool = False
-    description: str = Field(default="", max_length=600)
+    description: str = Field(default="", max_length=MAX_TEXT)
     risk: Literal["low", "medium", "high"]
     acceleration: float | list[list[float]] = 0.0
     ways: list[HowTo] = Field(default_factory=list, max_length=MOST_WAYS)

@@ -17,7 +17,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
 
 NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "teams")
-MAX_TEXT = 400  # characters of a label or description in a prompt
+MAX_TEXT = 600  # characters of a label or description in a prompt
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import Prompts, sanitize
+from sumo_adv.agents.prompts import MAX_TEXT, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.memory.compositions import Composition, Part
@@ -45,7 +45,7 @@ class Team(BaseModel):
     """A composition as a model gives it."""
 
     label: str = Field(min_length=1, max_length=80)
-    description: str = Field(default="", max_length=600)
+    description: str = Field(default="", max_length=MAX_TEXT)
     parts: list[Member] = Field(max_length=6)
     reason: str = Field(default="", max_length=2000)
 

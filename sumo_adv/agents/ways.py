@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from typing import Literal
 
 from pydantic import BaseModel, Field
@@ -14,6 +16,7 @@ from sumo_adv.planners.source import uses_acceleration
 from sumo_adv.situation import Situation
 
 MOST_WAYS = 3  # of one intent
+NAME_LINE = re.compile(r'.*, mode "[^"]+"')  # the first line of shipped planners: # Aggressive Cut-in, mode "side"
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.
 
@@ -56,12 +59,10 @@ def first_of_each_mode(entry: LibraryEntry) -> list[Planner]:
 
 
 def opening_comment(source: str) -> str:
-    """The comment that opens a planner's text, without its first line, which is the planner's name."""
-    lines = []
-    for line in source.splitlines()[1:]:
-        if not line.startswith("#"):
-            break
-        lines.append(line.lstrip("# "))
+    """The comment that opens a planner's text, without a first line that only names the planner."""
+    lines = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), source.splitlines())]
+    if lines and NAME_LINE.fullmatch(lines[0]):
+        del lines[0]
     return sanitize(" ".join(lines)) or "without a word on it"
 
 
