@@ -41,8 +41,8 @@ def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None
     )  # fmt: skip
     assert done.status == 0, done.err
     (attempt,) = done.outcome["attempts"]
-    assert attempt["intent"] == "Alongside Drift from Behind" and attempt["valid"]
-    assert done.outcome["llm"]["calls"] == 5
+    assert attempt["intent"] == "Catch-up Lateral Drift Sideswipe" and attempt["valid"]
+    assert done.outcome["llm"]["calls"] == 6
 
 
 def test_there_are_recordings() -> None:
