@@ -2,7 +2,11 @@
 
     python benchmarks/rate/coverage.py benchmarks/rate/crossing.toml --errors 3 --out runs/coverage
 
-Makes the estimates, then the plain runs, and prints the table. Hours of one core; the same command again goes on.
+Makes the estimates, then the plain runs, and prints the table. An hour of one core; the same command again goes on.
+
+Plain runs are compared twice: those of ``sumo-adv rate --plain``, and ten times as many more of the same kind of which
+only those are driven in which an error can begin. Whether one can is known from a run's seed: its decisions draw their
+random numbers one after another, and none of these may be below the sum of the model's probabilities.
 """
 
 from __future__ import annotations
@@ -19,10 +23,10 @@ from scipy.stats import norm
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import json_text, write_text
-from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner
-from sumo_adv.rate.estimate import Estimation, counts_of, estimated, records_of
-from sumo_adv.rate.estimator import rate
-from sumo_adv.rate.model import KINDS, chances
+from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, seed_of
+from sumo_adv.rate.estimate import Estimate, Estimation, counts_of, estimated, records_of
+from sumo_adv.rate.estimator import Rate, rate
+from sumo_adv.rate.model import KINDS, SLOT, chances
 from sumo_adv.rate.plan import RatePlan
 from sumo_adv.rate.proposal import Proposal, learnt, pilot_proposal
 
@@ -37,7 +41,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=640)
     parser.add_argument("--pilot", type=int, default=60)
     parser.add_argument("--repetitions", type=int, default=100)
-    parser.add_argument("--plain-runs", type=int, default=320_000)
+    parser.add_argument("--plain-runs", type=int, default=160_000)
+    parser.add_argument("--thinned-runs", type=int, default=3_200_000, help="plain runs, driven if an error can begin")
+    parser.add_argument("--others", type=int, default=3, help="vehicles of the scene beside the ego")
     parser.add_argument("--workers", type=int, default=1, help="for the plain runs")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
@@ -49,7 +55,29 @@ def main() -> None:
     plain = Estimation(replace(plan, plain=True), args.out / "plain", args.workers, Silent()).run(args.plain_runs)
     if plain is None or not plain.per_hour["collision"].crashes:
         parser.exit(1, "The plain runs were stopped, or none of them crashed: there is nothing to compare with.\n")
-    print("\n".join(table(estimates, plain.document())))
+    print("\n".join(table(estimates, plain)))
+    crashes = thinned(replace(plan, plain=True), args.thinned_runs, args.others, args.out)
+    hours = args.thinned_runs * plain.hours / plain.runs
+    found = rate(np.ones(crashes), np.full(crashes, hours / crashes))
+    same = thinned(replace(plan, plain=True), args.plain_runs, args.others, args.out)
+    print(f"thinned    {args.thinned_runs} plain runs, {crashes} collisions ({same} in the first {args.plain_runs}):")
+    print("\n".join(covered(estimates, found)))
+
+
+def thinned(plan: RatePlan, runs: int, others: int, out: Path) -> int:
+    """How many of ``runs`` plain runs end in a collision. Only those are driven in which an error can begin."""
+    file = out / f"thinned-{plan.ego}-{plan.factor:g}-{runs}.json"
+    if file.exists():
+        return int(json.loads(file.read_text(encoding="utf-8")))
+    most, draws = float(chances(plan.factor).sum()), round(plan.duration / SLOT) * others
+    crashes, block = 0, Block("plain", 0, None)
+    with BlockRunner(plan) as runner:
+        for number in range(runs):
+            drawn = np.random.default_rng([seed_of(plan.seed, "plain", number), 1]).random(draws)
+            if drawn.min() < most:
+                crashes += runner.one(block, number)[1].level != "none"
+    write_text(file, json_text(crashes))
+    return crashes
 
 
 def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
@@ -70,36 +98,38 @@ def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
     return document
 
 
-def table(estimates: Sequence[Mapping[str, Any]], plain: Mapping[str, Any]) -> list[str]:
-    """What the intervals cover, and how far the ego drove for them. All rates are of collisions in 1000 h."""
-    value, low, high, half = (_column(estimates, name) * unit for name, unit in UNITS.items())
-    truth = plain["levels"]["collision"]["per_hour"]
-    there, least, most = (truth[name] * 1000.0 for name in ("rate", "low", "high"))
-    mean, error = float(value.mean()), float(value.std(ddof=1) / np.sqrt(len(value)))
-    n = len(value)
-    covers = int(((low <= there) & (there <= high)).sum())
-    own = int(((low <= mean) & (mean <= high)).sum())
-    overlaps = int(((low <= most) & (least <= high)).sum())
-    driven = float(np.mean([each["km"] for each in estimates]))
-    wanted = float(np.median(half))
-    needed = crashes_for(wanted) / truth["crashes"] * plain["km"]
-    apart = (mean - there) / float(np.hypot(error, there / np.sqrt(truth["crashes"])))
-    per_run = truth["crashes"] / plain["runs"]
-    spread, as_said = value.std(ddof=1) / mean, wanted / norm.ppf(0.975)
-    expected = shifted(as_said, there / mean - 1.0)
+def table(estimates: Sequence[Mapping[str, Any]], plain: Estimate) -> list[str]:
+    """The estimates against plain runs, and how far the ego drove for each. Rates are of collisions in 1000 h."""
+    truth = plain.per_hour["collision"]
+    value, half = _column(estimates, "rate"), _column(estimates, "half_width")
+    driven, wanted = float(np.mean([each["km"] for each in estimates])), float(np.median(half))
+    spread, as_said = value.std(ddof=1) / value.mean(), wanted / norm.ppf(0.975)
+    needed = crashes_for(wanted) / truth.crashes * plain.km
     return [
-        f"plain      {plain['runs']} runs, {truth['crashes']} collisions, {per_run:.2g} a run: "
-        f"{there:.4g} ({least:.4g}-{most:.4g}) in 1000 h, half width {truth['half_width']:.0%}, {plain['km']:.0f} km",
-        f"estimates  {n} of {estimates[0]['pilot']} + {estimates[0]['runs']} runs: mean {mean:.4g}, standard error "
-        f"{error:.2g} ({apart:+.1f} standard errors from plain), median half width {wanted:.0%}, {driven:.1f} km each",
-        f"covered    plain's value {covers} of {n}, plain's interval {overlaps} of {n}, their own mean {own} of {n}",
-        f"           expected of exact intervals, with plain's value where it is: {expected:.0%}",
-        f"spread     of the values {spread:.0%}, as the half widths say {as_said:.0%}",
-        f"km         plain needs {needed:.0f} for that half width: {needed / driven:.0f} times as many",
+        f"estimates  {len(value)} of {estimates[0]['pilot']} + {estimates[0]['runs']} runs: mean "
+        f"{value.mean() * 1e3:.4g}, standard error {1e3 * value.std(ddof=1) / len(value) ** 0.5:.2g}, "
+        f"median half width {wanted:.0%}, {driven:.1f} km each",
+        f"spread     of their values {spread:.0%}, as the half widths say {as_said:.0%}",
+        f"plain      {plain.runs} runs, {truth.crashes} collisions, {truth.crashes / plain.runs:.2g} a run, "
+        f"{plain.km:.0f} km; for the half width of the estimates it needs {needed:.0f} km: {needed / driven:.0f} times "
+        "as many",
+        *covered(estimates, truth),
     ]
 
 
-UNITS = {"rate": 1000.0, "low": 1000.0, "high": 1000.0, "half_width": 1.0}
+def covered(estimates: Sequence[Mapping[str, Any]], truth: Rate) -> list[str]:
+    """How many of the intervals cover the value of plain runs, their interval, and the mean of all estimates."""
+    value, low, high = (_column(estimates, name) for name in ("rate", "low", "high"))
+    mean, error = float(value.mean()), float(value.std(ddof=1) / np.sqrt(len(value)))
+    covers = int(((low <= truth.value) & (truth.value <= high)).sum())
+    overlaps = int(((low <= truth.high) & (truth.low <= high)).sum())
+    own = int(((low <= mean) & (mean <= high)).sum())
+    apart = (mean - truth.value) / float(np.hypot(error, truth.value / np.sqrt(truth.crashes)))
+    return [
+        f"           {truth.value * 1e3:.4g} ({truth.low * 1e3:.4g}-{truth.high * 1e3:.4g}) in 1000 h, half width "
+        f"{truth.half_width:.0%}; the mean of the estimates is {apart:+.1f} standard errors from it",
+        f"           of {len(value)} intervals {covers} cover that value, {overlaps} its interval, {own} their mean",
+    ]
 
 
 def _column(estimates: Sequence[Mapping[str, Any]], name: str) -> Floats:
@@ -111,12 +141,6 @@ def crashes_for(half_width: float) -> float:
     counts = np.arange(1, 2000)
     halves = [rate(np.ones(count), np.ones(count)).half_width or np.inf for count in counts]
     return float(np.interp(-half_width, -np.array(halves), counts))
-
-
-def shifted(spread: float, shift: float) -> float:
-    """How often a normal interval of 95 % covers a value that is off by ``shift`` of the true one."""
-    z, off = float(norm.ppf(0.975)), shift / spread
-    return float(norm.cdf(z - off) - norm.cdf(-z - off))
 
 
 class Silent:
