@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--pilot", type=int, default=60)
     parser.add_argument("--repetitions", type=int, default=100)
     parser.add_argument("--plain-runs", type=int, default=160_000)
-    parser.add_argument("--thinned-runs", type=int, default=3_200_000, help="plain runs, driven if an error can begin")
+    parser.add_argument("--thinned-runs", type=int, default=1_600_000, help="plain runs, driven if an error can begin")
     parser.add_argument("--others", type=int, default=3, help="vehicles of the scene beside the ego")
     parser.add_argument("--workers", type=int, default=1, help="for the plain runs")
     parser.add_argument("--out", type=Path, required=True)
