@@ -163,7 +163,7 @@ class Predictor:
         return [scored[k] for k in range(len(proposals))]
 
     def _second_part(self, proposals: Sequence[Proposal]) -> list[int]:
-        """The last half of many candidates, without those whose planners need the sandbox."""
+        """The last half of many candidates, without planners that need the sandbox."""
         n = len(proposals)
         rows = range(n - n // 2, n) if n >= LEAST_PARTED else ()
         return [
