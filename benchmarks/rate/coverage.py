@@ -4,9 +4,9 @@
 
 Makes the estimates, then the plain runs, and prints the table. An hour of one core; the same command again goes on.
 
-Plain runs are compared twice: those of ``sumo-adv rate --plain``, and ten times as many more of the same kind of which
-only those are driven in which an error can begin. Whether one can is known from a run's seed: its decisions draw their
-random numbers one after another, and none of these may be below the sum of the model's probabilities.
+Plain runs are compared twice: those of ``sumo-adv rate --plain``, and ten times as many, of which only those are driven
+in which an error can begin. Whether one can is known from a run's seed: its decisions draw random numbers one after
+another, and an error begins only where one is below the sum of the model's probabilities.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ from sumo_adv.rate.model import KINDS, SLOT, chances
 from sumo_adv.rate.plan import RatePlan
 from sumo_adv.rate.proposal import Proposal, learnt, pilot_proposal
 
+CHUNK = 800_000  # plain runs in a file
+
 
 def main() -> None:
     """Make what is missing, then print the table."""
@@ -42,7 +44,7 @@ def main() -> None:
     parser.add_argument("--pilot", type=int, default=60)
     parser.add_argument("--repetitions", type=int, default=100)
     parser.add_argument("--plain-runs", type=int, default=160_000)
-    parser.add_argument("--thinned-runs", type=int, default=1_600_000, help="plain runs, driven if an error can begin")
+    parser.add_argument("--thinned-runs", type=int, default=2 * CHUNK, help="plain runs, driven if an error can begin")
     parser.add_argument("--others", type=int, default=3, help="vehicles of the scene beside the ego")
     parser.add_argument("--workers", type=int, default=1, help="for the plain runs")
     parser.add_argument("--out", type=Path, required=True)
@@ -56,23 +58,29 @@ def main() -> None:
     if plain is None or not plain.per_hour["collision"].crashes:
         parser.exit(1, "The plain runs were stopped, or none of them crashed: there is nothing to compare with.\n")
     print("\n".join(table(estimates, plain)))
-    crashes = thinned(replace(plan, plain=True), args.thinned_runs, args.others, args.out)
-    hours = args.thinned_runs * plain.hours / plain.runs
+    parts = range(0, args.thinned_runs, CHUNK)
+    crashes = sum(thinned(replace(plan, plain=True), first, CHUNK, args.others, args.out) for first in parts)
+    driven = len(parts) * CHUNK
+    hours = driven * plain.hours / plain.runs
     found = rate(np.ones(crashes), np.full(crashes, hours / crashes))
-    same = thinned(replace(plan, plain=True), args.plain_runs, args.others, args.out)
-    print(f"thinned    {args.thinned_runs} plain runs, {crashes} collisions ({same} in the first {args.plain_runs}):")
+    same = thinned(replace(plan, plain=True), 0, plain.runs, args.others, args.out)
+    print(f"thinned    {driven} plain runs, {crashes} collisions ({same} in the first {plain.runs}):")
     print("\n".join(covered(estimates, found)))
+    half = float(np.median(_column(estimates, "half_width")))
+    needed = crashes_for(half) / crashes * driven * plain.km / plain.runs
+    times = needed / float(np.mean([each["km"] for each in estimates]))
+    print(f"km         for a half width of {half:.0%} plain needs {needed:.0f}: {times:.0f} times as many")
 
 
-def thinned(plan: RatePlan, runs: int, others: int, out: Path) -> int:
+def thinned(plan: RatePlan, first: int, runs: int, others: int, out: Path) -> int:
     """How many of ``runs`` plain runs end in a collision. Only those are driven in which an error can begin."""
-    file = out / f"thinned-{plan.ego}-{plan.factor:g}-{runs}.json"
+    file = out / f"thinned-{plan.ego}-{plan.factor:g}-{first}-{runs}.json"
     if file.exists():
         return int(json.loads(file.read_text(encoding="utf-8")))
     most, draws = float(chances(plan.factor).sum()), round(plan.duration / SLOT) * others
     crashes, block = 0, Block("plain", 0, None)
     with BlockRunner(plan) as runner:
-        for number in range(runs):
+        for number in range(first, first + runs):
             drawn = np.random.default_rng([seed_of(plan.seed, "plain", number), 1]).random(draws)
             if drawn.min() < most:
                 crashes += runner.one(block, number)[1].level != "none"
@@ -104,15 +112,13 @@ def table(estimates: Sequence[Mapping[str, Any]], plain: Estimate) -> list[str]:
     value, half = _column(estimates, "rate"), _column(estimates, "half_width")
     driven, wanted = float(np.mean([each["km"] for each in estimates])), float(np.median(half))
     spread, as_said = value.std(ddof=1) / value.mean(), wanted / norm.ppf(0.975)
-    needed = crashes_for(wanted) / truth.crashes * plain.km
     return [
         f"estimates  {len(value)} of {estimates[0]['pilot']} + {estimates[0]['runs']} runs: mean "
         f"{value.mean() * 1e3:.4g}, standard error {1e3 * value.std(ddof=1) / len(value) ** 0.5:.2g}, "
         f"median half width {wanted:.0%}, {driven:.1f} km each",
         f"spread     of their values {spread:.0%}, as the half widths say {as_said:.0%}",
         f"plain      {plain.runs} runs, {truth.crashes} collisions, {truth.crashes / plain.runs:.2g} a run, "
-        f"{plain.km:.0f} km; for the half width of the estimates it needs {needed:.0f} km: {needed / driven:.0f} times "
-        "as many",
+        f"{plain.km:.0f} km",
         *covered(estimates, truth),
     ]
 
