@@ -14,6 +14,7 @@ from cli_samples import TESTS
 from serve_samples import needs_sumo
 
 from sumo_adv.agents.agents import Agents
+from sumo_adv.agents.teams import Teamwork
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry
 from sumo_adv.episode.episode import Episode
@@ -49,10 +50,13 @@ class Slow(Agents):
         *,
         selection: Selection,
         remembered: Mapping[str, str],
+        teamwork: Teamwork | None = None,
     ) -> list[Intent]:
         """The expert's ranking, late."""
         time.sleep(self.seconds)
-        return super().analyze(search, situations, library, selection=selection, remembered=remembered)
+        return super().analyze(
+            search, situations, library, selection=selection, remembered=remembered, teamwork=teamwork
+        )
 
 
 @dataclass
