@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
@@ -70,29 +69,21 @@ def find_attackable(
         found = seek(episode, engine, tell)
         if found is None:
             return None
-        planned = with_predictions(episode, found, sandbox, bank, engine)
+        planned = with_predictions(episode, found, sandbox, bank)
         episode.stopped = planned.predictor.stopped
         if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
             return planned
         episode.skips += 1
 
 
-def with_predictions(
-    episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank, engine: Engine | None = None
-) -> PlannedEncounter:
-    """An encounter with the bank's library and the predictions of the first candidates.
-
-    engine: predicts a part of the candidates, if it may use a second core.
-    """
+def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
+    """An encounter with the bank's library and the predictions of the first candidates."""
     settings = episode.settings
     modified = episode.agents is not None and episode.agents.by_model("modifier")
     share = settings.per_planner if modified else settings.attempts
     weights = SearchSettings(proposals=settings.proposals, share=share)
     shown = {} if settings.learn == "off" else weights_of_driver(bank, episode.task.ego_driver)
-    elsewhere = partial(engine.ordered, "predict") if engine is not None and engine.at_once > 1 else None
-    predictor = Predictor(
-        sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped, elsewhere
-    )
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
     search, known = searched(episode, found, predictor, library, bank, weights)

@@ -37,7 +37,6 @@ from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
-from sumo_adv.search.batch_prediction import PredictionOrder, fulfilled
 from sumo_adv.simulation.engine import can_fork, in_forks
 from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -190,14 +189,6 @@ class Worker:
         if None in answers.values():  # SUMO died: it cannot say what these drivers do
             return {}
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
-
-    def predict(self, order: PredictionOrder) -> list[Proposal] | None:
-        """Predict candidates of the encounter, None if that needs the sandbox. A fork does so, which leaves the memory
-        as small for the next ones."""
-        found = self._encounter
-        work = partial(fulfilled, order, found.situations, found.drivable, self._settings)
-        scored: list[Proposal] | None = in_forks([work], lost=lambda why: None)[0] if self._forks else work()
-        return scored
 
     def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
         """Make an attempt from the trigger on, as the front asks for it in the first slot.
@@ -364,5 +355,5 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     return {
         "open": worker.open, "forks": worker.forks, "seek": worker.seek, "prefix": worker.prefix,
         "lanes": worker.lanes_near, "attempts": worker.attempts, "references": worker.references,
-        "predict": worker.predict, "converse": worker.converse,
+        "converse": worker.converse,
     }  # fmt: skip

@@ -1,8 +1,4 @@
-"""Candidates scored by prediction: numpy rollouts of the planners' own answers.
-
-Many candidates are predicted in two parts, of which another process may take the second one (``Elsewhere``). Without
-one the parts are the same, and so are the results.
-"""
+"""Candidates scored by prediction: numpy rollouts of the planners' own answers."""
 
 from __future__ import annotations
 
@@ -13,20 +9,21 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Duty, Level, ObservedMotion, Proposal
+from sumo_adv.datatypes import DriverModel, Duty, Level, Limits, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.road_users import road_user
-from sumo_adv.search.batch_prediction import BatchPredictor, Elsewhere, PredictionOrder
 from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
 from sumo_adv.search.escapes import predicted_escapes
-from sumo_adv.search.rollouts import Rollouts
+from sumo_adv.search.goal_score import goal_score
+from sumo_adv.search.rollouts import Rollouts, lined_up, predict
+from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
 TOGETHER = 12  # planners with a sandbox session open at the same time
-LEAST_PARTED = 20  # candidates: fewer are predicted in one part
 
 
 class Predictor:
@@ -35,28 +32,21 @@ class Predictor:
     def __init__(
         self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation],
         weights: ScoreSettings | None = None, driver_weights: Mapping[str, float] | None = None,
-        stopped: Mapping[str, int] | None = None, elsewhere: Elsewhere | None = None,
+        stopped: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
         """``driver_weights``: what earlier encounters showed of an unknown driver; ``stopped``: how many calls of each
-        planner ran into a limit in them, by hash; ``elsewhere``: predicts the second part of many candidates."""
-        self._weights, self._elsewhere, self._situations = weights or ScoreSettings(), elsewhere, situations
-        self._batches = BatchPredictor(sandbox, settings, drivable, situations, self._weights, stopped)
+        planner ran into a limit in them, by hash."""
+        self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
+        self._drivable = drivable
+        self._situations, self._roads = situations, Roads(situations)
         first = next(iter(situations.values()))
         self._driver = DriverIdentification(first.baseline.model, driver_weights or {})
-        self._drive_all_by(self._driver.model)
+        self._situations = self._all_driven_by(self._driver.model)
         if self._driver.open and self._driver.observe([in_traffic(first, m) for m in self._driver.models]):
-            self._drive_all_by(self._driver.model)
+            self._situations = self._all_driven_by(self._driver.model)
         self.seconds, self.count = 0.0, 0
-
-    @property
-    def failures(self) -> dict[str, str]:
-        """Planners that failed: hash -> sentence."""
-        return self._batches.failures
-
-    @property
-    def stopped(self) -> Mapping[str, int]:
-        """How many calls of each planner ran into a limit, by hash."""
-        return self._batches.stopped
+        self.failures: dict[str, str] = {}  # planner hash -> sentence
+        self.stopped: Mapping[str, int] = dict(stopped or {})
 
     @property
     def driver_weights(self) -> dict[str, float]:
@@ -74,7 +64,7 @@ class Predictor:
             if not rows:
                 continue
             egos = None if motions is None else [motions[k] for k in rows]
-            for k, p in zip(rows, self._parted([proposals[k] for k in rows], egos), strict=True):
+            for k, p in zip(rows, self._together([proposals[k] for k in rows], egos), strict=True):
                 scored[k] = p
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
@@ -91,11 +81,11 @@ class Predictor:
             return scored
         worst = self._weights.expected_worst
         sums = np.array([[min(p.score, worst), _is_valid(p)] for p in scored]) * likely[0][1]
-        before = self._model
+        before = self._situations
         for model, weight in likely[1:]:
-            self._drive_all_by(model)
+            self._situations = self._all_driven_by(model)
             sums += weight * np.array([[min(p.score, worst), _is_valid(p)] for p in self.score(scored)])
-        self._drive_all_by(before)
+        self._situations = before
         results = []
         for p, (score, valid) in zip(scored, sums.tolist(), strict=True):
             assert p.prediction is not None
@@ -129,50 +119,52 @@ class Predictor:
             distances.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion, situation.dt))
         changed = self._driver.observe(distances)
         if changed:
-            self._drive_all_by(self._driver.model)
+            self._situations = self._all_driven_by(self._driver.model)
         self.seconds += time.perf_counter() - began
         return changed
 
-    def _drive_all_by(self, model: DriverModel) -> None:
-        self._model = model
-        self._situations = {delay: situation.driven_by(model) for delay, situation in self._situations.items()}
+    def _limits(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Limits:
+        """The limits of candidates that are all of one kind of road user."""
+        return self._settings.limits.of(situations[proposals[0].delay].targets[proposals[0].bv].state)
+
+    def _all_driven_by(self, model: DriverModel) -> dict[float, Situation]:
+        return {delay: situation.driven_by(model) for delay, situation in self._situations.items()}
+
+    def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
+        rollouts, failures = self._rolled(self._situations, proposals, motions)
+        limits = self._limits(self._situations, proposals)
+        judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
+        goal, weights = self._settings.goal, self._weights
+        judged = [(goal_score(goal, score, made, weights), made) for score, made in judged]
+        for k, failure in failures.items():
+            judged[k] = self._weights.failed, Prediction(failure)
+        return [replace(p, score=score, prediction=made) for p, (score, made) in zip(proposals, judged, strict=True)]
 
     def rolled(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Rollouts:
         """The predicted motions, row by row, also after a contact; ``situations``: by delay [s]."""
-        return self._batches.rolled(situations, proposals, None, to_the_end=True)[0]
+        return self._rolled(situations, proposals, None, to_the_end=True)[0]
 
-    def _parted(self, proposals: list[Proposal], motions: list[ObservedMotion] | None) -> list[Proposal]:
-        """In two parts, if there are many; another process predicts the second one, if one is free."""
-        away = self._second_part(proposals)
-        if not away:
-            return self._batches.score(self._situations, proposals, motions)
-        here = sorted(set(range(len(proposals))) - set(away))
-
-        def part(rows: Sequence[int]) -> tuple[list[Proposal], list[ObservedMotion] | None]:
-            return [proposals[k] for k in rows], None if motions is None else [motions[k] for k in rows]
-
-        order = PredictionOrder(*part(away), self._model, self._weights)
-        wait = None if self._elsewhere is None else self._elsewhere(order)
-        try:
-            first = self._batches.score(self._situations, *part(here))
-        finally:  # the other process must be free again, whatever happens here
-            second = None if wait is None else wait()
-        if second is None:
-            second = self._batches.score(self._situations, *part(away))
-        scored = dict(zip([*here, *away], [*first, *second], strict=True))
-        return [scored[k] for k in range(len(proposals))]
-
-    def _second_part(self, proposals: Sequence[Proposal]) -> list[int]:
-        """The last half of many candidates, without planners that need the sandbox."""
-        n = len(proposals)
-        rows = range(n - n // 2, n) if n >= LEAST_PARTED else ()
-        return [
-            k for k in rows if all(_is_ours(p) and p.planner.hash not in self.failures for p in proposals[k].members)
-        ]
-
-
-def _is_ours(member: Proposal) -> bool:
-    return member.course is not None or is_trusted(member.planner)
+    def _rolled(
+        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal],
+        motions: Sequence[ObservedMotion] | None, to_the_end: bool = False,
+    ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
+        """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
+        settings, failures, road = self._settings, self.failures, self._drivable
+        members, n = lined_up(proposals), len(proposals)
+        with Sessions(
+            self._sandbox, self._roads, members, settings.seed, failures, drivable=road, in_process=True,
+            stopped=self.stopped,
+        ) as sessions:  # fmt: skip
+            rollouts = predict(
+                situations, proposals, lambda rows, observations: sessions.answers(members, rows, observations),
+                limits=self._limits(situations, proposals), steps=settings.steps(settings.duration),
+                replan=settings.steps(settings.replan), motions=motions,
+                touch=touch_of(situations, proposals), to_the_end=to_the_end,
+            )  # fmt: skip
+            self.failures |= sessions.failures
+            self.stopped = sessions.stopped
+        failed = {k: self.failures[p.planner.hash] for k, p in enumerate(members) if p.planner.hash in self.failures}
+        return rollouts, {k % n: why for k, why in {**sessions.broken, **failed}.items()}
 
 
 def _is_valid(p: Proposal) -> float:

@@ -74,22 +74,6 @@ class Engine:
                     question = ready.recv()
                     ready.send(answer(question) if answer is not None else None)
 
-    def ordered(self, command: str, *arguments: Any) -> Callable[[], Any]:
-        """Have the engine do something meanwhile, which asks no questions.
-
-        Returns a function that waits for the result. It must be called before anything else is asked of the engine.
-
-        Raises as ``request``.
-        """
-        with self._alive():
-            self._control.send((command, arguments))
-
-        def result() -> Any:
-            with self._alive():
-                return self._reply()
-
-        return result
-
     def converse(self, command: str, *arguments: Any, answer: Answer | None = None) -> Conversation:
         """Begin a command that sends a first message in the first slot, and then a reply to each message there.
 
