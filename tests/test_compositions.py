@@ -17,14 +17,8 @@ from sumo_adv.datatypes import Duty
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, verify_same
-from sumo_adv.memory.compositions import (
-    FORGET,
-    Composition,
-    Part,
-    all_compositions,
-    compositions,
-    record_composition,
-)
+from sumo_adv.memory.composition_record import FORGET, Composition, Part
+from sumo_adv.memory.compositions import all_compositions, compositions, record_composition
 from sumo_adv.memory.exchange import Refused, export_bank, import_bank
 from sumo_adv.memory.records import IntentRecord
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from model_samples import Answers
 from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
@@ -41,7 +42,6 @@ from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Snapshot
@@ -225,20 +225,6 @@ def test_modes_that_read_the_acceleration_are_marked() -> None:
 
 
 # -- answers ----------------------------------------------------------------------------------------------------------
-
-
-class Answers:
-    """A model that gives these answers in turn."""
-
-    name = "answers"
-
-    def __init__(self, *answers: Analysis) -> None:
-        self._answers = list(answers)
-        self.asked: list[ChatRequest] = []
-
-    def complete(self, request: ChatRequest) -> ChatReply:
-        self.asked.append(request)
-        return ChatReply(self._answers.pop(0).model_dump_json())
 
 
 def choice(label: str, risk: str = "high", **given: object) -> Choice:

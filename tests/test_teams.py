@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from cli_samples import Program
+from model_samples import Answers
 from model_server import Asked, ModelServer
 from scripted_models import intent
 from situation_samples import EGO_PATH, car, line, situation, target
@@ -22,10 +23,10 @@ from sumo_adv.datatypes import Duty, Level, LibraryEntry, Limits, ObservedMotion
 from sumo_adv.episode.memory_access import known_casts
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.llm.chat import ChatReply, ChatRequest
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import Composition, Part, compositions, record_composition
+from sumo_adv.memory.composition_record import Composition, Part
+from sumo_adv.memory.compositions import compositions, record_composition
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.search import AttackSearch
@@ -62,20 +63,6 @@ COLLIDER, BLOCK = ("BV1", "collider", "Shift"), ("BV2", "block_left", "escape bl
 PINCH = Composition(
     "Pinch", WORDS, (Part(Duty.COLLIDER, "Shift", ANY), Part(Duty.BLOCK_LEFT, "Escape Block Left", ANY))
 )
-
-
-class Answers:
-    """A model that gives these answers in turn."""
-
-    name = "answers"
-
-    def __init__(self, *answers: Analysis) -> None:
-        self._answers = list(answers)
-        self.asked: list[ChatRequest] = []
-
-    def complete(self, request: ChatRequest) -> ChatReply:
-        self.asked.append(request)
-        return ChatReply(self._answers.pop(0).model_dump_json())
 
 
 def analyzer(model: Answers, teamwork: Teamwork | None) -> ModelAnalyzer:

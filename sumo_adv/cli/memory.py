@@ -11,7 +11,7 @@ from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_gene
 from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
 
 if TYPE_CHECKING:
-    from sumo_adv.memory.compositions import Composition
+    from sumo_adv.memory.composition_record import Composition
 
 app = typer.Typer(
     no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",
@@ -22,7 +22,8 @@ app = typer.Typer(
 @app.command("list", epilog="Example: sumo-adv memory list --json")
 def list_(memory: Bank = None, as_json: Json = False) -> None:
     """The intents of the bank, with their planners' modes and how much evidence there is, and the compositions."""
-    from sumo_adv.memory.compositions import all_compositions, plain_composition
+    from sumo_adv.memory.composition_record import plain_composition
+    from sumo_adv.memory.compositions import all_compositions
 
     with open_bank(memory) as bank:
         composed = all_compositions(bank)
@@ -86,7 +87,7 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 
 def show_composition(c: Composition, as_json: bool) -> None:
     """A composition with its parts."""
-    from sumo_adv.memory.compositions import plain_composition
+    from sumo_adv.memory.composition_record import plain_composition
 
     answer(plain_composition(c), as_json, lambda: [
         f"{c.label}, a composition", c.description, counts(c),

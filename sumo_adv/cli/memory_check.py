@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.calibrate import Paraphrase, SetFigures
-    from sumo_adv.memory.compositions import Composition
+    from sumo_adv.memory.composition_record import Composition
     from sumo_adv.memory.records import Source
     from sumo_adv.planners.sandbox import Sandbox
 

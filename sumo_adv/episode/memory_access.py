@@ -18,7 +18,8 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import Composition, Part, record_composition, retrieve_composition
+from sumo_adv.memory.composition_record import Composition, Part
+from sumo_adv.memory.compositions import record_composition, retrieve_composition
 from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of

@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
-from sumo_adv.memory.compositions import Composition
+from sumo_adv.memory.composition_record import Composition
 from sumo_adv.memory.migrations import Clock, utc_now
 from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
 from sumo_adv.memory.records import (

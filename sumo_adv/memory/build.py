@@ -20,7 +20,8 @@ from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.memory import edits, rows
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import Composition, all_compositions, composition_of, plain_composition
+from sumo_adv.memory.composition_record import Composition, composition_of, plain_composition
+from sumo_adv.memory.compositions import all_compositions
 from sumo_adv.memory.evidence_csv import read_evidence
 from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
 from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner, acceleration_of
-from sumo_adv.memory.compositions import COMPOSITION, composition_of
+from sumo_adv.memory.composition_record import COMPOSITION, composition_of
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical, is_number
 
 MOST_BRACKETS = 100  # in a setting: a few are in use, and about 1,000 nested ones exceed Python's recursion limit

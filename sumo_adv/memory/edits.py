@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import rows
-from sumo_adv.memory.compositions import COMPOSITION, Composition, composition_of, plain_composition, renamed
+from sumo_adv.memory.composition_record import COMPOSITION, Composition, composition_of, plain_composition, renamed
 from sumo_adv.memory.records import Evidence, IntentRecord, Source, canonical
 
 

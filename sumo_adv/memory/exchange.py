@@ -26,7 +26,8 @@ from sumo_adv.memory.build import (
     read_compositions,
     read_sources,
 )
-from sumo_adv.memory.compositions import Composition, all_compositions
+from sumo_adv.memory.composition_record import Composition
+from sumo_adv.memory.compositions import all_compositions
 from sumo_adv.memory.edits import Absorbed, free_mode
 from sumo_adv.memory.evidence_csv import write_evidence
 from sumo_adv.memory.records import IntentRecord, Source, canonical

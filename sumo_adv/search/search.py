@@ -22,7 +22,7 @@ from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.memory.compositions import Composition
+from sumo_adv.memory.composition_record import Composition
 from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
