@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +13,18 @@ import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
-from sumo_adv.campaigns.learning import Lesson, as_text, lessons_of, teach
+from sumo_adv.campaigns.learning import Collector, CompositionLesson, Lesson, SettingLesson, as_text, lessons_of, teach
 from sumo_adv.campaigns.nouns import Job
 from sumo_adv.campaigns.pack import pack, packed_rows, packed_texts, unpack
 from sumo_adv.campaigns.plan import Plan, differences, is_plan, make_plan, read_plan
 from sumo_adv.campaigns.results import COLUMNS, row_of, table_of, write_csv, write_failure
 from sumo_adv.campaigns.store import open_store
 from sumo_adv.campaigns.worker import share
+from sumo_adv.datatypes import Duty
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.composition_record import Composition, Part
+from sumo_adv.memory.compositions import compositions
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import staged
@@ -318,10 +322,34 @@ def lesson(seed: int, *, success: bool = True, source: str = TRAIL) -> Lesson:
     return Lesson(evidence, IntentRecord("Odd Driving", "Drives in an odd way.", ("leader",)), planner)
 
 
+PARTS = (Part(Duty.COLLIDER, "Odd Driving", "odd"), Part(Duty.SLOW, "Slow Leader", "pace"))
+ODD_PAIR = Composition("Odd Pair", "One vehicle slows down and the other drives in an odd way.", PARTS)
+
+
 def test_lessons_survive_as_text() -> None:
-    lessons = [lesson(0), lesson(1, success=False), Lesson(lesson(2).evidence, None, None)]
+    lessons = [
+        lesson(0), lesson(1, success=False), Lesson(lesson(2).evidence, None, None),
+        CompositionLesson(ODD_PAIR, (True, False)), SettingLesson("driver.mine:Ego", {"idm": 0.75, "lattice": 0.25}),
+    ]  # fmt: skip
     assert lessons_of(as_text(lessons), "it") == lessons
     assert "Infinity" not in as_text(lessons)
+
+
+def test_compositions_and_drivers_are_learnt_after_the_runs(tmp_path: Path) -> None:
+    file = tmp_path / "bank.sqlite"
+    MemoryBank.open(file).close()
+    with Collector.open(file, read_only=True) as collector:
+        collector.lessons = []
+        assert not collector.record_composition(ODD_PAIR, [False])
+        assert collector.record_composition(ODD_PAIR, [False, True])
+        assert collector.record_composition(ODD_PAIR, [True, False])
+        collector.keep("driver.mine:Ego", {"idm": 0.75, "lattice": 0.25})
+        lessons = lessons_of(as_text(collector.lessons), "it")
+    with MemoryBank.open(file) as bank:
+        assert compositions(bank) == []  # a collector only reads
+        assert teach(bank, lessons) == 2  # the first one had no success, and the bank did not know it
+        assert compositions(bank) == [replace(ODD_PAIR, succeeded=2, failed=1)]
+        assert bank.settings("driver.") == {"driver.mine:Ego": {"idm": 0.75, "lattice": 0.25}}
 
 
 def test_teaching_twice_teaches_once(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from test_memory_exchange import fine, texts
 from sumo_adv.datatypes import Duty
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import build, verify_same
+from sumo_adv.memory.build import build, verify_same, write_part
 from sumo_adv.memory.composition_record import FORGET, Composition, Part
-from sumo_adv.memory.compositions import all_compositions, compositions, record_composition
+from sumo_adv.memory.compositions import all_compositions, compositions
 from sumo_adv.memory.exchange import Refused, export_bank, import_bank
 from sumo_adv.memory.records import IntentRecord
 
@@ -37,8 +37,8 @@ def filled(path: Path) -> MemoryBank:
     bank = MemoryBank.open(path)
     bank.add(BRAKING, [BRAKE_PLANNER])
     bank.add(CUT_IN, [CUT_PLANNER])
-    record_composition(bank, SQUEEZE, [True, True, False])
-    record_composition(bank, TRAP, [True] + [False] * FORGET)
+    bank.record_composition(SQUEEZE, [True, True, False])
+    bank.record_composition(TRAP, [True] + [False] * FORGET)
     return bank
 
 
@@ -54,16 +54,23 @@ def test_compositions_survive_export_import_and_build(tmp_path: Path) -> None:
     with MemoryBank.open(tmp_path / "back.sqlite") as back:
         added, refused = import_bank(back, out, parse, fine)
         assert (added.compositions, refused, back.content_hash()) == (2, [], wanted)
-        record_composition(back, SQUEEZE, [True])
+        back.record_composition(SQUEEZE, [True])
         assert import_bank(back, out, parse, fine)[0].compositions == 0
         assert compositions(back) == [replace(SQUEEZE, succeeded=3)]  # the import changed nothing
     build(out, tmp_path / "built.sqlite", parse)
     assert verify_same(out, tmp_path / "built.sqlite", parse) == []
     with MemoryBank.open(tmp_path / "built.sqlite") as built:
         export_bank(built, tmp_path / "again")
-        record_composition(built, SQUEEZE, [True])
+        built.record_composition(SQUEEZE, [True])
     assert texts(tmp_path / "again") == texts(out)
     assert verify_same(out, tmp_path / "built.sqlite", parse) == ["The bank holds other compositions than the sources."]
+
+
+def test_a_part_of_a_bank_has_the_compositions_of_its_intents(tmp_path: Path) -> None:
+    with filled(tmp_path / "bank.sqlite") as bank:
+        write_part(bank, tmp_path / "part.sqlite", [CUT_IN.label], lambda: "now")
+    with MemoryBank.open(tmp_path / "part.sqlite") as part:
+        assert all_compositions(part) == [replace(SQUEEZE, succeeded=2, failed=1)]  # Trap's collider brakes
 
 
 def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
@@ -72,7 +79,7 @@ def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
     with filled(tmp_path / "bank.sqlite") as bank:
         bank.add(IntentRecord("Stop", "It stops.", ("leader",)), [theirs])
         stop = replace(SQUEEZE, label="Stop Trap", parts=(Part(Duty.COLLIDER, "Stop", theirs.mode), BLOCK))
-        record_composition(bank, stop, [True])
+        bank.record_composition(stop, [True])
         bank.merge("Stop", BRAKING.label)
         (after,) = (c for c in compositions(bank) if c.label == "Stop Trap")
         assert after.parts == (Part(Duty.COLLIDER, BRAKING.label, f"{theirs.mode}-2"), BLOCK)

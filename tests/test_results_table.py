@@ -35,6 +35,20 @@ def test_a_row_says_who_attacked_and_where() -> None:
     assert (row["road"], row["ego_speed"], row["ego_stationary"]) == ("motorway", 27.6, False)
 
 
+def test_a_row_names_the_supports_and_their_composition() -> None:
+    run = hit()
+    run["adversaries"] += [{"id": "left", "role": "block_left"}, {"id": "front", "role": "slow"}]
+    run["attempts"][1]["composition"] = "Box-in"
+    row = row_of("a", run, False)
+    assert (row["adversary"], row["supports"], row["composition"]) == (
+        "adversary",
+        "left:block_left front:slow",
+        "Box-in",
+    )
+    alone = row_of("a", hit(), False)
+    assert (alone["supports"], alone["composition"]) == (None, None)
+
+
 def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
     row = row_of("a", outcome(), False)
     asked = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road")

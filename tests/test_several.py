@@ -33,7 +33,7 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.composition_record import FORGET, Composition, Part
-from sumo_adv.memory.compositions import compositions, record_composition, retrieve_composition
+from sumo_adv.memory.compositions import compositions, retrieve_composition
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
@@ -269,15 +269,15 @@ def test_a_composition_is_learnt_by_a_success_found_by_its_description_and_forgo
 ) -> None:
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         before = bank.content_hash()
-        assert not record_composition(bank, SQUEEZE, [False, False])
+        assert not bank.record_composition(SQUEEZE, [False, False])
         assert bank.content_hash() == before
-        assert record_composition(bank, SQUEEZE, [False, True])
+        assert bank.record_composition(SQUEEZE, [False, True])
         assert compositions(bank) == [replace(SQUEEZE, succeeded=1)]
         text = "A vehicle cuts in from the right while another vehicle blocks the left side."
         found = retrieve_composition(bank, "Pinch", text)
         assert found is not None and found.label == "Squeeze"
         assert retrieve_composition(bank, "U-turn", "The vehicle turns round on a bridge at night.") is None
-        record_composition(bank, SQUEEZE, [False] * FORGET)
+        bank.record_composition(SQUEEZE, [False] * FORGET)
         assert compositions(bank) == []
 
 

@@ -26,7 +26,7 @@ from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.composition_record import Composition, Part
-from sumo_adv.memory.compositions import compositions, record_composition
+from sumo_adv.memory.compositions import compositions
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.search import AttackSearch
@@ -139,7 +139,7 @@ def test_a_composition_that_the_bank_knows_is_retrieved_and_another_one_is_compo
     proposed = Cast(PINCH, ("right", "left"))
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         assert known_casts([proposed], bank) == [proposed]
-        record_composition(bank, squeeze, [True])
+        bank.record_composition(squeeze, [True])
         assert known_casts([proposed], bank) == [Cast(replace(squeeze, succeeded=1), ("right", ANY, "left"))]
         other = Cast(replace(PINCH, description="A tractor turns round on a bridge at night."), ("right", "left"))
         assert known_casts([other], bank) == [other]

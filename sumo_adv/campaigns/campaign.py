@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.campaigns.learning import Lesson, lessons_of, teach
+from sumo_adv.campaigns.learning import Lessons, lessons_of, teach
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.nouns import Done, Job, Learn, Parts, Row, Setup
 from sumo_adv.campaigns.pack import packed_texts
@@ -190,7 +190,7 @@ def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) ->
         return _taught(marker)
     packed = packed_texts(store.folder, LEARNT)
 
-    def lessons() -> Iterator[Lesson]:
+    def lessons() -> Iterator[Lessons]:
         for job in plan.jobs:
             file = store.runs / job.id / LEARNT
             if job.id in packed:

@@ -20,11 +20,12 @@ COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
-    "kind", "road", "ego_speed",
+    "kind", "road", "ego_speed", "supports", "composition",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
-verdict version 2. ``road`` and ``ego_speed`` are those of the encounter."""
+verdict version 2. ``road`` and ``ego_speed`` are those of the encounter. ``supports``: the other adversaries with
+their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary."""
 
 
 WHOLES = ("seed", "attempts")
@@ -55,14 +56,17 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
 
 
 def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """The adversary, and its place; None without an attempt or an encounter."""
+    """The adversaries, and the collider's place; None without an attempt or an encounter."""
     encounter, best = outcome["encounter"] or {}, outcome["best"]
     adversary = outcome["adversaries"][0]["id"] if outcome["adversaries"] else None
+    attempt = None if best is None else outcome["attempts"][best]
+    supports = " ".join(f"{each['id']}:{each['role']}" for each in outcome["adversaries"][1:])
     relations = {each["id"]: each["relation"] for each in encounter.get("ranking", ())}
     return {
         "adversary": adversary, "relation": relations.get(adversary),
-        "kind": None if best is None else outcome["attempts"][best].get("kind"),
+        "kind": None if attempt is None else attempt.get("kind"),
         "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
+        "supports": supports or None, "composition": None if attempt is None else attempt.get("composition") or None,
     }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory import bandit
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.composition_record import Composition, Part
-from sumo_adv.memory.compositions import record_composition, retrieve_composition
+from sumo_adv.memory.compositions import retrieve_composition
 from sumo_adv.memory.recall import SCALES, signature_distance
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
@@ -272,7 +272,7 @@ def _learn_compositions(episode: Episode, bank: MemoryBank, entries: Sequence[Li
         parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
         composition = Composition(label, description_of(best, entries, episode.casts), parts)
         met = [episode.settings.goal.met(a.verdict) for a in attempts]
-        episode.learnt |= record_composition(bank, composition, met) and any(met)
+        episode.learnt |= bank.record_composition(composition, met) and any(met)
 
 
 def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:

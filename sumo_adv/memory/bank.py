@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
-from sumo_adv.memory.composition_record import Composition
+from sumo_adv.memory.composition_record import Composition, composition_of, counted, plain_composition
 from sumo_adv.memory.migrations import Clock, utc_now
 from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
 from sumo_adv.memory.records import (
@@ -260,6 +260,17 @@ class MemoryBank:
         with self._writing():
             rows.write_setting(self._connection, key, value)
         self.refresh()
+
+    def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
+        """Count attempts with a composition, True for each success, in one transaction. An unknown composition is added
+        by a success only, as an intent is; the result tells whether the bank knows it now. Raises BankError."""
+        with self._writing():
+            before = rows.read_settings(self._connection).get(composition.key)
+            after = counted(None if before is None else composition_of(before), composition, attempts)
+            if after is not None:
+                rows.write_setting(self._connection, composition.key, plain_composition(after))
+        self.refresh()
+        return after is not None
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
         """Add an intent and planners without evidence, in one transaction. Existing ones are not changed.

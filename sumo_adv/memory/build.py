@@ -231,8 +231,9 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
 
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
-    """A new bank at ``target`` with only these intents of ``bank``, their planners and evidence, and its epsilon; their
-    labels. Raises BankError, also for a label that the bank lacks or a target that exists."""
+    """A new bank at ``target`` with only these intents of ``bank``: with their planners and evidence, the epsilon, and
+    the compositions that have no other intent of the bank. Returns their labels. Raises BankError, also for a label that
+    the bank lacks or a target that exists."""
     wanted = {canonical(label): label for label in labels}
     sources = [source for source in bank.sources() if canonical(source.intent.label) in wanted]
     lacking = wanted.keys() - {canonical(source.intent.label) for source in sources}
@@ -242,7 +243,13 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
         raise BankError(f"The bank has no intent {named}; it has: {there}.")
     if target.exists():
         raise BankError(f"{target} exists; give the path of a new bank.")
-    _write(target, sources, bank.settings("epsilon."), clock, replace=False)
+    left_out = {canonical(record.label) for record in bank.intents()} - wanted.keys()
+    composed = {
+        c.key: plain_composition(c)
+        for c in all_compositions(bank)
+        if left_out.isdisjoint(canonical(part.intent) for part in c.parts)
+    }
+    _write(target, sources, {**bank.settings("epsilon."), **composed}, clock, replace=False)
     return [source.intent.label for source in sources]
 
 

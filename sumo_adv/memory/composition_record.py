@@ -3,7 +3,7 @@ data for the bank's settings and files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -88,6 +88,17 @@ def _table(value: Any, kinds: Mapping[str, type]) -> Mapping[str, Any]:
     if wrong:
         raise ValueError(f"the value of {wrong[0]} in a composition is of another kind")
     return value
+
+
+def counted(known: Composition | None, composition: Composition, attempts: Sequence[bool]) -> Composition | None:
+    """The composition after attempts, True for each success; ``known``: as it was before. None if it is unknown and
+    none succeeded, since only a success adds one."""
+    if known is None and not any(attempts):
+        return None
+    after = known or replace(composition, succeeded=0, failed=0)
+    for succeeded in attempts:
+        after = replace(after, succeeded=after.succeeded + succeeded, failed=0 if succeeded else after.failed + 1)
+    return after
 
 
 def renamed(composition: Composition, label: str, into: str, modes: Mapping[str, str]) -> Composition:

@@ -7,11 +7,8 @@ and is forgotten once ``FORGET`` attempts in a row have failed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import COMPOSITION, Composition, composition_of, plain_composition
+from sumo_adv.memory.composition_record import COMPOSITION, Composition, composition_of
 from sumo_adv.memory.records import canonical
 from sumo_adv.memory.similarity import TextAndSlots
 
@@ -37,19 +34,3 @@ def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Comp
     distances = similarity.distances(label, description)
     nearest = int(distances.argmin())
     return known[nearest] if distances[nearest] <= bank.epsilon()[0] else None
-
-
-def record_composition(bank: MemoryBank, composition: Composition, attempts: Sequence[bool]) -> bool:
-    """Count attempts with a composition, True for each success; whether the bank knows it now.
-
-    An unknown composition is added by a success only, as an intent is.
-    """
-    written = bank.settings(composition.key).get(composition.key)
-    if written is None and not any(attempts):
-        return False
-    after = replace(composition, succeeded=0, failed=0) if written is None else composition_of(written)
-    for succeeded in attempts:
-        more, failed = (1, 0) if succeeded else (0, after.failed + 1)
-        after = replace(after, succeeded=after.succeeded + more, failed=failed)
-    bank.keep(composition.key, plain_composition(after))
-    return True
