@@ -232,8 +232,10 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
     """A new bank at ``target`` with only these intents of ``bank``: with their planners and evidence, the epsilon, and
-    the compositions that have no other intent of the bank. Returns their labels. Raises BankError, also for a label that
-    the bank lacks or a target that exists."""
+    the compositions that have no other intent of the bank. Returns their labels.
+
+    Raises BankError, also for a label that the bank lacks or a target that exists.
+    """
     wanted = {canonical(label): label for label in labels}
     sources = [source for source in bank.sources() if canonical(source.intent.label) in wanted]
     lacking = wanted.keys() - {canonical(source.intent.label) for source in sources}
