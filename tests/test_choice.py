@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,10 +13,15 @@ from cli_samples import Program
 from situation_samples import neighbour, situation
 
 import sumo_adv
+from sumo_adv.app import shipped_bank
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Level, LibraryEntry, ObservedMotion, Prediction, Proposal, Verdict
+from sumo_adv.episode.memory_access import selected
 from sumo_adv.errors import UsageError
 from sumo_adv.goal import Goal
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import write_part
+from sumo_adv.memory.migrations import utc_now
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.search import AttackSearch
@@ -134,6 +140,22 @@ def test_an_unknown_intent_is_refused_with_the_known_ones() -> None:
         select(LABELS, ["Strait Lane Shift"])
     with pytest.raises(UsageError, match="No intent is left to try"):
         select(LABELS, ["Emergency Braking"], ["Emergency Braking"])
+
+
+def test_the_intents_of_a_scenario_are_known_in_any_case_too() -> None:
+    assert [select(LABELS, scenario=["emergency-braking"]).allows(label) for label in LABELS] == [False, True]
+
+
+def test_a_scenario_may_name_what_the_program_ships_and_nothing_else(tmp_path: Path) -> None:
+    with MemoryBank.open(shipped_bank(), read_only=True) as bank:
+        write_part(bank, tmp_path / "one.sqlite", ["Emergency Braking"], utc_now)
+    settings = load_settings()
+    with MemoryBank.open(tmp_path / "one.sqlite", read_only=True) as bank:
+        assert not selected(settings, bank, ["Aggressive Cut-in"]).allows("Emergency Braking")
+        with pytest.raises(UsageError, match="There is no intent 'Cut-in'; known intents are"):
+            selected(settings, bank, ["Aggressive Cut-in", "Cut-in"])
+        chosen = load_settings(None, intents=["Emergency Braking"])  # goes before the scenario's list
+        assert selected(chosen, bank, ["Cut-in"]).allows("Emergency Braking")
 
 
 class Counted:

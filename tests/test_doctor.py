@@ -58,7 +58,7 @@ def test_what_is_broken_fails_and_says_how_to_mend_it(program: Program) -> None:
     assert [line.split(": ")[0].split()[1] for line in failed] == ["model", "memory"]
     assert "127.0.0.1:1 cannot be reached" in failed[0]
     assert "is not a SQLite file" in failed[1]
-    assert all("To mend it: " in line for line in failed)
+    assert all("To fix it: " in line for line in failed)
     assert key not in done.out + done.err
 
 

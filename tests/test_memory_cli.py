@@ -33,6 +33,15 @@ def test_a_new_home_gets_the_seven_intents_of_the_paper(program: Program) -> Non
     assert len(lines) == 7 and any(line.startswith("Straight Lane Shift: modes ") for line in lines)
 
 
+def test_the_bank_of_the_variable_is_the_one_that_runs_use(program: Program) -> None:
+    succeeded(program("memory", "new", "one.sqlite", "--only", "Emergency Braking"))
+    program.variables["SUMO_ADV_MEMORY"] = "one.sqlite"
+    said = json.loads(succeeded(program("memory", "list", "--json")))
+    assert [row["label"] for row in said["intents"]] == ["Emergency Braking"]
+    assert json.loads(succeeded(program("memory", "list", "--json", "--memory", "one.sqlite"))) == said
+    assert not (program.home / "data" / "sumo_adv" / "memory_bank.sqlite").exists()
+
+
 def test_show_prints_the_sources(program: Program) -> None:
     text = succeeded(program("memory", "show", "straight lane-shift"))
     assert text.splitlines()[0] == "Straight Lane Shift"

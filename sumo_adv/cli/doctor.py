@@ -56,7 +56,7 @@ def doctor(
         typer.echo(json.dumps({"ok": not failed, "failed": failed, "checks": [asdict(f) for f in findings]}))
     else:
         for finding in findings:
-            mend = f". To mend it: {finding.mend}" if finding.mend else ""
+            mend = f". To fix it: {finding.mend}" if finding.mend else ""
             typer.echo(f"{finding.level:<5} {finding.name}: {finding.found.rstrip('.')}{mend}.")
         typer.echo("All that a run needs is here." if not failed else "A run cannot work: fix what says fail.")
     if failed:

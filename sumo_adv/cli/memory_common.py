@@ -15,7 +15,13 @@ if TYPE_CHECKING:
     from sumo_adv.memory.records import IntentRecord
     from sumo_adv.memory.similarity import Similarity
 
-Bank = Annotated[Path | None, typer.Option("--memory", help="The bank (else the one in the user's data folder).")]
+Bank = Annotated[
+    Path | None,
+    typer.Option(
+        "--memory", envvar="SUMO_ADV_MEMORY", show_envvar=False,
+        help="The bank (default: SUMO_ADV_MEMORY, else the one in the user's data folder).",
+    ),
+]  # fmt: skip
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Metric = Annotated[
     str | None, typer.Option(help="slots, endpoint:MODEL (embeddings of a server) or local:DIR (default: slots).")

@@ -16,6 +16,7 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import astuple
 from pathlib import Path
+from traceback import extract_tb
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel
@@ -73,7 +74,16 @@ class UserEgo:
         try:
             return call()
         except Exception as error:  # user code
-            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}.") from error
+            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
+
+
+def _place(error: Exception) -> str:
+    """The file and line of an error in a user's code: the deepest call in the file that was called first."""
+    frames = [f for f in extract_tb(error.__traceback__) if f.filename != __file__]
+    if not frames:
+        return ""
+    deepest = [f for f in frames if f.filename == frames[0].filename][-1]
+    return f" ({Path(deepest.filename).name}, line {deepest.lineno})"
 
 
 def find_class(kind: str, spec: str) -> type:

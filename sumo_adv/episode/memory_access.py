@@ -21,10 +21,10 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.composition_record import Composition, Part
 from sumo_adv.memory.compositions import retrieve_composition
 from sumo_adv.memory.recall import SCALES, signature_distance
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, evidence_of
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical, evidence_of
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
+from sumo_adv.search.composed_intents import COMPOSED, applies_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
-from sumo_adv.search.composed_intents import applies_of
 from sumo_adv.search.selection import Selection, select
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
@@ -83,10 +83,25 @@ def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
 
 
 def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
-    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones."""
+    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones.
+
+    A scenario may name intents that the bank lacks or has retired, if the program ships them.
+    """
     known = [record.label for record in bank.intents() if record.status == "active"]
     known += [entry.label for entry in unprotected_library()]
+    if not settings.intents:
+        labels = {canonical(label) for label in (*COMPOSED, *known)}
+        unknown = [n for n in scenario if canonical(n) not in labels and bank.intent(n) is None]
+        if unknown:
+            select(known, [n for n in unknown if canonical(n) not in shipped_labels()])
     return select(known, settings.intents, settings.exclude, scenario)
+
+
+@lru_cache(maxsize=1)
+def shipped_labels() -> frozenset[str]:
+    """The canonical labels of the bank that comes with the program."""
+    with MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as shipped:
+        return frozenset(canonical(record.label) for record in shipped.intents())
 
 
 def recall(

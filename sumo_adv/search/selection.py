@@ -43,13 +43,14 @@ def select(
     setting ``intents`` goes before the scenario's.
 
     known: labels of the memory bank; those that the expert composes are known as well. Case and signs do not count.
+    An intent of the scenario that is not known is no error: a bank with fewer intents may run any scenario.
 
     Raises:
         UsageError: a setting names an intent that is not known, or no intent is left.
     """
     labels = {canonical(label): label for label in (*COMPOSED, *known)}
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
-    only = chosen or frozenset(scenario) or None
+    only = chosen or frozenset(labels.get(canonical(name), name) for name in scenario) or None
     if not (frozenset(labels.values()) if only is None else only) - without:
         wanted = "the scenario's own list" if scenario and not chosen else "intents"
         raise UsageError(f"No intent is left to try: {wanted} and exclude together leave none.")
