@@ -48,8 +48,8 @@ def lessons_of(text: str, what: str) -> list[Lesson]:
         table = parse_json(text)
         return [Lesson(_evidence(e["evidence"]), _intent(e["intent"]), _planner(e["planner"])) for e in table]
     except (ValueError, LookupError, TypeError, AttributeError, BankError) as error:
-        said = f"{type(error).__name__}: {error}"[:300]
-        raise UsageError(f"{what} is damaged ({said}); delete the run's folder to have it run again.") from error
+        message = f"{type(error).__name__}: {error}"[:300]
+        raise UsageError(f"{what} is damaged ({message}); delete the run's folder to have it run again.") from error
 
 
 def _evidence(e: dict[str, Any]) -> Evidence:
@@ -81,10 +81,10 @@ def teach(bank: MemoryBank, lessons: Iterable[Lesson]) -> int:
         if (key := _key(lesson.evidence)) in held:
             continue
         held.add(key)
-        known = lesson.planner is None or any(
+        has_planner = lesson.planner is None or any(
             p.hash == lesson.planner.hash for p in bank.planners(lesson.evidence.label)
         )
-        bank.record(lesson.evidence, intent=lesson.intent, planner=None if known else lesson.planner)
+        bank.record(lesson.evidence, intent=lesson.intent, planner=None if has_planner else lesson.planner)
         written += 1
     return written
 
