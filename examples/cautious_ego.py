@@ -20,13 +20,13 @@ class CautiousEgo:
     def act(self, seen: Observation) -> LaneSpeed | Steer:
         """Slow down for the nearest vehicle ahead; brake hard and steer away when it is almost here."""
         ego, gap, side = seen.ego, math.inf, 0.0
-        for other in seen.others:
-            dx, dy = other.x - ego.x, other.y - ego.y
-            ahead = dx * math.cos(ego.heading) + dy * math.sin(ego.heading) - (ego.length + other.length) / 2
+        for neighbour in seen.others:
+            dx, dy = neighbour.x - ego.x, neighbour.y - ego.y
+            ahead = dx * math.cos(ego.heading) + dy * math.sin(ego.heading) - (ego.length + neighbour.length) / 2
             left = dy * math.cos(ego.heading) - dx * math.sin(ego.heading)
             if -1.0 < ahead < gap and abs(left) < 2.5:
                 gap, side = ahead, left
         if gap < 0.3 * ego.speed:
             return Steer(acceleration=-8.0, steering=math.copysign(0.05, -side))
-        wanted = min(self.cruise, gap / self.headway)
-        return LaneSpeed(lane=None, speed=max(wanted, ego.speed - 4.0 * seen.dt))
+        desired = min(self.cruise, gap / self.headway)
+        return LaneSpeed(lane=None, speed=max(desired, ego.speed - 4.0 * seen.dt))

@@ -35,7 +35,7 @@ class Second(First):
 
     def act(self, seen: Observation) -> LaneSpeed | None:
         """Brake where another vehicle, going on as it does now, would come too near; else leave the step to SUMO."""
-        if any(meet(seen.ego, other) for other in seen.others):
+        if any(meet(seen.ego, vehicle) for vehicle in seen.others):
             return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - BRAKING * seen.dt))
         return super().act(seen)
 
@@ -44,20 +44,20 @@ class Second(First):
         return replace(super().model_of(numbers), guard=Guard(HORIZON, reaction=0.0, deceleration=BRAKING))
 
 
-def meet(ego: VehicleState, other: VehicleState) -> bool:
+def meet(ego: VehicleState, vehicle: VehicleState) -> bool:
     """Whether two vehicles that keep speed and heading come too near to each other. One behind is left out."""
     forward, side = math.cos(ego.heading), math.sin(ego.heading)
-    x, y = other.x - ego.x, other.y - ego.y
-    turned = other.heading - ego.heading
+    x, y = vehicle.x - ego.x, vehicle.y - ego.y
+    turned = vehicle.heading - ego.heading
     ahead, left = x * forward + y * side, y * forward - x * side
-    length = (ego.length + other.length * abs(math.cos(turned)) + other.width * abs(math.sin(turned))) / 2
-    width = (ego.width + other.width * abs(math.cos(turned)) + other.length * abs(math.sin(turned))) / 2
+    length = (ego.length + vehicle.length * abs(math.cos(turned)) + vehicle.width * abs(math.sin(turned))) / 2
+    width = (ego.width + vehicle.width * abs(math.cos(turned)) + vehicle.length * abs(math.sin(turned))) / 2
     if ahead < -length:
         return False
     for k in range(1, round(HORIZON / STEP) + 1):
         time = k * STEP
-        along = ahead + (other.speed * math.cos(turned) - ego.speed) * time
-        across = left + other.speed * math.sin(turned) * time
+        along = ahead + (vehicle.speed * math.cos(turned) - ego.speed) * time
+        across = left + vehicle.speed * math.sin(turned) * time
         if abs(along) < length + ROOM and abs(across) < width + ROOM:
             return True
     return False

@@ -72,11 +72,11 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Build the networks from their plain XML sources.")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"one of {', '.join(names())}; all if left out")
-    wanted = parser.parse_args().names or names()
-    unknown = [name for name in wanted if name not in names()]
+    chosen = parser.parse_args().names or names()
+    unknown = [name for name in chosen if name not in names()]
     if unknown:
         raise SystemExit(f"There is no network '{unknown[0]}' in networks/src: choose from {', '.join(names())}.")
-    for name in wanted:
+    for name in chosen:
         print(build(name).name)
 
 

@@ -155,12 +155,12 @@ def run(
     from sumo_adv.report.folder import staged, write_run
 
     given = load(Path(source), record)
-    wanted = {name: value for name, value in settings.items() if value is not None}
+    options = {name: value for name, value in settings.items() if value is not None}
     packed = None if ego is None or isinstance(ego, str) else pack(ego)
     named = packed.name if packed is not None else str(ego) if ego is not None else None
     driver = trusted_driver(named, given.ego_controller, given.source)
-    wanted = {"horizon": given.horizon, **wanted, "ego": driver}
-    chosen = load_settings(None if settings_file is None else Path(settings_file), **wanted)
+    options = {"horizon": given.horizon, **options, "ego": driver}
+    chosen = load_settings(None if settings_file is None else Path(settings_file), **options)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
@@ -216,11 +216,11 @@ def judge(
         if missing:
             raise UsageError(f"The table has no vehicle {missing[0]!r}; it has {', '.join(list(table)[:10])}.")
         given = {name: columns for name, columns in table.items() if name not in (ego, adversary)}
-        mine, foe = table[ego], table[adversary]
+        ego_columns, adversary_columns = table[ego], table[adversary]
     else:
-        mine, foe = dict(ego.items()), dict(adversary.items())
-        given = {f"other {k}": dict(one.items()) for k, one in enumerate(others)}
-    first, second = track_of("ego", mine, Role.EGO), track_of("adversary", foe, Role.ADVERSARY)
+        ego_columns, adversary_columns = dict(ego.items()), dict(adversary.items())
+        given = {f"other {k}": dict(columns.items()) for k, columns in enumerate(others)}
+    first, second = track_of("ego", ego_columns, Role.EGO), track_of("adversary", adversary_columns, Role.ADVERSARY)
     third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
     start = float(first.time[2]) if trigger_time is None else trigger_time
     half = lane_width / 2

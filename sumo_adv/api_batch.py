@@ -116,8 +116,8 @@ def batch(
     }  # fmt: skip
     table |= {key: value for key, value in given.items() if value is not None}
     table["settings"] = {**table.get("settings", {}), **settings, **_domain(odd)}
-    said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
-    plan = make_plan(table, folder, said, batch_parts(), None if settings_file is None else Path(settings_file))
+    subject, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
+    plan = make_plan(table, folder, subject, batch_parts(), None if settings_file is None else Path(settings_file))
     pace = Pace(workers or os.cpu_count() or 1, deadline, RECYCLE)
     bank = plan.memory or default_bank_path()
     orders = Orders(Path(out), bank, versions(), pace, force, retry_failed, parquet)
@@ -131,8 +131,8 @@ def _domain(odd: str | Path | Mapping[str, Any] | Odd | None) -> dict[str, Any]:
 
     if odd is None:
         return {}
-    found = read_odd(Path(odd)) if isinstance(odd, str | Path) else odd
-    return {"odd": found.model_dump(mode="json", exclude_unset=True) if isinstance(found, Odd) else dict(found)}
+    domain = read_odd(Path(odd)) if isinstance(odd, str | Path) else odd
+    return {"odd": domain.model_dump(mode="json", exclude_unset=True) if isinstance(domain, Odd) else dict(domain)}
 
 
 class _Teller:

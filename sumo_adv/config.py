@@ -260,8 +260,8 @@ def _sentence(detail: ErrorDetails) -> str:
         model = LimitSettings if names[0] == "limits" and len(names) > 1 else Settings
         return f"There is no setting '{name}'{nearest(names[-1], model.model_fields)}."
     if detail["type"] == "enum" and names[0] == "kind":
-        known = ", ".join(Relation)
+        kinds = ", ".join(Relation)
         like = nearest(str(detail["input"]), Relation)
-        return f"There is no kind '{detail['input']}'{like}; known kinds are {known}."
+        return f"There is no kind '{detail['input']}'{like}; known kinds are {kinds}."
     given = "used" if name in SECRET else repr(detail.get("input"))[:200]
     return f"Setting '{name}' cannot be {given}: {message}."

@@ -90,12 +90,12 @@ def fault_sentence(error: BaseException) -> str:
     """A sentence about an unexpected error, which is a fault of ours unless memory ran out."""
     if ran_out_of_memory(error):
         return OUT_OF_MEMORY
-    what = " ".join(f"{type(error).__name__}: {error}".split())
-    return f"A fault of sumo_adv itself ({what}); please report it."
+    message = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"A fault of sumo_adv itself ({message}); please report it."
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """``; the nearest is 'attempts'`` for the known name that is most like ``name``; empty if none is like it."""
     by_lower = {each.lower(): each for each in known}
-    found = get_close_matches(name.lower(), by_lower, n=1)
-    return f"; the nearest is '{by_lower[found[0]]}'" if found else ""
+    matches = get_close_matches(name.lower(), by_lower, n=1)
+    return f"; the nearest is '{by_lower[matches[0]]}'" if matches else ""

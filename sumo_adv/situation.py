@@ -204,13 +204,13 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     """A track in the frame of the ego's ``path``, for ``steps`` steps from ``time``."""
     s, d, heading, speed = np.full((4, steps), math.nan)
     k = np.round((track.time - time) / dt).astype(np.intp)
-    mine = (k >= 0) & (k < steps)
-    x, y = track.x[mine], track.y[mine]
+    within = (k >= 0) & (k < steps)
+    x, y = track.x[within], track.y[within]
     i = _nearest(x, y, path)
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
     dx, dy = x - path.x[i], y - path.y[i]
-    s[k[mine]], d[k[mine]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
-    heading[k[mine]], speed[k[mine]] = wrap(track.heading[mine] - path.heading[i]), track.speed[mine]
+    s[k[within]], d[k[within]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
+    heading[k[within]], speed[k[within]] = wrap(track.heading[within] - path.heading[i]), track.speed[within]
     return OnPath(track.id, s, d, heading, speed, track.length)
 
 
@@ -235,14 +235,14 @@ def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
     """For each point the nearest sample of the ego's path: first every eighth, then those around the best."""
     px, py = ego_path.x[::COARSE], ego_path.y[::COARSE]
     around, last = np.arange(-COARSE, COARSE + 1), len(ego_path.x) - 1
-    found = np.empty(len(x), np.intp)
+    indices = np.empty(len(x), np.intp)
     for k in range(0, len(x), BLOCK):
         bx, by = x[k : k + BLOCK, None], y[k : k + BLOCK, None]
         first = ((bx - px) ** 2 + (by - py) ** 2).argmin(axis=1)
         near = np.minimum(np.maximum(first[:, None] * COARSE + around, 0), last)
         best = ((bx - ego_path.x[near]) ** 2 + (by - ego_path.y[near]) ** 2).argmin(axis=1)
-        found[k : k + BLOCK] = near[np.arange(len(near)), best]
-    return found
+        indices[k : k + BLOCK] = near[np.arange(len(near)), best]
+    return indices
 
 
 def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach: float) -> Conflict | None:

@@ -76,16 +76,16 @@ class BroughtPlanner:
 
     def leaders(self, seen: Observation) -> list[tuple[float, float]]:
         """Station of the rear [m], less what the ego is longer than to its rear axle, and speed [m/s]."""
-        front, found = AXLE + seen.ego.length / 2, []
+        front, leaders = AXLE + seen.ego.length / 2, []
         here = self.route.locate(self.state(seen.ego).x, self.state(seen.ego).y)[0]
-        for other in seen.others:
-            station, offset = self.route.locate(other.x, other.y)
-            turn = other.heading - self.route.at(station, 0.0)[2]
-            long = (other.length * abs(math.cos(turn)) + other.width * abs(math.sin(turn))) / 2
-            wide = (other.width * abs(math.cos(turn)) + other.length * abs(math.sin(turn))) / 2
+        for vehicle in seen.others:
+            station, offset = self.route.locate(vehicle.x, vehicle.y)
+            turn = vehicle.heading - self.route.at(station, 0.0)[2]
+            long = (vehicle.length * abs(math.cos(turn)) + vehicle.width * abs(math.sin(turn))) / 2
+            wide = (vehicle.width * abs(math.cos(turn)) + vehicle.length * abs(math.sin(turn))) / 2
             if station > here + AXLE and abs(offset) < wide + seen.ego.width / 2 + WIDE:
-                found.append((station - long - front, max(other.speed * math.cos(turn), 0.0)))
+                leaders.append((station - long - front, max(vehicle.speed * math.cos(turn), 0.0)))
         if seen.road.must_wait:
             ahead = seen.road.stop_lines[0].ahead - seen.ego.length / 2  # m from the front bumper
-            found.append((here + ahead + tiny_planner.GAP - 1.0, 0.0))  # it stops 1 m before the line
-        return found
+            leaders.append((here + ahead + tiny_planner.GAP - 1.0, 0.0))  # it stops 1 m before the line
+        return leaders

@@ -53,12 +53,14 @@ def plan(state: State, route: Route, limit: float, leaders: list[tuple[float, fl
     """States at 0, 0.1 .. 3 s from now; leaders: station of the rear [m, for our rear axle] and speed [m/s] of each."""
     (station, offset), speed, states = route.locate(state.x, state.y), state.speed, [state]
     for k in range(1, round(HORIZON / STEP) + 1):
-        wanted = max(min(limit, float(np.interp(station, route.station, route.fastest))), 0.1)
-        pull = ACCELERATION * (1 - (speed / wanted) ** 4)
-        for rear, other in leaders:
-            gap = max(rear + other * k * STEP - station, 0.1)
-            room = GAP + max(speed * HEADWAY + speed * (speed - other) / (2 * (ACCELERATION * BRAKING) ** 0.5), 0.0)
-            pull = min(pull, ACCELERATION * (1 - (speed / wanted) ** 4 - (room / gap) ** 2))
+        desired = max(min(limit, float(np.interp(station, route.station, route.fastest))), 0.1)
+        pull = ACCELERATION * (1 - (speed / desired) ** 4)
+        for rear, lead_speed in leaders:
+            gap = max(rear + lead_speed * k * STEP - station, 0.1)
+            room = GAP + max(
+                speed * HEADWAY + speed * (speed - lead_speed) / (2 * (ACCELERATION * BRAKING) ** 0.5), 0.0
+            )
+            pull = min(pull, ACCELERATION * (1 - (speed / desired) ** 4 - (room / gap) ** 2))
         before, speed = speed, max(speed + max(pull, -HARDEST) * STEP, 0.0)
         station += (before + speed) / 2 * STEP
         offset -= offset * min((before + speed) / 2 * STEP / (RETURN * 10.0), 1.0)  # by the way: none at a standstill

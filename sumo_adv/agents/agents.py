@@ -140,9 +140,9 @@ class Agents:
             self._distribution, self.casts = analyzer.distribution, analyzer.casts
             novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
             self._novel = novel > 0
-            what = f"{len(intents)} intents, {novel} of them novel, {ways} ways"
+            summary = f"{len(intents)} intents, {novel} of them novel, {ways} ways"
             teams = f", compositions: {len(self.casts)}" if self.casts else ""
-            self.bought.append(Bought("analyzer", f"{what}{teams}"))
+            self.bought.append(Bought("analyzer", f"{summary}{teams}"))
             return intents
 
         return self._played("analyzer", by_model, lambda: ask(ExpertAnalyzer(search)))

@@ -177,8 +177,8 @@ class ModelAnalyzer:
                 return None
             entry = entries.get(answer.same_as)
             if entry is None:
-                known = ", ".join(entries)
-                return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {known}, or null."
+                labels = ", ".join(entries)
+                return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {labels}, or null."
             return next((f for how in answer.ways if (f := way_fault(how, entry)) is not None), None)
 
         answer = ask(self._metered, "analyzer", prompt.system, prompt.user, Same, check=check)

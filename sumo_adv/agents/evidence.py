@@ -92,5 +92,5 @@ def _spoilt(made: Sequence[Prediction]) -> str:
         "leave the road": sum(r.off_road for r in made), "touch a third vehicle": sum(r.third_party for r in made),
         "move as no car can": sum(r.beyond_limits for r in made),
     }  # fmt: skip
-    found = [f"{count} {cause}" for cause, count in causes.items() if count]
-    return f" ({', '.join(found)})" if found else ""
+    failures = [f"{count} {cause}" for cause, count in causes.items() if count]
+    return f" ({', '.join(failures)})" if failures else ""

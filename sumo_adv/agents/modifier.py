@@ -107,14 +107,14 @@ class ModelModifier:
 
 
 def _numbers_fault(answer: Changed, planner: Planner, reports: Sequence[AttemptReport]) -> str | None:
-    known = {p.name: p for p in planner.parameters}
+    parameters = {p.name: p for p in planner.parameters}
     for name, value in answer.parameters.items():
-        if name not in known:
-            return f"The planner has no parameter '{sanitize(name)}'; it has {', '.join(known) or 'none'}."
-        if not known[name].low <= value <= known[name].high:
-            return f"{name} = {value:g} is not within {known[name].low:g} and {known[name].high:g}."
-    wanted = planner.defaults() | answer.parameters
-    if answer.begin is None and any(dict(r.attempt.proposal.parameters) == wanted for r in reports):
+        if name not in parameters:
+            return f"The planner has no parameter '{sanitize(name)}'; it has {', '.join(parameters) or 'none'}."
+        if not parameters[name].low <= value <= parameters[name].high:
+            return f"{name} = {value:g} is not within {parameters[name].low:g} and {parameters[name].high:g}."
+    numbers = planner.defaults() | answer.parameters
+    if answer.begin is None and any(dict(r.attempt.proposal.parameters) == numbers for r in reports):
         return "These numbers were tried; give others or another begin, or change the text."
     return None
 
@@ -154,8 +154,8 @@ def modifier_prompt(
 
 def _others_tried(shown: Sequence[AttemptReport], scene: RepairScene) -> str:
     """The attempts that are not told of in full, with their heading; empty without any."""
-    told = {r.attempt.index for r in shown}
-    words = earlier_words([a for a in scene.earlier if a.index not in told], scene.by_id)
+    shown_indices = {r.attempt.index for r in shown}
+    words = earlier_words([a for a in scene.earlier if a.index not in shown_indices], scene.by_id)
     return (
         f"THE OTHER ATTEMPTS SO FAR (the last ones; number, vehicle, planner, what it came to)\n{words}\n\n"
         if words

@@ -87,8 +87,8 @@ def _used(text: str) -> set[str]:
     return set(Template(text).get_identifiers())
 
 
-def _filled(name: str, text: str, variables: Mapping[str, str], known: set[str]) -> str:
-    unknown = sorted(set(variables) - known)
+def _filled(name: str, text: str, variables: Mapping[str, str], allowed: set[str]) -> str:
+    unknown = sorted(set(variables) - allowed)
     if unknown:
         raise KeyError(f"The prompt '{name}' has no variable {', '.join(unknown)}.")
     missing = sorted(_used(text) - set(variables))

@@ -91,14 +91,14 @@ def teams_words(
               if fits(duty, entry, target)),
         ]  # fmt: skip
         fitting.append(f"{alias}: {', '.join(may) or 'nothing'}")
-    known = [
+    named = [
         f"- {sanitize(c.label)}: {sanitize(c.description)} Parts: "
         + ", ".join(f"{part.duty} {sanitize(part.intent)}" for part in c.parts)
         for c in teamwork.named
     ]  # fmt: skip
     return prompts.piece(
         "teams", most=str(teamwork.most), proposed=str(MOST_PROPOSED), roles="\n".join(roles),
-        fitting="\n".join(fitting), known="\n".join(known),
+        fitting="\n".join(fitting), known="\n".join(named),
     )  # fmt: skip
 
 
@@ -107,8 +107,8 @@ def team_fault(
 ) -> str | None:
     """What is wrong with a composition as a sentence for the model, None for a usable one."""
     label = sanitize(team.label)
-    known = {canonical(c.label) for c in teamwork.named}
-    if canonical(label) not in known and len(team.description.split()) < 5:
+    labels = {canonical(c.label) for c in teamwork.named}
+    if canonical(label) not in labels and len(team.description.split()) < 5:
         return f"The new composition '{label}' needs a description of one or two sentences."
     if not 2 <= len(team.parts) <= teamwork.most:
         return f"The composition '{label}' has {len(team.parts)} parts; it must have 2 to {teamwork.most}."
@@ -140,10 +140,10 @@ def _member_fault(
     if member.role not in (Duty.COLLIDER, *ROLES):
         return f"There is no role '{role}'; choose {', '.join((Duty.COLLIDER, *ROLES))}."
     duty, name = Duty(member.role), aliases.bvs[member.bv]
-    known = {e.label.lower(): e for e in (library if duty is Duty.COLLIDER else SUPPORT_INTENTS[duty])}
-    entry, target = known.get(member.label.lower()), situation.targets[name]
+    entries = {e.label.lower(): e for e in (library if duty is Duty.COLLIDER else SUPPORT_INTENTS[duty])}
+    entry, target = entries.get(member.label.lower()), situation.targets[name]
     if entry is None:
-        choices = ", ".join(e.label for e in known.values())
+        choices = ", ".join(e.label for e in entries.values())
         return f"'{sanitize(member.label)}' is no behaviour of the role {role}; choose {choices}."
     if duty is not Duty.COLLIDER:
         return None if fits(duty, entry, target) else f"{bv} cannot carry out '{entry.label}' from where it is."

@@ -71,11 +71,11 @@ def way_fault(how: HowTo, entry: LibraryEntry) -> str | None:
     planners = {p.mode: p for p in first_of_each_mode(entry)}
     if how.mode not in planners:
         return f"'{entry.label}' has no mode '{sanitize(how.mode)}'; it has {', '.join(planners)}."
-    known = {p.name: p for p in planners[how.mode].parameters}
+    parameters = {p.name: p for p in planners[how.mode].parameters}
     for name, value in how.parameters.items():
-        if name not in known:
-            return f"Mode '{how.mode}' has no parameter '{sanitize(name)}'; it has {', '.join(known) or 'none'}."
-        p = known[name]
+        if name not in parameters:
+            return f"Mode '{how.mode}' has no parameter '{sanitize(name)}'; it has {', '.join(parameters) or 'none'}."
+        p = parameters[name]
         if not p.low <= value <= p.high:
             return f"{name} = {value:g} of mode '{how.mode}' is not within {p.low:g} and {p.high:g}."
     return None
@@ -91,8 +91,8 @@ def begin_of(begin: float | Moment, situations: Mapping[float, Situation], bv: s
     the last one."""
     delays = sorted(d for d, s in situations.items() if bv in s.targets) or sorted(situations)
     if not isinstance(begin, Moment):
-        now = min(situations)
-        return min(delays, key=lambda d: (abs(d - now - begin), d))
+        earliest = min(situations)
+        return min(delays, key=lambda d: (abs(d - earliest - begin), d))
     for delay in delays:
         quantity = _quantity(begin.quantity, situations[delay], bv)
         if quantity is not None and quantity <= begin.at_most:
@@ -114,8 +114,8 @@ def _quantity(name: str, situation: Situation, bv: str) -> float | None:
 
 def starts_words(situations: Mapping[float, Situation]) -> str:
     """The moments at which an attack may begin."""
-    now = min(situations)
-    return ", ".join(f"{d - now:g}" for d in sorted(situations))
+    earliest = min(situations)
+    return ", ".join(f"{d - earliest:g}" for d in sorted(situations))
 
 
 def library_words(library: Sequence[LibraryEntry], shown: frozenset[str] | set[str]) -> str:

@@ -103,22 +103,22 @@ class Arena:
             SimulationError: the simulation was lost, and with it what other rows need.
         """
         episode = self.fresh()
-        found, settings, done = episode.found, episode.settings, episode.refinement
-        if found is None:
+        encounter, settings, done = episode.found, episode.settings, episode.refinement
+        if encounter is None:
             return episode
         clock = _Clock()
         exhaustive = bool(getattr(opponent, "exhaustive", False))
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
-            opponent.begin(self.encounter(found, bank))
+            opponent.begin(self.encounter(encounter, bank))
             while len(done.attempts) < settings.attempts or exhaustive:
-                if not self._one(opponent, episode, found, clock):
+                if not self._one(opponent, episode, encounter, clock):
                     break
                 if done.goal.met(done.attempts[-1].verdict):
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
-            settle_best(done, self._brain(found))
+            settle_best(done, self._brain(encounter))
         except SandboxError as error:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
@@ -130,33 +130,33 @@ class Arena:
             return None
         return robustness_of(episode, self._brain(episode.found), episode.settings.seed)
 
-    def _one(self, opponent: Opponent, episode: Episode, found: FoundEncounter, clock: _Clock) -> bool:
+    def _one(self, opponent: Opponent, episode: Episode, encounter: FoundEncounter, clock: _Clock) -> bool:
         done = episode.refinement
         proposal = opponent.propose(tuple(done.attempts))
         if proposal is None:
             episode.reason = "Nothing was left to try."
             return False
-        result = self._result(proposal, found)
-        attempt = attempt_of(len(done.attempts), "opponent", proposal, result, found, episode.settings)
-        attempt = checked(attempt, result, self._brain(found), episode.refinement.goal)
+        result = self._result(proposal, encounter)
+        attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, episode.settings)
+        attempt = checked(attempt, result, self._brain(encounter), episode.refinement.goal)
         done.attempts.append(attempt)
         done.results.append(result)
         clock.tell("attempt", attempt)
         return True
 
-    def _result(self, proposal: Proposal, found: FoundEncounter) -> AttemptResult:
+    def _result(self, proposal: Proposal, encounter: FoundEncounter) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
         try:
-            return self._brain(found).attempt([proposal])[0]
+            return self._brain(encounter).attempt([proposal])[0]
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error))
-            return AttemptResult(failed, None, found.situations[proposal.delay].time)
+            return AttemptResult(failed, None, encounter.situations[proposal.delay].time)
 
-    def _brain(self, found: FoundEncounter) -> AttemptRunner:
-        return AttemptRunner(self.engine, self.sandbox, found, self.episode.settings.seed)
+    def _brain(self, encounter: FoundEncounter) -> AttemptRunner:
+        return AttemptRunner(self.engine, self.sandbox, encounter, self.episode.settings.seed)
 
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""
@@ -168,8 +168,8 @@ class Arena:
     def encounter(self, found: FoundEncounter, bank: MemoryBank) -> Encounter:
         """What an opponent sees."""
         settings, first = self.episode.settings, found.first
-        now = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
-        library, _ = read_library(bank, now, settings.seed, found.situations)
+        scene = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
+        library, _ = read_library(bank, scene, settings.seed, found.situations)
         network = self.episode.task.spec.network
         return Encounter(found.situations, library, found.drivable, settings, settings.seed, network)
 

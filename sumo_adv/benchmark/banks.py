@@ -57,9 +57,9 @@ def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
     before = folder / f"{known_place(job, setup)}.sqlite"
     if place == 0 or not before.exists():
         shutil.copyfile(setup.bank, before)
-    for other in folder.iterdir():  # of finished encounters, or of an interrupted one
-        if other != before:
-            other.unlink()
+    for leftover in folder.iterdir():  # of finished encounters, or of an interrupted one
+        if leftover != before:
+            leftover.unlink()
     part, after = folder / f"{place + 1}.part", folder / f"{place + 1}.sqlite"
     shutil.copyfile(before, part)
     with MemoryBank.open(part) as bank:

@@ -148,14 +148,14 @@ class Bench:
 
     def _watch(self, running: dict[Future[None], _Turn], scratch: Path) -> None:
         """End all processes where a row is stuck: which one has it is not known."""
-        now = time.monotonic()
+        checked_at = time.monotonic()
         for turn in running.values():
             missing = self._missing(turn.job)
             left = 0 if missing is None else len(missing.rows)
             if left < turn.left:
-                turn.left, turn.since = left, now
-            if missing is not None and now - turn.since > self._deadline:
-                own = now - turn.since - waited(note_of(scratch, turn.job, missing.rows[0]))
+                turn.left, turn.since = left, checked_at
+            if missing is not None and checked_at - turn.since > self._deadline:
+                own = checked_at - turn.since - waited(note_of(scratch, turn.job, missing.rows[0]))
                 turn.stuck = own > self._deadline
         if any(turn.stuck for turn in running.values()):
             _kill_all()

@@ -32,13 +32,13 @@ def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[st
     if best is None or best.verdict.level < Level.VALID or best.verdict.contact_time is None:
         return None
     assert episode.found is not None
-    found, result, dt = episode.found, done.results[best.index], episode.settings.step_length
+    encounter, result, dt = episode.found, done.results[best.index], episode.settings.step_length
     course, contact = recorded_course(best, result, dt), best.verdict.contact_time - result.start
     rng = Random(seed)
     rates = [contact / (contact + LATER), *(1.0 + rng.uniform(-RANGE, RANGE) for _ in range(SCALED))]
     proposals = [replace(best.proposal, course=retimed(course, rate, dt)) for rate in rates]
     results = runner.attempt(proposals)
-    again = [attempt_of(0, "again", p, r, found, episode.settings) for p, r in zip(proposals, results, strict=True)]
+    again = [attempt_of(0, "again", p, r, encounter, episode.settings) for p, r in zip(proposals, results, strict=True)]
     valid = sum(a.verdict.level >= Level.VALID for a in again)
     return {"valid": valid, "of": len(again), "robust": valid >= ENOUGH}
 
@@ -58,14 +58,14 @@ def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotio
 
     States are ``dt`` [s] apart; where the recorded motion ends, the adversary goes on at its last speed.
     """
-    now = dt * np.arange(1, len(course.x) + 1)
-    eased = np.minimum(now, EASED)
-    clock = now + (rate - 1.0) * (eased**2 / (2 * EASED) + now - eased)
+    times = dt * np.arange(1, len(course.x) + 1)
+    eased = np.minimum(times, EASED)
+    clock = times + (rate - 1.0) * (eased**2 / (2 * EASED) + times - eased)
     pace = 1.0 + (rate - 1.0) * eased / EASED
-    beyond = np.maximum(clock - now[-1], 0.0) * course.speed[-1]
+    beyond = np.maximum(clock - times[-1], 0.0) * course.speed[-1]
 
     def at(values: Floats) -> Floats:
-        return np.asarray(np.interp(clock, now, values))
+        return np.asarray(np.interp(clock, times, values))
 
     heading = np.unwrap(course.heading)
     x = at(course.x) + beyond * np.cos(heading[-1])

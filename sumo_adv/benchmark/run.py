@@ -93,7 +93,7 @@ def manifest(request: TableRequest, means: Means) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _keep_plan(now: Mapping[str, Any], folder: Path) -> None:
+def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
     """Remember what the folder is of. Raises UsageError where it holds something else."""
     file = folder / PLAN
     if file.exists():
@@ -103,7 +103,7 @@ def _keep_plan(now: Mapping[str, Any], folder: Path) -> None:
             raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
         if not isinstance(before, dict):
             raise UsageError(f"{file} is damaged (it holds no table); give another --out.")
-        changed = [k for k in now if before.get(k) != now[k]]
+        changed = [k for k in plan if before.get(k) != plan[k]]
         if changed:
             raise UsageError(
                 f"{folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
@@ -112,7 +112,7 @@ def _keep_plan(now: Mapping[str, Any], folder: Path) -> None:
         return
     if any(folder.iterdir()):
         raise UsageError(f"{folder} is not empty and not the folder of a bench; give another --out.")
-    write_text(file, json.dumps(now, indent=2) + "\n")
+    write_text(file, json.dumps(plan, indent=2) + "\n")
 
 
 def of_rows(cells: Sequence[Cell], rows: Sequence[str], egos: Sequence[str]) -> list[Cell]:

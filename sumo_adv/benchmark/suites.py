@@ -143,8 +143,8 @@ def _sources(name: str) -> list[Path]:
     try:
         return [resolve(given)]
     except UsageError as error:
-        known = ", ".join(shipped_suites())
-        raise UsageError(f"There is no suite, folder or scenario '{name}'; shipped suites are {known}.") from error
+        names = ", ".join(shipped_suites())
+        raise UsageError(f"There is no suite, folder or scenario '{name}'; shipped suites are {names}.") from error
 
 
 def _table(path: Path) -> dict[str, Any]:
@@ -197,12 +197,12 @@ def _chosen(path: Path, given: _Choice) -> Suite:
     if source is None or "suite" in _table(source):
         raise UsageError(f"The suite {path} chooses from '{given.suite}', which is no list of scenarios.")
     whole = _listed(source)
-    known = {case.name: case for case in whole.cases}
-    missing = next((name for name in given.cases if name not in known), None)
+    by_name = {case.name: case for case in whole.cases}
+    missing = next((name for name in given.cases if name not in by_name), None)
     if missing is not None:
         raise UsageError(f"The suite {path} names '{missing}', which is no case of {whole.name}.")
     content = _content({"suite": whole.content, "cases": " ".join(given.cases)})
-    return Suite(given.name, given.version, tuple(known[name] for name in given.cases), content)
+    return Suite(given.name, given.version, tuple(by_name[name] for name in given.cases), content)
 
 
 def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:

@@ -106,18 +106,18 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
     """
     began = time.perf_counter()
     with open_store(orders.out, parts.staged) as (store, scratch):
-        asked = {**plan.as_dict(), "versions": dict(orders.versions)}
-        store.check(asked, force=orders.force)
+        document = {**plan.as_dict(), "versions": dict(orders.versions)}
+        store.check(document, force=orders.force)
         summary = Summary(orders.out, len(plan.jobs))
         with sentences(orders.out):
-            setup = _prepare(store, plan, asked, orders, parts, summary)
+            setup = _prepare(store, plan, document, orders, parts, summary)
         jobs = {job.id: job for job in plan.jobs}
         rows = store.rows(jobs)
         if orders.retry_failed:
             store.forget_failed(rows)
         watcher.begin(len(jobs), list(rows.values()))
 
-        def told(job: Job, done: Done) -> None:
+        def finish(job: Job, done: Done) -> None:
             assert done.row is not None
             rows[job.id] = done.row
             summary.ran += 1
@@ -130,9 +130,9 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
                 with sentences(orders.out):
                     store.clear(job.id for job in missing)
                 for job in [job for job in missing if job.input.error]:
-                    told(job, store.fail(job, job.input.error, ""))
+                    finish(job, store.fail(job, job.input.error, ""))
                 with closing(_workers(setup, orders, scratch, store, stop)) as workers:
-                    workers.run([job for job in missing if not job.input.error], told)
+                    workers.run([job for job in missing if not job.input.error], finish)
                 summary.stopped = len(rows) < len(jobs)
         finally:
             summary.rows = table_of(plan.jobs, rows, plan.varied)
@@ -146,7 +146,7 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
 
 
 def _prepare(
-    store: Store, plan: Plan, asked: Mapping[str, Any], orders: Orders, parts: Parts, summary: Summary
+    store: Store, plan: Plan, document: Mapping[str, Any], orders: Orders, parts: Parts, summary: Summary
 ) -> Setup:
     """Snapshot and plan into the folder; what the workers need to know. Raises OSError, BankError."""
     try:
@@ -155,7 +155,7 @@ def _prepare(
         raise BankError(f"The memory bank {orders.bank} could not be copied ({error}).") from error
     with MemoryBank.open(store.bank, read_only=True) as bank:
         summary.bank_hash = bank.content_hash()
-    store.keep_plan({**asked, "bank_hash": summary.bank_hash})
+    store.keep_plan({**document, "bank_hash": summary.bank_hash})
     place = orders.bank if plan.learn is Learn.DURING else store.bank
     return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
 

@@ -31,17 +31,17 @@ def find_inputs(
     Raises UsageError for a file, a name or a record that is not there, a pattern that matches nothing, and a density
     for an input that brings its own traffic.
     """
-    found: list[Input] = []
+    inputs: list[Input] = []
     left = set(records)
     for name in named:
         for source in _sources(name, folder):
             if ".tfrecord" in source.name.lower():
-                found += _records(source, records, left, parts)
+                inputs += _records(source, records, left, parts)
             else:
-                found.append(_plain(source, density))
+                inputs.append(_plain(source, density))
     if left:
         raise UsageError(f"No record '{min(left)}' that can be read is in the inputs; check --records.")
-    return found
+    return inputs
 
 
 def _sources(name: str, folder: Path) -> list[Path]:
@@ -89,17 +89,17 @@ def _plain(source: Path, density: float | None) -> Input:
         return broken(source, None, str(error))
 
 
-def _records(source: Path, wanted: Sequence[str], left: set[str], parts: Parts) -> Iterator[Input]:
+def _records(source: Path, chosen: Sequence[str], left: set[str], parts: Parts) -> Iterator[Input]:
     """The records of a file; a broken one is an input that fails. Those that are there are removed from ``left``."""
     try:
         for k, record in enumerate(parts.records(source)):
             if isinstance(record, str):
-                if not wanted or str(k) in wanted:
+                if not chosen or str(k) in chosen:
                     left.discard(str(k))
                     yield broken(source, str(k), record)
                 continue
             name, content = record
-            if not wanted or name in wanted or str(k) in wanted:
+            if not chosen or name in chosen or str(k) in chosen:
                 left -= {name, str(k)}
                 yield Input(name, source.absolute(), name, content)
     except SumoAdvError as error:

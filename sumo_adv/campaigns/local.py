@@ -114,8 +114,8 @@ class LocalWorkers:
 
     def _staff(self, waiting: int) -> None:
         busy = sum(s.job is not None for s in self._slots)
-        wanted = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
-        while len(self._slots) < wanted:
+        target = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
+        while len(self._slots) < target:
             self._slots.append(self._start())
 
     def _start(self) -> _Slot:
@@ -123,19 +123,19 @@ class LocalWorkers:
         self._made += 1
         folder = self.scratch / f"worker-{self._made}"
         folder.mkdir()
-        ours, theirs = context.Pipe()
+        own_end, worker_end = context.Pipe()
         variables = {**QUIET_VARIABLES, "TMPDIR": str(folder)}
         saved = {name: os.environ.get(name) for name in variables}
         os.environ.update(variables)
-        process = context.Process(target=_work, args=(theirs, self.setup, folder / "log", self.make))
+        process = context.Process(target=_work, args=(worker_end, self.setup, folder / "log", self.make))
         try:
             with deaf():
                 process.start()
         finally:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
-        theirs.close()
-        return _Slot(process, ours, folder, time.monotonic() + START_SECONDS)
+        worker_end.close()
+        return _Slot(process, own_end, folder, time.monotonic() + START_SECONDS)
 
     def _assign(self, waiting: deque[Job]) -> None:
         for slot in self._slots:
@@ -157,27 +157,27 @@ class LocalWorkers:
                 slot.process.join(1.0)
                 self._lose(slot, f"its worker process ended ({how(slot.process.exitcode)})", told)
 
-    def _hear(self, slot: _Slot, said: Any, told: Callable[[Job, Done], None]) -> None:
-        if isinstance(said, SumoAdvError):
-            raise said
-        if said == "ready":
+    def _hear(self, slot: _Slot, message: Any, told: Callable[[Job, Done], None]) -> None:
+        if isinstance(message, SumoAdvError):
+            raise message
+        if message == "ready":
             slot.ready, self._died = True, 0
             return
-        assert isinstance(said, Done) and slot.job is not None
+        assert isinstance(message, Done) and slot.job is not None
         job, slot.job = slot.job, None
         slot.ran += 1
-        if said.again:
-            self._retry(job, said.again, said.text, told)
+        if message.again:
+            self._retry(job, message.again, message.text, told)
         else:
             self._tried.pop(job.id, None)
-            told(job, said)
+            told(job, message)
         if slot.ran >= self.pace.recycle:
             self._dismiss(slot)
 
     def _watch(self, told: Callable[[Job, Done], None]) -> None:
-        now = time.monotonic()
+        checked_at = time.monotonic()
         for slot in list(self._slots):
-            if now > slot.until and (slot.job is not None or not slot.ready):
+            if checked_at > slot.until and (slot.job is not None or not slot.ready):
                 self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told)
 
     def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None]) -> None:

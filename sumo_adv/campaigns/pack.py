@@ -45,17 +45,17 @@ def packed_rows(folder: Path) -> dict[str, Row]:
 
 def packed_texts(folder: Path, name: str) -> dict[str, str]:
     """The file called ``name`` of all packed runs that have one. Raises UsageError for a damaged pack."""
-    found = {}
+    texts = {}
     for index in _indices(folder):
         try:
             with zipfile.ZipFile(index.with_suffix(".zip")) as source:
                 inside = set(source.namelist())
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
-                        found[run] = source.read(f"{run}/{name}").decode()
+                        texts[run] = source.read(f"{run}/{name}").decode()
         except (*BROKEN, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
-    return found
+    return texts
 
 
 def pack(folder: Path, most: int = MOST_RUNS) -> Packed:
@@ -134,11 +134,11 @@ def unpack(
     left, made = set(names), []
     for index in _indices(folder):
         entries = _read(index)
-        wanted = [n for n in entries if not names or n in left]
-        left -= set(wanted)
-        if wanted:
+        chosen = [n for n in entries if not names or n in left]
+        left -= set(chosen)
+        if chosen:
             made += list(
-                _unpack_one(index.with_suffix(".zip"), {n: entries[n]["inputs"] for n in wanted}, into, staged)
+                _unpack_one(index.with_suffix(".zip"), {n: entries[n]["inputs"] for n in chosen}, into, staged)
             )
     if left:
         raise UsageError(f"No pack in {folder / 'packs'} holds the run {sorted(left)[0]}.")

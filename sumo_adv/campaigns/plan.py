@@ -161,15 +161,15 @@ def _as_data(settings: Settings) -> dict[str, Any]:
     return data
 
 
-def _sentence(said: str, error: ValidationError) -> str:
+def _sentence(subject: str, error: ValidationError) -> str:
     detail = error.errors()[0]
     key = ".".join(str(p) for p in detail["loc"] if isinstance(p, int) or not p.startswith(("constrained", "tuple[")))
     if detail["type"] == "extra_forbidden":
-        known = ", ".join(info.alias or name for name, info in PlanFile.model_fields.items())
-        return f"{said} has an unknown key '{key}'; known keys are {known}."
+        keys = ", ".join(info.alias or name for name, info in PlanFile.model_fields.items())
+        return f"{subject} has an unknown key '{key}'; known keys are {keys}."
     if detail["type"] == "missing":
-        return f"{said} lacks the key '{key}'."
-    return f"{said} has a bad '{key}': {detail['msg'][:1].lower()}{detail['msg'][1:]}."
+        return f"{subject} lacks the key '{key}'."
+    return f"{subject} has a bad '{key}': {detail['msg'][:1].lower()}{detail['msg'][1:]}."
 
 
 def checked_plan(value: Any) -> dict[str, Any]:
@@ -190,18 +190,18 @@ def checked_plan(value: Any) -> dict[str, Any]:
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     """What tells two plans apart, in words: which episodes there are, and what all depend on; empty for the same plan.
     An input that was broken and is not any more makes no difference."""
-    found = _inputs_differ(before["inputs"], now["inputs"])
+    changes = _inputs_differ(before["inputs"], now["inputs"])
     for key in ("egos", "seeds"):
         if before[key] != now[key]:
-            found.append(f"{key} were {_few(before[key])}, are {_few(now[key])}")
+            changes.append(f"{key} were {_few(before[key])}, are {_few(now[key])}")
     if before["settings"] != now["settings"]:
-        found.append(_settings_differ(before["settings"], now["settings"]))
+        changes.append(_settings_differ(before["settings"], now["settings"]))
     common = [
         f"{key}: {_plain(before.get(key))} then, {_plain(now.get(key))} now"
         for key in ("learn", "memory", "versions")
         if before.get(key) != now.get(key)
     ]
-    return found, common
+    return changes, common
 
 
 def _inputs_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -216,7 +216,7 @@ def _inputs_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[st
         ("no longer there", [n for n in gone if n not in both]),
         ("new", [n for n in come if n not in both]),
     )
-    return [f"inputs {what}: {_few(names)}" for what, names in words if names]
+    return [f"inputs {change}: {_few(names)}" for change, names in words if names]
 
 
 def _settings_differ(before: Sequence[Mapping[str, Any]], now: Sequence[Mapping[str, Any]]) -> str:

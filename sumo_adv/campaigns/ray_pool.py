@@ -109,8 +109,8 @@ def connect(address: str) -> Any:
         _knock(address)
         ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
     except Exception as error:
-        said = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
-        raise UsageError(f"No Ray cluster answers at {address} ({said}); see ray start.") from error
+        reason = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
+        raise UsageError(f"No Ray cluster answers at {address} ({reason}); see ray start.") from error
     return ray
 
 
@@ -128,19 +128,19 @@ def check_nodes(ray: Any, versions: Mapping[str, str]) -> None:
     alive = [node for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU", 0) >= 1]
     if not alive:
         raise UsageError("The Ray cluster has no node with a processor.")
-    asked = ray.remote(num_cpus=1, max_retries=LOSSES)(node_versions)
+    task = ray.remote(num_cpus=1, max_retries=LOSSES)(node_versions)
     for node in alive:
         strategy = NodeAffinitySchedulingStrategy(node["NodeID"], soft=False)
         name = node["NodeManagerHostname"]
         try:
-            theirs = ray.get(asked.options(scheduling_strategy=strategy).remote(list(versions)), timeout=JOIN_SECONDS)
+            installed = ray.get(task.options(scheduling_strategy=strategy).remote(list(versions)), timeout=JOIN_SECONDS)
         except ray.exceptions.RayError as error:
             if _gone(ray, node["NodeID"]):
                 continue
             raise UsageError(f"The node {name} cannot run sumo_adv ({_first_line(error)}).") from error
-        other = [f"{k} {theirs.get(k)} there, {v} here" for k, v in versions.items() if theirs.get(k) != v]
-        if other:
-            raise UsageError(f"The node {name} has other versions: {'; '.join(other)}; install the same on all.")
+        differing = [f"{k} {installed.get(k)} there, {v} here" for k, v in versions.items() if installed.get(k) != v]
+        if differing:
+            raise UsageError(f"The node {name} has other versions: {'; '.join(differing)}; install the same on all.")
 
 
 def _gone(ray: Any, node_id: str) -> bool:
@@ -168,11 +168,11 @@ def node_versions(names: Iterable[str]) -> dict[str, str]:
 
     import sumo_adv
 
-    found = {"sumo_adv": sumo_adv.__version__, "python": platform.python_version()}
-    for name in set(names) - set(found):
+    versions = {"sumo_adv": sumo_adv.__version__, "python": platform.python_version()}
+    for name in set(names) - set(versions):
         with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def desk_folder() -> Path:

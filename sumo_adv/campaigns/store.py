@@ -52,12 +52,12 @@ class Store:
     def check(self, plan: Mapping[str, Any], *, force: bool) -> None:
         """Raises UsageError if the folder holds another plan's results, and says what differs. With ``force`` inputs,
         egos, seeds and settings may; not what all rows depend on: the bank, learning, versions."""
-        known = self.known_plan()
-        if known is None:
+        previous = self.known_plan()
+        if previous is None:
             return
-        grown, other = differences(known, plan)
-        if other:
-            changes = "; ".join((*other, *grown))
+        grown, common = differences(previous, plan)
+        if common:
+            changes = "; ".join((*common, *grown))
             raise UsageError(f"One cannot go on with the results in {self.folder}: {changes}. Give another --out.")
         if grown and not force:
             raise UsageError(

@@ -65,8 +65,8 @@ class Runner:
         except Exception as error:
             if is_storage_error(error):
                 raise
-            said = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
-            return self._failure(job, said, traceback.format_exc())
+            reason = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
+            return self._failure(job, reason, traceback.format_exc())
 
     def _run(self, job: Job, *, last: bool) -> Done:
         given = self._parts.load(job.input.source, job.input.record)
@@ -83,13 +83,13 @@ class Runner:
                 self._engine.episode() as engine,
             ):
                 episode = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
-                said = engine.said() if episode.ending is Ending.SIMULATION_FAILED else ""
+                log = engine.said() if episode.ending is Ending.SIMULATION_FAILED else ""
             if episode.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
                 if not last:
-                    return Done(job.id, None, again=episode.reason, text=episode.traceback or said)
+                    return Done(job.id, None, again=episode.reason, text=episode.traceback or log)
             result = self._parts.write_run(folder, episode, figure=self._setup.figures)
-            row, size = self._finished(job, folder.stage, episode, result, bank, said)
+            row, size = self._finished(job, folder.stage, episode, result, bank, log)
             folder.keep(force=True)
         return Done(job.id, row, size)
 
@@ -126,13 +126,13 @@ class Runner:
         return bank
 
     def _finished(
-        self, job: Job, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, said: str
+        self, job: Job, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, log: str
     ) -> tuple[Row, int]:
         """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
         shared."""
         if isinstance(bank, Collector) and bank.lessons:
             (stage / LEARNT).write_text(as_text(bank.lessons), encoding="utf-8")
-        text = episode.traceback or said
+        text = episode.traceback or log
         if text:
             (stage / TRACEBACK).write_text(text, encoding="utf-8")
         size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())

@@ -103,8 +103,8 @@ def batch(
     table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5"), **chosen}
     if odd is not None:
         table["settings"] = _within(table["settings"], odd)
-    said, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
-    plan = make_plan(table, folder, said, batch_parts(), settings_file)
+    subject, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
+    plan = make_plan(table, folder, subject, batch_parts(), settings_file)
     check_intents(plan.variants, plan.memory or default_bank_path())
     target = out or Path("runs") / (first.stem if planned else "batch")
     if dry_run:

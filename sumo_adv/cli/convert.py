@@ -72,9 +72,9 @@ def _fault(record: str, error: Exception) -> str:
     """What to say of a record that no check refused and that cannot be converted all the same."""
     if isinstance(error, MemoryError):
         return f"Record {record} needs more memory than there is; convert it on a larger machine, or leave it out."
-    what = f"{type(error).__name__}: {error}"[:300]
+    fault = f"{type(error).__name__}: {error}"[:300]
     return (
-        f"Record {record} cannot be converted: a fault of sumo_adv itself ({what}); please report it with the record."
+        f"Record {record} cannot be converted: a fault of sumo_adv itself ({fault}); please report it with the record."
     )
 
 

@@ -105,7 +105,7 @@ def version_line() -> str:
     try:
         own = default_bank_path()
         with MemoryBank.open(own if own.exists() else shipped_bank(), read_only=True) as bank:
-            said = f"schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
+            description = f"schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
     except SumoAdvError as error:
-        said = str(error).rstrip(".")
-    return f"sumo-adv {__version__} (SUMO {sumo}; memory bank: {said})"
+        description = str(error).rstrip(".")
+    return f"sumo-adv {__version__} (SUMO {sumo}; memory bank: {description})"

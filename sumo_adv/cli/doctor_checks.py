@@ -70,8 +70,8 @@ class Finding:
 
 def reason(error: Exception) -> str:
     """An error on one line."""
-    said = " ".join(str(error).split()).rstrip(".")
-    return said if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {said}"
+    text = " ".join(str(error).split()).rstrip(".")
+    return text if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {text}"
 
 
 def interpreter() -> Iterator[Finding]:
@@ -148,11 +148,11 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
             yield _program(name, find(), use)
         except SumoAdvError:
             yield Finding(name, Level.WARN, f"not found; it is for {use} alone", "pip install 'sumo-adv[sumo]'")
-    wanted: list[tuple[str, tuple[str, ...], str]]
-    wanted = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif needs nothing)")]
+    optional: list[tuple[str, tuple[str, ...], str]]
+    optional = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif needs nothing)")]
     if developing:
-        wanted.append(("chromium", ("chromium", "chromium-browser", "google-chrome"), "some of the tests"))
-    for name, spellings, use in wanted:
+        optional.append(("chromium", ("chromium", "chromium-browser", "google-chrome"), "some of the tests"))
+    for name, spellings, use in optional:
         if any(which(spelling) for spelling in spellings):
             yield Finding(name, Level.OK, "found")
         else:
@@ -162,19 +162,19 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
 def _program(name: str, path: Path, use: str) -> Finding:
     """A program of SUMO's: it runs, and is of the library's version."""
     try:
-        said = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
+        match = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
     except (OSError, subprocess.TimeoutExpired) as error:
         return Finding(name, Level.WARN, f"does not run ({reason(error)}); it is for {use} alone", "install it again")
     library = _version("libsumo")
-    if said is None:
+    if match is None:
         mend = f"on Debian: apt-get install {SYSTEM_LIBRARIES}"
         return Finding(name, Level.WARN, f"does not say its version; it is for {use} alone", mend)
-    if said[1] != library:
+    if match[1] != library:
         return Finding(
-            name, Level.WARN, f"{said[1]}, but the library is {library}: both may drive differently",
+            name, Level.WARN, f"{match[1]}, but the library is {library}: both may drive differently",
             "pip install 'sumo-adv[sumo]', and unset SUMO_HOME",
         )  # fmt: skip
-    return Finding(name, Level.OK, said[1])
+    return Finding(name, Level.OK, match[1])
 
 
 def _said(*command: str) -> subprocess.CompletedProcess[str]:

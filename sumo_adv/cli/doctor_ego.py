@@ -36,9 +36,9 @@ def check(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as
 
 
 def _tell(checked: Checked) -> None:
-    found = "; ".join(f"{f.kind} at {f.time:.1f} s: {f.words}" for f in checked.findings) or "good"
+    findings = "; ".join(f"{f.kind} at {f.time:.1f} s: {f.words}" for f in checked.findings) or "good"
     drove = f"{checked.seconds:4.0f} s {checked.metres:5.0f} m {checked.idm_metres:5.0f} m"
-    typer.echo(f"{checked.scenario:<{WIDTH}} {drove}  {found}")
+    typer.echo(f"{checked.scenario:<{WIDTH}} {drove}  {findings}")
 
 
 def summary(done: DriverCheck) -> list[str]:

@@ -102,9 +102,9 @@ def find(text: str, metric: Metric = None, memory: Bank = None, as_json: Json = 
         retrieval = bank.retrieve(text, text)
     nearest = [{"label": label, "distance": round(d, 4)} for label, d in retrieval.nearest]
     value = {"hit": retrieval.hit, "epsilon": retrieval.epsilon, "band": retrieval.band, "nearest": nearest}
-    said = f"{'Hit: ' + retrieval.hit if retrieval.hit else 'No hit'} (epsilon {retrieval.epsilon:.2f})"
+    headline = f"{'Hit: ' + retrieval.hit if retrieval.hit else 'No hit'} (epsilon {retrieval.epsilon:.2f})"
     answer(value, as_json, lambda: [
-        said + (", and near epsilon: look at the first three" if retrieval.band else ""),
+        headline + (", and near epsilon: look at the first three" if retrieval.band else ""),
         *(f"  {n['distance']:.3f}  {n['label']}" for n in nearest),
     ])  # fmt: skip
 

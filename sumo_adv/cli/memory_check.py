@@ -41,10 +41,10 @@ def verify(
     from sumo_adv.planners.sandbox import Sandbox
 
     with open_bank(memory) as bank:
-        wanted = known_intent(bank, label).label if label is not None else None
+        chosen_label = known_intent(bank, label).label if label is not None else None
         active = [s for s in bank.sources() if s.intent.status == "active"]
-        sources = [s for s in active if wanted in (None, s.intent.label)]
-        composed = [] if wanted is not None else [lacking_row(c, active) for c in compositions(bank)]
+        sources = [s for s in active if chosen_label in (None, s.intent.label)]
+        composed = [] if chosen_label is not None else [lacking_row(c, active) for c in compositions(bank)]
     with Sandbox() as sandbox:
         results = [row for source in sources for row in _verify(sandbox, source, scenario, attempts)]
         isolation = sandbox.isolation if results else None
@@ -65,11 +65,11 @@ def lacking_row(composition: Composition, active: Sequence[Source]) -> dict[str,
     from sumo_adv.search.composed_intents import COMPOSED
     from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
-    known = {(p.label, p.mode) for entries in SUPPORT_INTENTS.values() for e in entries for p in e.planners}
-    known |= {(s.intent.label, p.mode) for s in active for p in s.planners if p.hash not in s.retired}
-    known |= {(label, "") for label, _ in known}  # a part without a mode takes any
+    available = {(p.label, p.mode) for entries in SUPPORT_INTENTS.values() for e in entries for p in e.planners}
+    available |= {(s.intent.label, p.mode) for s in active for p in s.planners if p.hash not in s.retired}
+    available |= {(label, "") for label, _ in available}  # a part without a mode takes any
     parts = [p for p in composition.parts if p.intent not in COMPOSED]
-    lacking = [f"{p.intent} / {p.mode}" for p in parts if (p.intent, p.mode) not in known]
+    lacking = [f"{p.intent} / {p.mode}" for p in parts if (p.intent, p.mode) not in available]
     failure = f"there is no active {lacking[0]}." if lacking else None
     return {"label": composition.label, "ok": not lacking, "failure": failure}
 
@@ -132,10 +132,10 @@ def calibrate(
         sets = [(_as_known(bank, tuning), _as_known(bank, reporting)) for tuning, reporting in halves]
         active = [record for record in bank.intents() if record.status == "active"]
         calibration = measure(similarity, active, sets)
-        known = [p.intent is not None for tuning, _ in sets for p in tuning]
+        has_intent = [p.intent is not None for tuning, _ in sets for p in tuning]
         on = (
-            f"{' and '.join(file.name for file in files)}, tuning halves: {sum(known)} paraphrases and "
-            f"{len(known) - sum(known)} novel behaviours, a bank of {len(active)} intents"
+            f"{' and '.join(file.name for file in files)}, tuning halves: {sum(has_intent)} paraphrases and "
+            f"{len(has_intent) - sum(has_intent)} novel behaviours, a bank of {len(active)} intents"
         )
         before = _epsilon(bank)
         if store:

@@ -42,8 +42,8 @@ def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
 
     record = bank.intent(label)
     if record is None:
-        known = ", ".join(r.label for r in bank.intents())
-        raise UsageError(f"The bank has no intent '{label}'; it has: {known}.")
+        labels = ", ".join(r.label for r in bank.intents())
+        raise UsageError(f"The bank has no intent '{label}'; it has: {labels}.")
     return record
 
 

@@ -37,10 +37,12 @@ def add(
     with open_bank(memory, make=True) as bank:
         intent = _intent_to_add(bank, label, description, applies)
         planner = make_planner(intent.label, name, source, "person")
-        for known in next((s.planners for s in bank.sources() if s.intent.label == intent.label), ()):
-            if known.hash == planner.hash:
-                raise UsageError(f"The bank has this planner for {intent.label!r} already, as the mode {known.mode!r}.")
-            if known.mode == planner.mode:
+        for existing in next((s.planners for s in bank.sources() if s.intent.label == intent.label), ()):
+            if existing.hash == planner.hash:
+                raise UsageError(
+                    f"The bank has this planner for {intent.label!r} already, as the mode {existing.mode!r}."
+                )
+            if existing.mode == planner.mode:
                 raise UsageError(
                     f"The intent {intent.label!r} has a planner of the mode {name!r}; give another --mode."
                 )
@@ -109,12 +111,12 @@ def merge(
             ] or ["Nothing looks alike."])  # fmt: skip
             return
         assert label is not None and into is not None
-        merged, other = known_intent(bank, label), known_intent(bank, into)
-        bank.merge(merged.label, other.label)
-        modes = [planner.mode for planner in bank.planners(other.label)]
-    value = {"merged": merged.label, "into": other.label, "modes": modes}
+        merged, kept = known_intent(bank, label), known_intent(bank, into)
+        bank.merge(merged.label, kept.label)
+        modes = [planner.mode for planner in bank.planners(kept.label)]
+    value = {"merged": merged.label, "into": kept.label, "modes": modes}
     answer(
-        value, as_json, lambda: [f"Merged {merged.label} into {other.label}, which has the modes {', '.join(modes)}."]
+        value, as_json, lambda: [f"Merged {merged.label} into {kept.label}, which has the modes {', '.join(modes)}."]
     )
 
 

@@ -65,9 +65,9 @@ def _intent(
 
     nearest = [record for name, _ in bank.retrieve(label, description).nearest if (record := bank.intent(name))]
     near = [LibraryEntry(r.label, r.description, r.applies, tuple(bank.planners(r.label))) for r in nearest]
-    known = bank.intent(label)
-    if known is not None and known.status == "active":
-        return known, near
+    existing = bank.intent(label)
+    if existing is not None and existing.status == "active":
+        return existing, near
     words = [word.strip() for word in (applies or "").split(",") if word.strip()] or list(near[0].applies)
     return IntentRecord(label, " ".join(description.split()), tuple(dict.fromkeys(words))), near
 

@@ -22,8 +22,8 @@ CHOICE = (
 def option(panel: str, help: str, *flags: str, setting: str = "", default: str = "", **more: Any) -> Any:
     """An option in a panel of the help, which tells its default: that of a ``setting``, or in words."""
     shown = default or (_default_of(setting) if setting else "")
-    told = f"{help} (default: {shown})" if shown else help
-    return typer.Option(*flags, help=told, rich_help_panel=panel, show_default=False, **more)
+    text = f"{help} (default: {shown})" if shown else help
+    return typer.Option(*flags, help=text, rich_help_panel=panel, show_default=False, **more)
 
 
 def _default_of(name: str) -> str:

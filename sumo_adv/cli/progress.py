@@ -85,15 +85,15 @@ def line(what: str, value: Any) -> str:
 
 def _attempt(a: Attempt) -> str:
     v, p = a.verdict, a.proposal
-    what = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
+    outcome = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
     if v.collided and v.preventability is not None:
         who = _preventable(v.preventability.by, v.preventability.inconclusive)
         level = "" if v.level is Level.COLLISION else f"{v.level}, "
-        what += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
+        outcome += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""
     rear = ", rear-end" if v.rear_end else ""
     helped = "".join(f" + {q.bv}: {q.label}" for q in p.supports)
-    return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}{helped}, {what}{rear}{gates}"
+    return f"  attempt {a.index + 1:2d} [{p.by}] {p.bv}: {p.label}/{p.planner.mode}{helped}, {outcome}{rear}{gates}"
 
 
 def summary(result: Mapping[str, Any], folder: Path) -> str:
@@ -104,8 +104,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
     for success in result["successes"] if len(result["successes"]) > 1 else ():
-        where = f" ({folder / success['folder']})" if success["folder"] else ""
-        lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{where}.")
+        path = f" ({folder / success['folder']})" if success["folder"] else ""
+        lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")
     lines += [_overridden(result["ego_actions"])] if (result.get("ego_actions") or {}).get("LaneSpeed") else []
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:

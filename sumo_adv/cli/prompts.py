@@ -60,8 +60,8 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.episode.planned_encounter import teamwork
 
     settings = episode.settings
-    known = remembered(bank, planned.library, planned.scene)
-    evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=known)
+    recalled = remembered(bank, planned.library, planned.scene)
+    evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=recalled)
     library = selection_of(episode, bank).of(planned.library)
     return analyzer_prompt(
         shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
@@ -81,13 +81,15 @@ def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine:
     near = sorted(planned.library, key=lambda e: e.label != intent.label)
     generator = generator_prompt(prompts, intent, planned.found.first, near, limits, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
-    found = Refinement()
+    refinement = Refinement()
     runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
-    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run([intent], found)
-    if not found.attempts:
+    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run(
+        [intent], refinement
+    )
+    if not refinement.attempts:
         return [generator]
-    tried = found.attempts[0].proposal
+    tried = refinement.attempts[0].proposal
     entry = next(e for e in planned.library if e.label == tried.label)
-    reports = [report_of(found.attempts[0], found.results[0], planned.found, settings)]
-    scene = scene_of(tried.bv, entry, found.attempts, planned.found, planned.library)
+    reports = [report_of(refinement.attempts[0], refinement.results[0], planned.found, settings)]
+    scene = scene_of(tried.bv, entry, refinement.attempts, planned.found, planned.library)
     return [generator, modifier_prompt(prompts, tried.planner, reports, scene, limits, settings)]

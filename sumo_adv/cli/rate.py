@@ -60,12 +60,12 @@ def rate(
     )  # fmt: skip
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
     counter = _Counter(shown=not as_json and sys.stderr.isatty())
-    found = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter, ray)
+    estimate = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter, ray)
     counter.close()
-    if found is None:
+    if estimate is None:
         typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)
         raise typer.Exit(1)
-    typer.echo(json.dumps({**found.document(), "folder": str(target)}) if as_json else "\n".join(lines(found)))
+    typer.echo(json.dumps({**estimate.document(), "folder": str(target)}) if as_json else "\n".join(lines(estimate)))
 
 
 def lines(found: Estimate) -> list[str]:

@@ -37,17 +37,17 @@ def report(
     network.
     """
     if (folder / OUTCOME).is_file():
-        said = _run(folder, out)
+        result = _run(folder, out)
     elif (folder / RESULTS).is_file() or _loose(folder):
-        said = _batch(folder, out, pages, workers or os.cpu_count() or 1, force=force, quiet=as_json)
+        result = _batch(folder, out, pages, workers or os.cpu_count() or 1, force=force, quiet=as_json)
     else:
         raise UsageError(f"{folder} is not the folder of a run or of a batch (no {OUTCOME}, no {RESULTS} in it).")
     if as_json:
-        typer.echo(json.dumps(said))
+        typer.echo(json.dumps(result))
         return
-    for sentence in said.get("damaged", [])[:3]:
+    for sentence in result.get("damaged", [])[:3]:
         typer.echo(f"sumo-adv: {sentence}", err=True)
-    typer.echo(said["words"])
+    typer.echo(result["words"])
 
 
 def _run(folder: Path, out: Path | None) -> dict[str, Any]:

@@ -46,16 +46,16 @@ def run(
         _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)
         return
-    found, driver = _input(source, record, ego)
+    given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**named, "ego": driver, "horizon": found.horizon, "fork": False if no_fork else None}
+        settings_file, **{**named, "ego": driver, "horizon": given.horizon, "fork": False if no_fork else None}
     )
     if show_prompts:
-        _show_prompts(found, settings, as_json=as_json)
+        _show_prompts(given, settings, as_json=as_json)
         return
-    target = out or Path("runs") / f"{found.name}-{settings.seed}"
-    _run(found, settings, target, force=force, as_json=as_json)
+    target = out or Path("runs") / f"{given.name}-{settings.seed}"
+    _run(given, settings, target, force=force, as_json=as_json)
 
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
@@ -64,8 +64,8 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
 
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
-    found = app.load(source, record)
-    return found, trusted_driver(ego, found.ego_controller, found.source)
+    given = app.load(source, record)
+    return given, trusted_driver(ego, given.ego_controller, given.source)
 
 
 def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:

@@ -24,16 +24,16 @@ def scenarios(
     """List the shipped scenarios with road, best attack and a description, and the shipped networks."""
     from sumo_adv.simulation.shipped import shipped_files, shipped_scenarios
 
-    found, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")
+    shipped, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")
     if as_json:
-        typer.echo(json.dumps({"scenarios": [asdict(s) for s in found], "networks": networks}))
+        typer.echo(json.dumps({"scenarios": [asdict(s) for s in shipped], "networks": networks}))
         return
     rows = [("scenario", "road", "adversary", "level", "intent")]
-    rows += [(s.name, s.road, _adversary(s), s.level or "-", s.intents[0]) for s in found]
+    rows += [(s.name, s.road, _adversary(s), s.level or "-", s.intents[0]) for s in shipped]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     typer.echo(lines[0])
-    for line, s in zip(lines[1:], found, strict=True):
+    for line, s in zip(lines[1:], shipped, strict=True):
         typer.echo(f"{line}\n    {s.description}")
     typer.echo(f"Networks: {', '.join(networks)}\n{MEANS}")
 

@@ -64,12 +64,12 @@ def _share(inputs: Path, shared: Path) -> None:
     """Hard links between copies of the same content (the names say it), where the file system has such."""
     shared.mkdir(exist_ok=True)
     for file in inputs.iterdir():
-        known, part = shared / file.name, inputs / f".{file.name}.part"
+        original, part = shared / file.name, inputs / f".{file.name}.part"
         try:
-            if known.exists():
-                os.link(known, part)
+            if original.exists():
+                os.link(original, part)
                 part.replace(file)
             else:
-                os.link(file, known)
+                os.link(file, original)
         except OSError:
             return

@@ -98,13 +98,13 @@ def line(event: Event) -> str:
 
 
 def _attempt(event: Event) -> str:
-    what = "collision" if event["collided"] else "no conflict"
+    outcome = "collision" if event["collided"] else "no conflict"
     if not event["collided"] and event["min_ttc"] is not None:
-        what = f"min TTC {event['min_ttc']:.2f} s"
+        outcome = f"min TTC {event['min_ttc']:.2f} s"
     lost = ", the client was lost" if event["ending"] == "ego_lost" else ""
     who = f"{event['adversary']}: {event['intent']}/{event['mode']}"
     helped = "".join(f" + {q['id']}: {q['intent']}" for q in event.get("supports", ()))
-    return f"  attempt {event['index'] + 1:2d} [{event['by']}] {who}{helped}, {what}{lost}"
+    return f"  attempt {event['index'] + 1:2d} [{event['by']}] {who}{helped}, {outcome}{lost}"
 
 
 def _outcome(event: Event) -> str:

@@ -70,9 +70,9 @@ def train(
     from sumo_adv.transformer.train import train as run
 
     with sentences(out), _going_on():
-        found = load(scenes, TRAIN)
+        dataset = load(scenes, TRAIN)
         out.mkdir(parents=True, exist_ok=True)
-        weights = run(found, out, seed=seed, epochs=epochs, steps=steps, progress=_progress("steps"))
+        weights = run(dataset, out, seed=seed, epochs=epochs, steps=steps, progress=_progress("steps"))
     typer.echo(json.dumps({"weights": str(weights)}) if as_json else f"The weights are in {weights}.")
 
 
@@ -87,8 +87,8 @@ def evaluate(
     from sumo_adv.transformer.evaluate import evaluate as scores
     from sumo_adv.transformer.predictor import SHIPPED, read_weights
 
-    found = scores(read_weights(weights or SHIPPED), load(scenes, HELD_OUT))
-    typer.echo(json.dumps([asdict(score) for score in found]) if as_json else table(found))
+    results = scores(read_weights(weights or SHIPPED), load(scenes, HELD_OUT))
+    typer.echo(json.dumps([asdict(score) for score in results]) if as_json else table(results))
 
 
 def table(scores: list[Score]) -> str:
@@ -102,12 +102,12 @@ def table(scores: list[Score]) -> str:
 
 def _progress(what: str) -> Callable[..., None]:
     """Tells on stderr how far it is, every half a minute."""
-    told = time.monotonic()
+    last = time.monotonic()
 
     def tell(done: int, total: int, loss: float | None = None) -> None:
-        nonlocal told
-        if time.monotonic() - told > EVERY or done == total:
-            told = time.monotonic()
+        nonlocal last
+        if time.monotonic() - last > EVERY or done == total:
+            last = time.monotonic()
             typer.echo(f"{done} of {total} {what}{'' if loss is None else f', loss {loss:.3f}'}.", err=True)
 
     return tell

@@ -91,17 +91,17 @@ def compare(first: Side, second: Side, egos: tuple[str, str] | None = None) -> C
             f"{first.path} has the egos {', '.join(first.egos)}, {second.path} has {', '.join(second.egos)}: "
             "choose one of each with --egos A,B."
         )
-    one, two = ({_key(e, several): e for e in side.episodes} for side in (first, second))
-    both = [key for key in one if key in two]
+    first_by_key, second_by_key = ({_key(e, several): e for e in side.episodes} for side in (first, second))
+    both = [key for key in first_by_key if key in second_by_key]
     if not both:
         raise UsageError(f"{first.path} and {second.path} have no encounter in common, so nothing can be compared.")
-    pairs = [(one[key], two[key]) for key in both]
+    pairs = [(first_by_key[key], second_by_key[key]) for key in both]
     changes = [
         Change(key, a, b) for key, (a, b) in zip(both, pairs, strict=True) if (a.level, a.result) != (b.level, b.result)
     ]
     changes.sort(key=lambda c: (not c.worse, -abs(_badness(c.second) - _badness(c.first)), c.key))
     budget = max(first.budget, second.budget)
-    alone = (len(one) - len(both), len(two) - len(both))
+    alone = (len(first_by_key) - len(both), len(second_by_key) - len(both))
     return Comparison(_names(first, second), (first, second), pairs, _figures(pairs, budget), changes, alone)
 
 
@@ -118,12 +118,12 @@ def _key(e: Compared, several: bool) -> str:
 
 def _names(first: Side, second: Side) -> tuple[str, str]:
     """The drivers where they differ, else the folders, else A and B."""
-    for one, two in (
+    for a, b in (
         ((*first.egos, "")[0], (*second.egos, "")[0]),
         (first.path.resolve().name, second.path.resolve().name),
     ):
-        if one != two:
-            return one, two
+        if a != b:
+            return a, b
     return "A", "B"
 
 
@@ -147,14 +147,14 @@ def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Fi
 
 def _rate(name: str, pairs: Sequence[tuple[Compared, Compared]], holds: Callable[[Compared], bool]) -> Figure:
     values = [[float(holds(e)) for e in side] for side in zip(*pairs, strict=True)]
-    one, two = (wilson(int(sum(v)), len(v)) for v in values)
-    return Figure(name, "rate", one, two, _difference(values, rate=True))
+    first, second = (wilson(int(sum(v)), len(v)) for v in values)
+    return Figure(name, "rate", first, second, _difference(values, rate=True))
 
 
 def _mean(name: str, unit: str, pairs: Sequence[tuple[Compared, Compared]], of: Callable[[Compared], float]) -> Figure:
     values = [[of(e) for e in side] for side in zip(*pairs, strict=True)]
-    one, two = (bootstrap(v) for v in values)
-    return Figure(name, unit, one, two, _difference(values, rate=False))
+    first, second = (bootstrap(v) for v in values)
+    return Figure(name, unit, first, second, _difference(values, rate=False))
 
 
 def _difference(values: Sequence[Sequence[float]], *, rate: bool) -> Paired | None:

@@ -20,18 +20,18 @@ Link = Callable[[Compared], str | None]
 
 def to_markdown(done: Comparison, link: Link) -> str:
     """Figures of both sides, and the cases that changed with links to their runs."""
-    one, two = done.names
-    lines = [f"# {one} and {two}", "", *notes(done), ""]
+    first, second = done.names
+    lines = [f"# {first} and {second}", "", *notes(done), ""]
     head, *figures = rows(done)
     lines += grid(head, figures)
     worse = sum(change.worse for change in done.changes)
     shown = [
-        [c.key, words(c.first), words(c.second), _link(link(c.first), one), _link(link(c.second), two)]
+        [c.key, words(c.first), words(c.second), _link(link(c.first), first), _link(link(c.second), second)]
         for c in done.changes[:MOST]
     ]
     lines += [f"## Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)", ""]
     if shown:
-        lines += grid(["case", one, two, "run", "run"], shown, words=True)
+        lines += grid(["case", first, second, "run", "run"], shown, words=True)
     if len(done.changes) > MOST:
         lines += [f"{len(done.changes) - MOST} more are in the output of --json.", ""]
     return "\n".join([*lines, HOW])
@@ -39,18 +39,18 @@ def to_markdown(done: Comparison, link: Link) -> str:
 
 def rows(done: Comparison) -> list[list[str]]:
     """The figures as a table, its head first."""
-    one, two = done.names
-    return [["", one, two, f"{two} - {one}"], *(_row(figure) for figure in done.figures)]
+    first, second = done.names
+    return [["", first, second, f"{second} - {first}"], *(_row(figure) for figure in done.figures)]
 
 
 def notes(done: Comparison) -> list[str]:
     """What the figures rest on."""
     failed, missed = done.counts(lambda e: e.failed), done.counts(lambda e: not e.attacked and not e.failed)
-    found = [f"{len(done.pairs)} encounters in common."]
-    for what, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
+    sentences = [f"{len(done.pairs)} encounters in common."]
+    for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
         if a or b:
-            found.append(f"{what[0].upper()}{what[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
-    return found
+            sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
+    return sentences
 
 
 def words(e: Compared) -> str:

@@ -74,23 +74,23 @@ def _link(episode: Compared, links: Mapping[Path, str]) -> str | None:
 
 def html(done: Comparison, links: Mapping[Path, str]) -> str:
     """The page. ``links``: to the replays, by the folder of the run."""
-    one, two = done.names
+    first, second = done.names
     head, *figures = rows(done)
     worse = sum(change.worse for change in done.changes)
     changes = [[escape(c.key), *(_shown(e, links) for e in (c.first, c.second))] for c in done.changes]
     return "\n".join([
-        HEAD.format(title=escape(f"{one} and {two}")), f"<h1>{escape(f'{one} and {two}')}</h1>",
+        HEAD.format(title=escape(f"{first} and {second}")), f"<h1>{escape(f'{first} and {second}')}</h1>",
         f"<p>{escape(' '.join(notes(done)))}</p>",
         *_table([escape(cell) for cell in head], [[escape(cell) for cell in row] for row in figures]),
         f"<h2>Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)</h2>",
-        *_table(["case", escape(one), escape(two)], changes), f"<p>{escape(HOW)}</p>", "</body>", "</html>", "",
+        *_table(["case", escape(first), escape(second)], changes), f"<p>{escape(HOW)}</p>", "</body>", "</html>", "",
     ])  # fmt: skip
 
 
 def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
     """What an episode came to; it leads to its replay."""
-    said, link = escape(words(episode)), _link(episode, links)
-    return said if link is None else f'<a href="{escape(link)}">{said}</a>'
+    text, link = escape(words(episode)), _link(episode, links)
+    return text if link is None else f'<a href="{escape(link)}">{text}</a>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -45,8 +45,8 @@ class DriverCheck:
     @property
     def kinds(self) -> tuple[Kind, ...]:
         """The kinds of findings, in the order of ``Kind``."""
-        found = {finding.kind for checked in self.scenarios for finding in checked.findings}
-        return tuple(kind for kind in Kind if kind in found)
+        present = {finding.kind for checked in self.scenarios for finding in checked.findings}
+        return tuple(kind for kind in Kind if kind in present)
 
 
 def check_driver(
@@ -72,10 +72,10 @@ def check_driver(
         task = _task(given, settings, folder / str(k), seconds)
         if task.ego is None:
             task = replace(task, ego=engine.request("choose", task))
-        drive, one = _check(engine, task, given.name)
-        checked.append(one)
+        drive, result = _check(engine, task, given.name)
+        checked.append(result)
         drives.append(drive)
-        tell(one)
+        tell(result)
     return DriverCheck(settings.ego, tuple(checked), milliseconds(drives))
 
 
@@ -90,11 +90,11 @@ def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> 
 def _check(engine: Engine, task: Task, name: str) -> tuple[UnattackedDrive, Checked]:
     idm: UnattackedDrive = engine.request("drive", replace(task, ego_driver="idm", ego_parameters={}))
     first: UnattackedDrive = engine.request("drive", task)
-    found = judge(first, idm)
+    findings = judge(first, idm)
     if not first.failure:
-        found += _repeated(engine, task, first)
+        findings += _repeated(engine, task, first)
     seconds = float(first.ego.time[-1] - first.ego.time[0])
-    return first, Checked(name, seconds, travelled(first.ego), travelled(idm.ego), tuple(found))
+    return first, Checked(name, seconds, travelled(first.ego), travelled(idm.ego), tuple(findings))
 
 
 def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Finding]:
@@ -108,10 +108,13 @@ def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Findin
         return []
     new: UnattackedDrive = engine.request("drive", task)
     again: UnattackedDrive = engine.request("drive_again", task, 0.0)
-    for kind, drive, what in ((Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")):
+    for kind, drive, subject in (
+        (Kind.RANDOM, new, "two drives"),
+        (Kind.RESET, again, "the drives before and after it"),
+    ):
         since, most = apart(first.ego, drive.ego, REPEATED)
         if math.isfinite(since):
-            return [Finding(kind, since, f"{what} are {_far(most)} apart")]
+            return [Finding(kind, since, f"{subject} are {_far(most)} apart")]
     when, far = apart(first.ego, later.ego, ROUNDED)
     return (
         [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]

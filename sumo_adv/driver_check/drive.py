@@ -99,13 +99,13 @@ class ObservedDriver:
         road, front = observation.road, observation.ego.length / 2
         lines = () if road is None else road.stop_lines
         line = next((line for line in lines if line.ahead > front - PASSED), None)
-        last, now = self._line, observation.time
+        last, time = self._line, observation.time
         passed = last is not None and last.ahead - front < AT_LINE
         passed = passed and (line is None or last is None or line.ahead > last.ahead + FURTHER)
-        if passed and last is not None and now - self._since >= WAITED - 1e-6 and observation.ego.speed > MOVING:
-            self.lines.append(PassedLine(now, last.signal))
+        if passed and last is not None and time - self._since >= WAITED - 1e-6 and observation.ego.speed > MOVING:
+            self.lines.append(PassedLine(time, last.signal))
         must_wait = line is not None and line.must_wait
-        self._since = min(self._since, now) if must_wait and not passed else now if must_wait else math.inf
+        self._since = min(self._since, time) if must_wait and not passed else time if must_wait else math.inf
         self._line = line
 
 

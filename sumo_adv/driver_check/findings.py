@@ -81,18 +81,18 @@ def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
 
     idm: the drive of SUMO's IDM in the same scenario.
     """
-    found = [Finding(Kind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
+    findings = [Finding(Kind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
     contact = _contact(drive)
     end = float(drive.ego.time[-1]) if contact is None else contact.time
-    found += [contact] if contact is not None else []
+    findings += [contact] if contact is not None else []
     steps = len(drive.ego.between(float(drive.ego.time[0]), end).time)
     jump = _jump(drive)
-    found += [jump] if jump is not None else []
-    found += _outside(drive, steps)
-    found += [_passed(line) for line in drive.lines[:1] if line.time <= end]
+    findings += [jump] if jump is not None else []
+    findings += _outside(drive, steps)
+    findings += [_passed(line) for line in drive.lines[:1] if line.time <= end]
     if contact is None and not drive.failure:
-        found += _lags(drive.ego, idm.ego)
-    return found
+        findings += _lags(drive.ego, idm.ego)
+    return findings
 
 
 def _contact(drive: UnattackedDrive) -> Finding | None:
@@ -103,12 +103,13 @@ def _contact(drive: UnattackedDrive) -> Finding | None:
     first = int(np.argmin(when))
     if not np.isfinite(when[first]):
         return None
-    time, other = float(when[first]), drive.others[first]
-    me, it = at_time(ego, time), at_time(other, time)
-    mine, its = contact_sides(me, it)
+    time, foe = float(when[first]), drive.others[first]
+    me, it = at_time(ego, time), at_time(foe, time)
+    ego_side, foe_side = contact_sides(me, it)
     return Finding(
         Kind.COLLIDES, time,
-        f"its {mine} meets the {its} of '{other.id}' (ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
+        f"its {ego_side} meets the {foe_side} of '{foe.id}' "
+        f"(ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
     )  # fmt: skip
 
 
@@ -126,9 +127,9 @@ def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
     for kind, far in ((Kind.LEAVES_ROAD, drive.off_road.max(axis=1)), (Kind.LEAVES_LANE, drive.off_lane)):
         first, length = longest(far[:steps] > OUTSIDE)
         if length > needed:
-            most, what = float(far[:steps][np.isfinite(far[:steps])].max()), "a corner is"
-            what = what if kind is Kind.LEAVES_ROAD else "its centre is"
-            return [Finding(kind, float(time[first]), f"{what} up to {most:.1f} m outside")]
+            most = float(far[:steps][np.isfinite(far[:steps])].max())
+            subject = "a corner is" if kind is Kind.LEAVES_ROAD else "its centre is"
+            return [Finding(kind, float(time[first]), f"{subject} up to {most:.1f} m outside")]
     return []
 
 

@@ -73,10 +73,10 @@ class Core:
     def _play(self, encounter: Encounter, draws: np.random.Generator) -> Play:
         ego, adversary = self._kinds
         every = max(1, encounter.settings.steps(self._interval))
-        found = encounter.found
-        delay = min(found.situations)
+        situations = encounter.found.situations
+        delay = min(situations)
         if adversary is not None:
-            bv = found.situations[delay].target_list()[0].state.id
+            bv = situations[delay].target_list()[0].state.id
             return Play(self._viewing, every, ego, adversary, None, bv, delay)
         if self._attacker is None:
             return Play(self._viewing, every, ego)
@@ -109,15 +109,15 @@ class Core:
     def _told(self, moment: Moment) -> dict[str, Any]:
         assert self._played is not None
         t, play = moment.transition, self._played.play
-        told: dict[str, Any] = {
+        info: dict[str, Any] = {
             "time": moment.time, "scenario": self._played.encounter.name,
             "attack": "" if play.proposal is None else play.proposal.label, "apart": t.apart,
         }  # fmt: skip
         if t.ending:
-            told |= {"ending": t.ending, "touched": t.touched or ""}
+            info |= {"ending": t.ending, "touched": t.touched or ""}
             if t.verdict is not None:
-                told |= {"verdict": t.verdict, "level": str(t.verdict.level)}
-        return told
+                info |= {"verdict": t.verdict, "level": str(t.verdict.level)}
+        return info
 
     def picture(self) -> NDArray[np.uint8]:
         """The scene now; empty where the simulation has crashed."""

@@ -69,12 +69,12 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
         if name in given:
             raise UsageError(f"The setting {name!r} of an environment follows from its other arguments: leave it out.")
     model = None if attacker in (None, EXPERT) else attacker
-    wanted: dict[str, Any] = {"horizon": horizon}
+    defaults: dict[str, Any] = {"horizon": horizon}
     if ego is None:
-        wanted["until"] = "serious"  # what attacks on an agent are planned for
+        defaults["until"] = "serious"  # what attacks on an agent are planned for
     if model is not None:
-        wanted["tuner"] = "off"  # its attacks, and none of the search
-    return load_settings(None, **{**wanted, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
+        defaults["tuner"] = "off"  # its attacks, and none of the search
+    return load_settings(None, **{**defaults, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
 
 
 class Encounter:
@@ -178,9 +178,9 @@ class Plan:
         """Take note of how an attack went, as long as the search goes on."""
         if self._known is not None:
             return
-        found = self._planned.found
-        attempt = attempt_of(len(self._tried), "tuner", proposal, result, found, self._settings)
-        motion = observed_motion(result, found, proposal.delay, self._settings)
+        encounter = self._planned.found
+        attempt = attempt_of(len(self._tried), "tuner", proposal, result, encounter, self._settings)
+        motion = observed_motion(result, encounter, proposal.delay, self._settings)
         self._optimizer.observe(proposal, motion, attempt.verdict)
 
 

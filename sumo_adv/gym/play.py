@@ -227,11 +227,11 @@ class Playing:
 
     def _is_off_road(self, v: VehicleState) -> bool:
         """Whether the centre is off the road; where the road's area is not known, whether no lane is there."""
-        found = self._here.found
-        x, y, radius = found.area
+        encounter = self._here.found
+        x, y, radius = encounter.area
         if math.hypot(v.x - x, v.y - y) > radius:
             return v.lane == ""
-        return not found.drivable(np.array([v.x]), np.array([v.y]))[0]
+        return not encounter.drivable(np.array([v.x]), np.array([v.y]))[0]
 
     def _touching(self, me: VehicleState | None) -> str | None:
         """A vehicle that ``me`` touches."""

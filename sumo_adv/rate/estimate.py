@@ -134,26 +134,26 @@ class Estimation:
                 return self._run(runs, Path(scratch))
 
     def _keep_plan(self) -> None:
-        file, now = self.out / PLAN, json.loads(json_text(self.plan.document()))
+        file, document = self.out / PLAN, json.loads(json_text(self.plan.document()))
         if file.exists():
             before = parse_json(file.read_text(encoding="utf-8"))
-            changed = [key for key in now if not isinstance(before, dict) or before.get(key) != now[key]]
+            changed = [key for key in document if not isinstance(before, dict) or before.get(key) != document[key]]
             if changed:
                 raise UsageError(
                     f"{self.out} holds runs of another {' and '.join(changed)}, which cannot go into one estimate; "
                     "give another --out."
                 )
-        write_text(file, json_text(now, 1))
+        write_text(file, json_text(document, 1))
 
     def _run(self, runs: int, scratch: Path) -> Estimate | None:
         plan = self.plan
         with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
             if not plan.plain:
-                found = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), pool)
-                if found is None:
+                measured = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), pool)
+                if measured is None:
                     return None
-                pilot = found
+                pilot = measured
                 starts = learnt(counts_of(pilot), chances(plan.factor))
             blocks = self._blocks("plain" if plan.plain else "runs", runs, starts, pool)
         if blocks is None:
@@ -174,20 +174,20 @@ class Estimation:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
-        found = {job.id: block for job in jobs if (block := read_block(self._file(job))) is not None}
-        self.watcher.begin(len(jobs), list(found.values()))
+        by_id = {job.id: block for job in jobs if (block := read_block(self._file(job))) is not None}
+        self.watcher.begin(len(jobs), list(by_id.values()))
 
-        def told(job: Any, done: Done) -> None:
-            found[job.id] = dict(done.row or {})
-            write_text(self._file(job), json_text(found[job.id]))
-            self.watcher.finished(job, found[job.id])
+        def keep(job: Any, done: Done) -> None:
+            by_id[job.id] = dict(done.row or {})
+            write_text(self._file(job), json_text(by_id[job.id]))
+            self.watcher.finished(job, by_id[job.id])
 
-        missing = [job for job in jobs if job.id not in found]
+        missing = [job for job in jobs if job.id not in by_id]
         if missing:
-            pool.run(missing, told)
-        if len(found) < len(jobs):
+            pool.run(missing, keep)
+        if len(by_id) < len(jobs):
             return None
-        blocks = [found[job.id] for job in jobs]
+        blocks = [by_id[job.id] for job in jobs]
         if not any(record.hours for record in records_of(blocks)):
             raise UsageError(
                 f"In none of the runs was there an ego within {WAIT:g} s after the warm-up; give more --density, or an "

@@ -45,8 +45,8 @@ class Proposal:
 
         Where the model has 0, it stays 0; elsewhere it is never less than the model's.
         """
-        wanted = self.starts[np.arange(model.shape[1]), danger]
-        raised = np.where(model > 0.0, np.maximum(wanted, model), 0.0)
+        proposed = self.starts[np.arange(model.shape[1]), danger]
+        raised = np.where(model > 0.0, np.maximum(proposed, model), 0.0)
         total = raised.sum(axis=1, keepdims=True)
         return np.where(total > MOST, np.maximum(raised * MOST / np.maximum(total, MOST), model), raised)
 

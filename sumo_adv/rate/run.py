@@ -143,24 +143,24 @@ class Run:
         drive, dt = self.drive, self.drive.recording.step_length
         ego = drive.ego
         assert ego is not None
-        now, before = drive.snapshot, drive.recording.snapshots[-2]
+        current, before = drive.snapshot, drive.recording.snapshots[-2]
         if ego not in before.raw:
             return None
-        me, sizes = now.raw[ego], drive.simulation.fleet.sizes
-        times = np.array([before.time, now.time])
-        found: list[tuple[float, str]] = []
-        for name, raw in now.raw.items():
+        me, sizes = current.raw[ego], drive.simulation.fleet.sizes
+        times = np.array([before.time, current.time])
+        contacts: list[tuple[float, str]] = []
+        for name, raw in current.raw.items():
             if name == ego or name not in before.raw or _clear(me, raw, sizes[ego], sizes[name], dt):
                 continue
             when = float(first_contact(_rows(drive, ego), _rows(drive, name), times))
             if math.isfinite(when):
-                found.append((when, name))
-        return (min(found)[1], min(found)[0]) if found else None
+                contacts.append((when, name))
+        return (min(contacts)[1], min(contacts)[0]) if contacts else None
 
-    def _judged(self, other: str, when: float) -> Record:
+    def _judged(self, foe: str, when: float) -> Record:
         """The record of a run that ended in a contact."""
         record, drive = self._record(), self.drive
-        error = self.errors.last.get(other)
+        error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MEMORY
         start = error.since if error is not None and recent else when - BEFORE
         ego = drive.ego
@@ -170,14 +170,14 @@ class Run:
             drive.tick()
         snapshots = drive.recording.snapshots
         first = next(k for k, s in enumerate(snapshots) if ego in s.raw and s.time >= start - HISTORY - 1e-6)
-        case = make_case(drive.tracks(other, start=first), ego, [other], start, {})
+        case = make_case(drive.tracks(foe, start=first), ego, [foe], start, {})
         level = Level.NONE
         if case is not None:
             verdict = judge(case.ego, case.adversary, case.others, trigger_time=start, limits=UNLIMITED)
             verdict = with_level(verdict, case.ego, case.adversary, case.others, trigger_time=start)
             level = verdict.level
-        if level >= Level.COLLISION and recent and other in self._begun:
-            self.crashed[self._begun[other]] += 1.0
+        if level >= Level.COLLISION and recent and foe in self._begun:
+            self.crashed[self._begun[foe]] += 1.0
         return replace(
             record, contact=True, level=str(level), error=str(error.kind) if error is not None and recent else None
         )  # fmt: skip

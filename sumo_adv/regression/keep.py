@@ -144,7 +144,7 @@ def _copy_network(network: Path, suite: Path) -> None:
 def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> str:
     task, settings = recorded.task, recorded.settings
     spec, played, files = task.spec, task.playback, _traffic(recorded)
-    found, helpers = outcome["encounter"], list(recorded.proposal.bvs[1:])
+    encounter, helpers = outcome["encounter"], list(recorded.proposal.bvs[1:])
     top = {
         "schema": 1, "network": _network(spec.network, suite),
         "tracks": files[played.tracks] if played is not None and played.tracks is not None else None,
@@ -152,7 +152,7 @@ def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> st
         "additional": [files[f] for f in spec.additional] or None,
     }  # fmt: skip
     demand = {"files": [files[f] for f in spec.routes] or None, "begin": spec.begin, "end": task.end}
-    window = {"warm_up": task.warm_up, "trigger": found["time"], "horizon": settings.horizon}
+    window = {"warm_up": task.warm_up, "trigger": encounter["time"], "horizon": settings.horizon}
     lines = [
         *toml_lines(top), "", "[demand]", *toml_lines(demand), "", "[ego]",
         *toml_lines(_ego(task.ego, str(outcome["ego"]["id"]))),
@@ -192,12 +192,12 @@ def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str
         "network": hash_of(task.spec.network), "composition": p.composition or None,
     }  # fmt: skip
     expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}
-    found = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
+    observed = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
     lines = [
         f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
         "[attack.parameters]", *toml_lines(dict(p.parameters)), "", *_supports(p, relations),
         "[settings]", *_settings(recorded.settings), "",
-        "[found]", *toml_lines(found),
+        "[found]", *toml_lines(observed),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 

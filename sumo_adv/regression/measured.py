@@ -104,18 +104,18 @@ def _broken_expectation(expect: Expectation, m: Measured, before: Measured | Non
     return _worse(m, before) if expect.no_worse else ""
 
 
-def _worse(now: Measured, before: Measured | None) -> str:
+def _worse(measured: Measured, before: Measured | None) -> str:
     """Why a case is worse than in the baseline, or empty. A baseline that broke or missed the encounter had no hit."""
-    before = before or Measured(now.case, "")
-    hit, was = (m.collided and not m.rear_end for m in (now, before))
-    if hit and not was:
+    before = before or Measured(measured.case, "")
+    hit, hit_before = (m.collided and not m.rear_end for m in (measured, before))
+    if hit and not hit_before:
         return "The ego is hit, and was not in the baseline."
     if hit:
-        harder = (now.delta_v or 0.0) - (before.delta_v or 0.0)
+        harder = (measured.delta_v or 0.0) - (before.delta_v or 0.0)
         return f"The ego is hit {harder:.1f} m/s harder than in the baseline." if harder > HARDER else ""
-    if before.broken or was or now.rear_end or now.failed_gates:
+    if before.broken or hit_before or measured.rear_end or measured.failed_gates:
         return ""
-    lost = before.compared_ttc - now.compared_ttc
+    lost = before.compared_ttc - measured.compared_ttc
     return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > LOWER_TTC else ""
 
 

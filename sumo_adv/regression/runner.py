@@ -81,8 +81,8 @@ class CaseRunner:
         except Exception as error:
             if is_storage_error(error):
                 raise
-            said = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
-            measured = Measured(job.id, self._setup.ego, broken=said)
+            reason = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
+            measured = Measured(job.id, self._setup.ego, broken=reason)
             text = traceback.format_exc()
         else:
             text = ""
@@ -109,9 +109,9 @@ def settings_for(case: Case, ego: str) -> Settings:
     with. Raises UsageError."""
     source = case.source
     parameters = dict(source.ego_parameters) if ego == source.ego_controller else {}
-    wanted = {"horizon": source.horizon, **case.settings, "ego": ego, "ego_parameters": parameters, "end": source.end}
+    options = {"horizon": source.horizon, **case.settings, "ego": ego, "ego_parameters": parameters, "end": source.end}
     members = len(case.proposal.members)
-    return load_settings(None, **wanted, until=Until.COLLISION, attempts=1, adversaries=members, learn="off")
+    return load_settings(None, **options, until=Until.COLLISION, attempts=1, adversaries=members, learn="off")
 
 
 def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
@@ -129,26 +129,26 @@ def run_case(case: Case, settings: Settings, task: Task, engine: Engine, sandbox
     p = case.proposal
     episode = Episode(replace(case.source, name=case.name), settings, task)
     episode.intent = Intent(p.bv, p.label, "", "", p.acceleration, "a kept case")
-    found = seek(episode, engine, lambda *_: None)
-    if found is None:
+    encounter = seek(episode, engine, lambda *_: None)
+    if encounter is None:
         return episode, episode.reason
-    why = _elsewhere(case, found)
+    why = _elsewhere(case, encounter)
     if why:
         episode.ending, episode.reason, episode.found = Ending.NO_ENCOUNTER, why, None
         return episode, why
-    attack_once(episode, engine, sandbox, found, p)
+    attack_once(episode, engine, sandbox, encounter, p)
     episode.isolation = sandbox.isolation
     return episode, ""
 
 
-def _elsewhere(case: Case, found: FoundEncounter) -> str:
+def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
     """Why the encounter is another than the case's, or empty."""
-    p, when = case.proposal, f"At the trigger, {found.time:g} s,"
-    relations = {name: relation for name, relation, _ in found.ranking}
-    for bv, wanted in case.relations.items():
-        if relations.get(bv) != wanted:
-            return f"{when} '{bv}' is {relations.get(bv, 'nowhere near')} and not {wanted} to the ego."
-    situation = found.situations.get(p.delay)
+    p, when = case.proposal, f"At the trigger, {encounter.time:g} s,"
+    relations = {name: relation for name, relation, _ in encounter.ranking}
+    for bv, relation in case.relations.items():
+        if relations.get(bv) != relation:
+            return f"{when} '{bv}' is {relations.get(bv, 'nowhere near')} and not {relation} to the ego."
+    situation = encounter.situations.get(p.delay)
     for bv in p.bvs:
         if situation is None or bv not in situation.targets:
             return f"{p.delay:g} s after the trigger '{bv}' or the ego is gone."
@@ -170,14 +170,14 @@ def measure(case: Case, episode: Episode, outcome: Mapping[str, Any]) -> Measure
 
 def _touched(episode: Episode, best: Attempt) -> str | None:
     """Another vehicle or object that the ego ran into before the end of the attempt."""
-    found, prefix = episode.found, episode.prefix
-    assert found is not None and prefix is not None
+    encounter, prefix = episode.found, episode.prefix
+    assert encounter is not None and prefix is not None
     snapshots = [*prefix.snapshots[-1:], *episode.refinement.results[0].snapshots]
     tracks = {t.id: t for t in tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length)}
-    ego = tracks.pop(found.ego, None)
+    ego = tracks.pop(encounter.ego, None)
     tracks.pop(best.proposal.bv, None)
     end = np.inf if best.verdict.contact_time is None else best.verdict.contact_time
     if ego is None:
         return None
-    touched = first_other_contact(ego.between(-np.inf, end), list(tracks.values()), found.time)
+    touched = first_other_contact(ego.between(-np.inf, end), list(tracks.values()), encounter.time)
     return None if touched is None else touched[0]

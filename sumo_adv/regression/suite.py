@@ -47,8 +47,8 @@ class SuiteRun:
     @property
     def counts(self) -> Mapping[Result, int]:
         """How many cases have each result."""
-        found = Counter(case.result for case in self.cases)
-        return {result: found[result] for result in Result}
+        counts = Counter(case.result for case in self.cases)
+        return {result: counts[result] for result in Result}
 
     def passed(self, *, allow_untested: bool) -> bool:
         """Whether all cases pass, leaving out those that say nothing about the ego if they are allowed."""
@@ -77,15 +77,15 @@ def run_suite(
     make_ego(ego, {})
     lacking = [name for name in needs_baseline(cases) if baseline is None or name not in baseline]
     if lacking:
-        where = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
-        raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {where}.")
-    found: dict[str, Judged] = {}
+        advice = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
+        raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {advice}.")
+    results: dict[str, Judged] = {}
     by_name = {case.name: case for case in cases}
 
-    def told(job: Any, done: Done) -> None:
+    def finished(job: Any, done: Done) -> None:
         measured = Measured(**(done.row or {}))
-        found[job.id] = judged(by_name[job.id], measured, (baseline or {}).get(job.id))
-        tell(found[job.id])
+        results[job.id] = judged(by_name[job.id], measured, (baseline or {}).get(job.id))
+        tell(results[job.id])
 
     def failed(job: Any, why: str, text: str) -> Done:
         return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
@@ -97,9 +97,9 @@ def run_suite(
         jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
         setup, pace = Setup(runs.absolute(), ego), Pace(workers, DEADLINE, RECYCLE)
         with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
-            pool.run(jobs, told)
+            pool.run(jobs, finished)
         shutil.rmtree(scratch, ignore_errors=True)
-        whole = SuiteRun(suite, ego, [found[case.name] for case in cases])
+        whole = SuiteRun(suite, ego, [results[case.name] for case in cases])
         _write(folder.stage, whole)
         folder.keep(force=force)
     return whole

@@ -39,9 +39,9 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
     for run in runs:
         try:
             file = run / OUTCOME
-            told = json.loads(file.read_text(encoding="utf-8") if file.is_file() else packed[run.name])
-            _ = told["encounter"], told["attempts"], told["ego"]["controller"]
-            yield told
+            document = json.loads(file.read_text(encoding="utf-8") if file.is_file() else packed[run.name])
+            _ = document["encounter"], document["attempts"], document["ego"]["controller"]
+            yield document
         except (OSError, ValueError, KeyError, TypeError):
             continue
 
@@ -51,7 +51,7 @@ def _odds(plan: Path) -> list[Odd]:
     if not plan.is_file():
         return []
     try:
-        found = [variant.get("odd") for variant in json.loads(plan.read_text(encoding="utf-8")).get("settings", ())]
-        return [Odd.model_validate(odd) for odd in found] if all(found) else []
+        odds = [variant.get("odd") for variant in json.loads(plan.read_text(encoding="utf-8")).get("settings", ())]
+        return [Odd.model_validate(odd) for odd in odds] if all(odds) else []
     except (ValueError, AttributeError) as error:
         raise UsageError(f"{plan} is damaged ({error}); restore it from a copy.") from error

@@ -79,13 +79,13 @@ def cells_of(document: Mapping[str, Any]) -> dict[Cell, bool]:
     if road is None or speed is None:
         return {}
     relations = {each["id"]: each["relation"] for each in encounter["ranking"]}
-    found: dict[Cell, bool] = {}
+    cells: dict[Cell, bool] = {}
     for attempt in document["attempts"]:
         relation = relations.get(attempt["adversaries"][0])
         if relation is not None:
             cell = Cell(attempt["intent"], relation, road, band_of(speed))
-            found[cell] = found.get(cell, False) or level_of(attempt.get("level")) >= Level.VALID
-    return found
+            cells[cell] = cells.get(cell, False) or level_of(attempt.get("level")) >= Level.VALID
+    return cells
 
 
 def pairs_of(library: Iterable[IntentRecord]) -> set[tuple[str, str]]:
@@ -105,19 +105,19 @@ def make_coverage(
     counts: dict[str, dict[Cell, list[int]]] = {ALL: {}}
     unplaced = 0
     for document in documents:
-        found = cells_of(document)
-        unplaced += not found
+        cells = cells_of(document)
+        unplaced += not cells
         for ego in (ALL, str(document["ego"]["controller"])):
             tally = counts.setdefault(ego, {})
-            for cell, failed in found.items():
+            for cell, failed in cells.items():
                 count = tally.setdefault(cell, [0, 0])
                 count[0] += 1
                 count[1] += failed
     pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL]}
     roads, bands = tuple(str(road) for road in RoadClass), range(len(BANDS))
     every = {Cell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
-    wanted = {cell for cell in every if _exists(cell) and (not odds or any(_within(cell, odd) for odd in odds))}
-    return Coverage({ego: _rows(wanted | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
+    possible = {cell for cell in every if _exists(cell) and (not odds or any(_within(cell, odd) for odd in odds))}
+    return Coverage({ego: _rows(possible | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
 
 
 def _exists(cell: Cell) -> bool:

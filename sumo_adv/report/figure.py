@@ -64,7 +64,7 @@ def draw_encounter(
 
     shown = decisive_time(ego, adversary, trigger_time, verdict)
     ego_part, adversary_part = (track.between(trigger_time - BEFORE, math.inf) for track in (ego, adversary))
-    supports = [other for other in others if other.role is Role.ADVERSARY]
+    supports = [track for track in others if track.role is Role.ADVERSARY]
     support_parts = [support.between(trigger_time - BEFORE, math.inf) for support in supports]
     view = _view((ego_part, adversary_part, *support_parts), (ego, adversary, *supports), shown)
     height = HEAD + WIDTH * INSIDE * view[3] / view[2]
@@ -76,8 +76,8 @@ def draw_encounter(
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
-    for other in others:
-        draw_box(axes, other, shown, OTHER if other.role is not Role.ADVERSARY else SUPPORT, zorder=5)
+    for track in others:
+        draw_box(axes, track, shown, OTHER if track.role is not Role.ADVERSARY else SUPPORT, zorder=5)
     for support, part in zip(supports, support_parts, strict=True):
         axes.plot(part.x, part.y, color=SUPPORT, lw=1.8, zorder=5, solid_capstyle="round")
         draw_box(axes, support, trigger_time, SUPPORT, zorder=5, filled=False)

@@ -56,8 +56,8 @@ def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Itera
     if target.exists() and not force:
         raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")
     if target.exists() and not (target.is_dir() and (not any(target.iterdir()) or (target / marker).exists())):
-        what = f"{target} is not the folder of a run or a conversion"
-        raise UsageError(f"{what}, so --force does not replace it; give another --out.")
+        fault = f"{target} is not the folder of a run or a conversion"
+        raise UsageError(f"{fault}, so --force does not replace it; give another --out.")
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
     stage: Path | None = None
     try:
@@ -105,10 +105,10 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
     for success in result["successes"]:
         if success["folder"] is not None:
-            other = stage / success["folder"]
-            other.mkdir(parents=True)
+            attack_stage = stage / success["folder"]
+            attack_stage.mkdir(parents=True)
             write_run(
-                RunFolder(folder.target / success["folder"], other),
+                RunFolder(folder.target / success["folder"], attack_stage),
                 episode.of_attempt(success["attempt"]),
                 figure=figure,
             )
@@ -131,8 +131,8 @@ def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
 
 def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
     assert episode.prefix is not None
-    best, found = episode.refinement.best, episode.found
-    after = found.baseline if best is None and found else episode.refinement.results[best or 0].snapshots
+    best, encounter = episode.refinement.best, episode.found
+    after = encounter.baseline if best is None and encounter else episode.refinement.results[best or 0].snapshots
     return [*episode.prefix.snapshots, *after]
 
 
@@ -188,14 +188,14 @@ def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
 
 def raw_figures(episode: Episode) -> dict[str, Any] | None:
     """The unattacked run over the same pair and window as the attempt that counts; None if there was none."""
-    best, found = episode.best, episode.found
-    if best is None or found is None or episode.prefix is None or not found.baseline:
+    best, encounter = episode.best, episode.found
+    if best is None or encounter is None or episode.prefix is None or not encounter.baseline:
         return None
     after = episode.refinement.results[episode.refinement.best or 0].snapshots
     if not after:  # its planner failed before the first step
         return {"min_ttc": None, "collided": False}
     end = after[-1].time
-    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *found.baseline], best.trigger_time, end)
+    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *encounter.baseline], best.trigger_time, end)
     if pair is None:
         return {"min_ttc": None, "collided": False}
     time = pair[0].time
@@ -233,21 +233,22 @@ def _figure_or_note(target: Path, episode: Episode, result: dict[str, Any]) -> N
 def _figure(target: Path, episode: Episode) -> None:
     from sumo_adv.report.figure import draw_encounter
 
-    best, found, prefix = episode.best, episode.found, episode.prefix
-    assert best is not None and found is not None and prefix is not None
-    names = (found.ego, best.proposal.bv)
-    roles = episode.task.roles(found.ego, *best.proposal.bvs)
+    best, encounter, prefix = episode.best, episode.found, episode.prefix
+    assert best is not None and encounter is not None and prefix is not None
+    names = (encounter.ego, best.proposal.bv)
+    roles = episode.task.roles(encounter.ego, *best.proposal.bvs)
     sizes, step = all_sizes(episode), episode.settings.step_length
     history = episode.settings.steps(episode.settings.history)
     attacked = {
         t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, roles, step)
     }
-    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *found.baseline], sizes, roles, step, names)}
+    raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *encounter.baseline], sizes, roles, step, names)}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal
     draw_encounter(
-        target, lanes=episode.lanes, ego=attacked[found.ego], adversary=attacked[p.bv], others=others,
-        raw_ego=raw.get(found.ego), raw_adversary=raw.get(p.bv), trigger_time=best.trigger_time, verdict=best.verdict,
+        target, lanes=episode.lanes, ego=attacked[encounter.ego], adversary=attacked[p.bv], others=others,
+        raw_ego=raw.get(encounter.ego), raw_adversary=raw.get(p.bv), trigger_time=best.trigger_time,
+        verdict=best.verdict,
         title=f"{episode.source.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
-        f"against {found.ego} ({episode.task.ego_driver})",
+        f"against {encounter.ego} ({episode.task.ego_driver})",
     )  # fmt: skip

@@ -56,15 +56,15 @@ class Judgement:
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
     """The folders of runs among and below the given ones, sorted. Raises UsageError: there are none."""
-    found: list[Path] = []
+    folders: list[Path] = []
     for folder in given:
         if not folder.is_dir():
             raise UsageError(f"{folder} is no folder: give the folder of a run, or a folder that holds runs.")
         inside = [folder] if (folder / OUTCOME).is_file() else sorted(p.parent for p in folder.rglob(OUTCOME))
         if not inside:
             raise UsageError(f"{folder} holds no run: there is no {OUTCOME} in it or below.")
-        found += inside
-    return found
+        folders += inside
+    return folders
 
 
 def is_version_2(folder: Path) -> bool:
@@ -94,8 +94,8 @@ def judge_files(folder: Path) -> Judgement:
         gate, case.ego, case.adversary, case.others, trigger_time=start, on_road=drivable, lane_half_width=lane_half,
         unattacked=next((t.between(start, np.inf) for t in run.raw if t.id == case.ego.id), None),
     )  # fmt: skip
-    now = {**before, **level_figures(verdict), "valid": verdict.valid, "strict": verdict.strict}
-    return Judgement(folder, ego, before, now, "files")
+    after = {**before, **level_figures(verdict), "valid": verdict.valid, "strict": verdict.strict}
+    return Judgement(folder, ego, before, after, "files")
 
 
 def _case(run: RunRead) -> tuple[Case | None, float]:
@@ -141,9 +141,9 @@ def _road(run: RunRead, case: Case, start: float) -> tuple[float, Any]:
 
 def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
     """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
-    found: dict[str, dict[str, int]] = {}
+    by_ego: dict[str, dict[str, int]] = {}
     for j in judgements:
-        row = found.setdefault(j.ego, dict.fromkeys(("runs", *COUNTED), 0))
+        row = by_ego.setdefault(j.ego, dict.fromkeys(("runs", *COUNTED), 0))
         row["runs"] += 1
         level = Level[str(j.now.get("level", "none")).upper()]
         for name in ("critical", "collision", "valid", "strict", "serious"):
@@ -152,7 +152,7 @@ def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
         row["strict before"] += j.before.get("strict") is True
         row["inconclusive"] += bool(j.now.get("inconclusive"))
         row["stationary"] += bool(j.now.get("ego_stationary"))
-    return found
+    return by_ego
 
 
 COUNTED = (

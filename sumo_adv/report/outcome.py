@@ -47,16 +47,16 @@ def outcome(
 
     ``further``: what the full verdict adds to the attempt that counts; ``realism``: the block of that name.
     """
-    best, settings, found = episode.best, episode.settings, episode.found
+    best, settings, encounter = episode.best, episode.settings, episode.found
     sentence = ENDING_SENTENCES[episode.ending]
     return {
         "schema": SCHEMA, "verdict_version": VERDICT_VERSION,
         "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
-        "ego": {"id": found.ego if found else episode_ego(episode), "controller": episode.task.ego_driver},
+        "ego": {"id": encounter.ego if encounter else episode_ego(episode), "controller": episode.task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
-        "encounter": None if found is None else _encounter(found),
+        "encounter": None if encounter is None else _encounter(encounter),
         "agents": _agents(episode),
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
@@ -72,13 +72,13 @@ def outcome(
     }  # fmt: skip
 
 
-def _encounter(found: FoundEncounter) -> dict[str, Any]:
+def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
     """When and where the attack could begin, and the vehicles that could attack."""
-    place = found.place
+    place = encounter.place
     return {
-        "time": number(found.time), "passed_over": list(found.passed_over),
-        "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
-        "driven_from": number(found.driven_from),
+        "time": number(encounter.time), "passed_over": list(encounter.passed_over),
+        "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
+        "driven_from": number(encounter.driven_from),
         "road": None if place is None or place.road is None else str(place.road),
         "ego_speed": None if place is None else number(place.speed),
         "limit": None if place is None else number(place.limit),
@@ -127,17 +127,17 @@ def _llm(episode: Episode) -> dict[str, Any]:
 
 def _bought(episode: Episode) -> list[dict[str, Any]]:
     """The result of each question to a model; of a planner's text, also the attempts with it and their best level."""
-    found = []
+    rows = []
     for each in [] if episode.agents is None else episode.agents.bought:
         own = [a for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]
         level = max((a.verdict.level for a in own), default=None)
-        found.append(
+        rows.append(
             {
                 "agent": each.agent, "what": each.what, "planner": each.planner, "attempts": len(own),
                 "level": None if level is None else str(level),
             }
         )  # fmt: skip
-    return found
+    return rows
 
 
 def episode_ego(episode: Episode) -> str | None:
@@ -227,11 +227,11 @@ def _predicted(made: Prediction | None) -> dict[str, Any]:
 def _successes(episode: Episode) -> list[dict[str, Any]]:
     """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
     done = episode.refinement
-    best, found = done.best, []
+    best, rows = done.best, []
     for k in done.successes:
         folder = None if k == best or done.chosen is not None else f"{ATTACKS}/{k + 1}"
-        found.append({"attempt": k, "kind": done.attempts[k].kind, "folder": folder})
-    return found
+        rows.append({"attempt": k, "kind": done.attempts[k].kind, "folder": folder})
+    return rows
 
 
 def _timing(episode: Episode) -> dict[str, float | None]:
@@ -249,7 +249,7 @@ def versions() -> dict[str, str]:
 def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
     task, best = episode.task, episode.best
-    asked = episode.agents if episode.agents is not None and episode.agents.models else None
+    model_agents = episode.agents if episode.agents is not None and episode.agents.models else None
     used = {p.planner.hash: p.planner for a in episode.refinement.attempts for p in a.proposal.members}
     spec = task.spec
     return {
@@ -264,8 +264,8 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "skips": episode.skips,
         "intents_allowed": list(episode.source.intents),
         "bank_hash": episode.bank_hash, "bandit": episode.bandit,
-        "model_answers": None if asked is None else MODEL_FILE,
-        "prompts": None if asked is None else asked.prompts.versions,
+        "model_answers": None if model_agents is None else MODEL_FILE,
+        "prompts": None if model_agents is None else model_agents.prompts.versions,
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
     }  # fmt: skip

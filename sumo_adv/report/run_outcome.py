@@ -123,8 +123,8 @@ class Outcome:
     @property
     def relation(self) -> str | None:
         """The adversary's relation to the ego at the encounter; None without an attempt."""
-        known = self.encounter is not None and self.adversary is not None
-        return self.encounter.relation(self.adversary) if known else None  # type: ignore[union-attr, arg-type]
+        attacked = self.encounter is not None and self.adversary is not None
+        return self.encounter.relation(self.adversary) if attacked else None  # type: ignore[union-attr, arg-type]
 
 
 def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
@@ -150,10 +150,10 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
 
 def verdict_of(written: Mapping[str, Any]) -> Verdict:
     """The verdict that ``outcome`` of the file holds."""
-    known = {f.name for f in fields(Verdict)} & written.keys()
-    values = {name: written[name] for name in known}
-    values |= {name: _time(written[name]) for name in NEVER if name in known}
-    values |= {name: tuple(written[name] or ()) for name in LISTS if name in known}
+    names = {f.name for f in fields(Verdict)} & written.keys()
+    values = {name: written[name] for name in names}
+    values |= {name: _time(written[name]) for name in NEVER if name in names}
+    values |= {name: tuple(written[name] or ()) for name in LISTS if name in names}
     values |= {"level": level_of(written.get("level")), "max_drac": written.get("max_drac") or 0.0}
     if written.get("references") is not None:
         alarms = written.get("alarms") or {}

@@ -90,8 +90,8 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
         return []
     measures = series(ego, others)
     values = np.stack([np.minimum(measures[n], BOUNDS.get(n, np.inf)) for n in SERIES], axis=-1)
-    wanted = np.where([[t.id == adversary] for t in others], np.inf, NEAR)
-    there = np.isfinite(measures["centre_distance"]) & (measures["centre_distance"] <= wanted)
+    radius = np.where([[t.id == adversary] for t in others], np.inf, NEAR)
+    there = np.isfinite(measures["centre_distance"]) & (measures["centre_distance"] <= radius)
     times, names = measures["time"].tolist(), [quoted(t.id) for t in others]
     rows = []
     for step, vehicle in np.argwhere(there.T).tolist():

@@ -65,27 +65,27 @@ class Judged:
 
 def judge_best(episode: Episode) -> Judged | None:
     """The full verdict, markings, realism and time series of the attempt that counts; None without an attempt."""
-    best, found, prefix = episode.best, episode.found, episode.prefix
-    if best is None or found is None or prefix is None:
+    best, encounter, prefix = episode.best, episode.found, episode.prefix
+    if best is None or encounter is None or prefix is None:
         return None
     result = episode.refinement.results[episode.refinement.best or 0]
-    tracks = _tracks(episode, best, found, prefix, result)
+    tracks = _tracks(episode, best, encounter, prefix, result)
     played = episode.task.playback
     logged = episode.settings.limits.limits() if played is not None and played.follows_log else None
     bv = best.proposal.bv
-    case = make_case(tracks, found.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
+    case = make_case(tracks, encounter.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
     if case is None:
         return Judged(None, (), {}, ())
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
-    full = _full(episode, case, found, result)
+    full = _full(episode, case, encounter, result)
     full = replace(full, verdict=_leveled(full.verdict, best.verdict))
     contact = full.verdict.contact_time
     end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
     moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
     strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
     return Judged(
-        full, markings_crossed(moved, strips, found.drivable), _realism(episode, moved, found, prefix), rows
+        full, markings_crossed(moved, strips, encounter.drivable), _realism(episode, moved, encounter, prefix), rows
     )  # fmt: skip
 
 
@@ -95,21 +95,21 @@ def _leveled(gates: Verdict, engine: Verdict) -> Verdict:
 
 
 def _tracks(
-    episode: Episode, best: Attempt, found: FoundEncounter, prefix: Prefix, result: AttemptResult
+    episode: Episode, best: Attempt, encounter: FoundEncounter, prefix: Prefix, result: AttemptResult
 ) -> list[Track]:
     """The recording that the engine judged: from a little before the attempt's start on."""
     settings = episode.settings
-    first = first_judged(found, settings, len(prefix.snapshots), result.start)
+    first = first_judged(encounter, settings, len(prefix.snapshots), result.start)
     snapshots = [*prefix.snapshots, *result.snapshots][first:]
-    roles = episode.task.roles(found.ego, *best.proposal.bvs)
+    roles = episode.task.roles(encounter.ego, *best.proposal.bvs)
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
-def _full(episode: Episode, case: Case, found: FoundEncounter, result: AttemptResult) -> FullVerdict:
+def _full(episode: Episode, case: Case, encounter: FoundEncounter, result: AttemptResult) -> FullVerdict:
     return full_judge(
         case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
-        limits=episode.settings.limits.of(case.adversary), on_road=found.drivable,
-        lane_half_width=found.first.road.lane_width / 2, supports=case.supports,
+        limits=episode.settings.limits.of(case.adversary), on_road=encounter.drivable,
+        lane_half_width=encounter.first.road.lane_width / 2, supports=case.supports,
     )  # fmt: skip
 
 
@@ -165,19 +165,19 @@ def _rss(opinion: SecondOpinion | None) -> dict[str, Any] | None:
 # -- realism --------------------------------------------------------------------------------------------------------
 
 
-def _realism(episode: Episode, moved: Track, found: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
+def _realism(episode: Episode, moved: Track, encounter: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
     """The adversary's motion up to the contact against the unattacked run's traffic in the same window."""
     step = episode.settings.step_length
-    start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (found.time, found.time)
-    sizes = {**prefix.sizes, **found.sizes}
-    raw = tracks_of([*prefix.snapshots[-2:], *found.baseline], sizes, episode.task.roles(found.ego), step)
+    start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (encounter.time, encounter.time)
+    sizes = {**prefix.sizes, **encounter.sizes}
+    raw = tracks_of([*prefix.snapshots[-2:], *encounter.baseline], sizes, episode.task.roles(encounter.ego), step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
     played = episode.task.playback
     who = "as recorded" if played is not None and played.follows_log else "driven by SUMO"
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
     return {
-        **{k: _rounded(v) for k, v in realism_figures(moved, traffic, found.drivable).items()},
+        **{k: _rounded(v) for k, v in realism_figures(moved, traffic, encounter.drivable).items()},
         "steps": len(moved.time),
         "reference": {
             "what": f"background vehicles of the unattacked run, {who}, in the same window",
@@ -196,15 +196,15 @@ def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) 
 
     None where there is too little to say it: fewer than 10 steps of the adversary, or 100 of traffic.
     """
-    found: dict[str, Any] = dict.fromkeys([*(f"{n}_{d}" for n in PAPER_BINS for d in DISTANCES), *SHARES])
-    found["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
+    block: dict[str, Any] = dict.fromkeys([*(f"{n}_{d}" for n in PAPER_BINS for d in DISTANCES), *SHARES])
+    block["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
     if len(moved.time) < LEAST_OWN:
-        return found
+        return block
     if sum(len(t.time) for t in traffic) < LEAST_REFERENCE:
-        return found | own_figures([moved], on_road=drivable)
-    found |= realism([moved], traffic, on_road=drivable)
-    found["wosac_js"] |= _wosac(moved, traffic, drivable)
-    return found
+        return block | own_figures([moved], on_road=drivable)
+    block |= realism([moved], traffic, on_road=drivable)
+    block["wosac_js"] |= _wosac(moved, traffic, drivable)
+    return block
 
 
 def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, float]:
@@ -213,8 +213,8 @@ def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[s
     on_map = [t for t in traffic if bool(np.asarray(drivable(t.x, t.y)).all())][:MOST_MAPPED]
     reference: dict[str, list[Floats]] = {}
     for track in traffic:
-        known = distance if any(track is t for t in on_map) else None
-        for name, values in wosac_features(track, road_distance=known).items():
+        road_distance = distance if any(track is t for t in on_map) else None
+        for name, values in wosac_features(track, road_distance=road_distance).items():
             reference.setdefault(name, []).append(values)
     pooled = {name: np.concatenate(values) for name, values in reference.items()}
     every = distances(wosac_features(moved, road_distance=distance), pooled, WOSAC_BINS)
@@ -234,21 +234,21 @@ def edge_distance(drivable: Drivable) -> Callable[[Floats, Floats], Floats]:
 def _signed_distance(drivable: Drivable, tree: Any, x: Floats, y: Floats) -> Floats:
     from shapely import points
 
-    where, away = tree.query_nearest(points(np.ravel(x), np.ravel(y)), return_distance=True, all_matches=False)
+    nearest, away = tree.query_nearest(points(np.ravel(x), np.ravel(y)), return_distance=True, all_matches=False)
     distance = np.empty(np.size(x))
-    distance[where[0]] = away
+    distance[nearest[0]] = away
     return np.where(drivable(x, y), 1.0, -1.0) * distance.reshape(np.shape(x))
 
 
 def demand_sigmas(files: Sequence[Path]) -> list[float]:
     """The sigmas of the vehicle types that demand files declare, sorted; SUMO's 0.5 where none is declared or said."""
-    found: set[float] = set()
+    sigmas: set[float] = set()
     for file in files:
         data = file.read_bytes()
         for kind in TYPE.findall(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data):
-            said = SIGMA.search(kind)
+            match = SIGMA.search(kind)
             try:
-                found.add(float(said.group(1)) if said else DEFAULT_SIGMA)
+                sigmas.add(float(match.group(1)) if match else DEFAULT_SIGMA)
             except ValueError:
-                found.add(DEFAULT_SIGMA)
-    return sorted(found) or [DEFAULT_SIGMA]
+                sigmas.add(DEFAULT_SIGMA)
+    return sorted(sigmas) or [DEFAULT_SIGMA]

@@ -67,9 +67,9 @@ def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Float
     """One scene for ``together``; future: the vehicles' next ``FUTURE`` positions in the world, nan = not there,
     ``(n, FUTURE, 2)``; ``followed``: see ``Scenes``."""
     n = len(future)
-    known = np.asarray(np.isfinite(future).all(axis=2))
+    known_steps = np.asarray(np.isfinite(future).all(axis=2))
     whole, there = np.zeros((AGENTS, FUTURE, 2), np.float32), np.zeros((AGENTS, FUTURE), bool)
-    whole[:n], there[:n] = np.where(known[..., None], to_local(future, agents), 0.0), known
+    whole[:n], there[:n] = np.where(known_steps[..., None], to_local(future, agents), 0.0), known_steps
     ways = None
     if followed is not None:
         ways = np.full((AGENTS, WAYS, FUTURE, 2), np.nan, np.float32)
@@ -79,50 +79,55 @@ def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Float
 
 def together(scenes: Sequence[Scene]) -> Scenes:
     """Scenes of ``scene_of`` as one value."""
-    parts, future, known, followed = zip(*scenes, strict=True)
+    parts, future, known_steps, followed = zip(*scenes, strict=True)
     inputs = Features(*(np.stack(column) for column in zip(*parts, strict=True)))
-    return Scenes(inputs, np.stack(future), np.stack(known), None if followed[0] is None else np.stack(followed))
+    return Scenes(inputs, np.stack(future), np.stack(known_steps), None if followed[0] is None else np.stack(followed))
 
 
 def scenes_of(run: Recorded, rng: np.random.Generator, *, held_out: bool) -> Scenes | None:
     """The scenes of a run: ``FOCUSES`` every ``EVERY`` steps, each around a vehicle that is drawn; None if there are
     none."""
     road = read_network(run.network)
-    segments, found = segments_of(road), []
+    segments, scenes = segments_of(road), []
     for k in range(0, len(run.steps) - FUTURE, EVERY):
-        now, before = run.steps[k], run.steps[max(k - HISTORY + 1, 0)]
-        names = [name for name in now if name in before] if k >= HISTORY - 1 else []
+        current, before = run.steps[k], run.steps[max(k - HISTORY + 1, 0)]
+        names = [name for name in current if name in before] if k >= HISTORY - 1 else []
         for focus in (names[i] for i in rng.permutation(len(names))[:FOCUSES]):
-            if now[focus][3] < STANDS and rng.random() > KEPT:
+            if current[focus][3] < STANDS and rng.random() > KEPT:
                 continue
-            chosen = _around(focus, names, now)
-            told = [name == focus or rng.random() > UNKNOWN for name in chosen]
-            agents, future = _agents(run, k, chosen, told)
-            ways = np.stack([follow(road, agents, i, now[n][4]) for i, n in enumerate(chosen)]) if held_out else None
-            found.append(scene_of(agents, future, segments, ways))
-    return together(found) if found else None
+            chosen = _around(focus, names, current)
+            lights_known = [name == focus or rng.random() > UNKNOWN for name in chosen]
+            agents, future = _agents(run, k, chosen, lights_known)
+            ways = (
+                np.stack([follow(road, agents, i, current[n][4]) for i, n in enumerate(chosen)]) if held_out else None
+            )
+            scenes.append(scene_of(agents, future, segments, ways))
+    return together(scenes) if scenes else None
 
 
-def _around(focus: str, names: Sequence[str], now: Any) -> list[str]:
-    x, y = now[focus][:2]
-    far = {name: float(np.hypot(now[name][0] - x, now[name][1] - y)) for name in names}
+def _around(focus: str, names: Sequence[str], current: Any) -> list[str]:
+    x, y = current[focus][:2]
+    far = {name: float(np.hypot(current[name][0] - x, current[name][1] - y)) for name in names}
     near = sorted((name for name in names if far[name] < NEAR_FOCUS), key=lambda name: (far[name], name))
     return near[:AGENTS]
 
 
-def _agents(run: Recorded, k: int, names: Sequence[str], told: Sequence[bool]) -> tuple[Agents, Floats]:
-    """The vehicles at step ``k`` and where they are afterwards, in the world; ``told``: whether their lights are."""
+def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[bool]) -> tuple[Agents, Floats]:
+    """The vehicles at step ``k`` and where they are afterwards, in the world.
+
+    lights_known: for each vehicle, whether its traffic light is known.
+    """
     place = np.full((len(names), HISTORY + FUTURE, 2), np.nan)
     for j, states in enumerate(run.steps[k - HISTORY + 1 : k + FUTURE + 1]):
         for i, name in enumerate(names):
             if name in states:
                 place[i, j] = pose_of(states[name], run.sizes[name][0])[:2]
-    now = [run.steps[k][name] for name in names]
-    heading = [pose_of(state, 0.0)[2] for state in now]
+    current = [run.steps[k][name] for name in names]
+    heading = [pose_of(state, 0.0)[2] for state in current]
+    lights = [run.lights[k][n] if is_known else None for n, is_known in zip(names, lights_known, strict=True)]
     agents = Agents(
-        place[:, :HISTORY], np.array(heading), np.array([state[3] for state in now]),
-        np.array([run.sizes[name] for name in names]),
-        np.array([light_of(run.lights[k][n] if known else None) for n, known in zip(names, told, strict=True)]),
+        place[:, :HISTORY], np.array(heading), np.array([state[3] for state in current]),
+        np.array([run.sizes[name] for name in names]), np.array([light_of(light) for light in lights]),
     )  # fmt: skip
     return agents, place[:, HISTORY:]
 
@@ -130,12 +135,12 @@ def _agents(run: Recorded, k: int, names: Sequence[str], told: Sequence[bool]) -
 def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     """Lane following: vehicle ``i`` keeps its speed and its offset on every way on from its ``lane``, in its own frame,
     ``(WAYS, FUTURE, 2)``; straight on where it is on no lane. The straightest way is the first."""
-    found = np.full((WAYS, FUTURE, 2), np.nan)
+    ways = np.full((WAYS, FUTURE, 2), np.nan)
     speed = float(agents.speed[i])
     ahead = np.asarray(speed * STEP * np.arange(1, FUTURE + 1), float)
-    found[0] = np.column_stack([ahead, 0.0 * ahead])
+    ways[0] = np.column_stack([ahead, 0.0 * ahead])
     if lane not in road.lanes:
-        return found
+        return ways
     x, y = agents.past[i, -1]
     shape = road.lanes[lane].shape
     station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(shape, axis=0).T))])
@@ -146,8 +151,8 @@ def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     for way, path in enumerate(w.path for w in road.ways(lane, max(at - 2 * PATH_STEP, 0.0), float(ahead[-1]) + 30.0)):
         s, d = path.project(float(x), float(y))
         px, py, _ = path.at(s + ahead, d)
-        found[way] = to_local(np.column_stack([px, py])[None], me)[0]
-    return found
+        ways[way] = to_local(np.column_stack([px, py])[None], me)[0]
+    return ways
 
 
 def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], None], seconds: float = SECONDS) -> int:
@@ -160,8 +165,8 @@ def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], N
         SimulationError: SUMO fails.
     """
     begin(folder, f"sumo, seed {seed}, {seconds:g} s a run")
-    wanted = [(TRAIN, k) for k in range(runs)] + [(HELD_OUT, k) for k in range(-(-runs // HELD_OUT_SHARE))]
-    for done, (kind, number) in enumerate(wanted, 1):
+    files = [(TRAIN, k) for k in range(runs)] + [(HELD_OUT, k) for k in range(-(-runs // HELD_OUT_SHARE))]
+    for done, (kind, number) in enumerate(files, 1):
         target = folder / f"{kind}-{number:04d}.npz"
         held_out = kind == HELD_OUT
         if not target.exists():
@@ -170,8 +175,8 @@ def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], N
                 scenes = scenes_of(run, np.random.default_rng([seed, held_out, number]), held_out=held_out)
             if scenes is not None:
                 save(scenes, target)
-        progress(done, len(wanted))
-    return len(wanted)
+        progress(done, len(files))
+    return len(files)
 
 
 def begin(folder: Path, what: str) -> None:

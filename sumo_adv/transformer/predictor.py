@@ -61,12 +61,12 @@ def write_weights(parameters: Mapping[str, Any], target: Path) -> None:
 
 def read_weights(file: Path) -> dict[str, NDArray[np.float32]]:
     """Weights of this network. Raises UsageError."""
-    wanted = {name: values.shape for name, values in make_parameters(0).items()}
+    shapes = {name: values.shape for name, values in make_parameters(0).items()}
     try:
         with np.load(file, allow_pickle=False) as arrays:
-            found = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+            weights = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
     except (OSError, ValueError) as error:
         raise UsageError(f"{file} cannot be read as weights ({error}); give the weights.npz of a training.") from error
-    if {name: values.shape for name, values in found.items()} != wanted:
+    if {name: values.shape for name, values in weights.items()} != shapes:
         raise UsageError(f"{file} holds no weights of this network; train them with sumo-adv transformer train.")
-    return found
+    return weights

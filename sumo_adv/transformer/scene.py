@@ -158,16 +158,17 @@ def features(agents: Agents, segments: Segments) -> Features:
     far = np.hypot(*np.moveaxis(apart, 2, 0)) + np.where(np.eye(n, dtype=bool), np.inf, 0.0)
     chosen = np.argsort(far, axis=1, kind="stable")[:, : min(NEAR, n - 1)]
     steps = _displacements(agents.past)  # (n, TOKENS, 2, 2) in the world
-    known = np.asarray(np.isfinite(steps).all(axis=(2, 3)))
-    own = np.where(known[..., None], (steps @ turn[:, None]).reshape(n, TOKENS, 4), 0.0)
-    near, near_there = _neighbours(agents, turn, chosen, steps, known)
+    known_steps = np.asarray(np.isfinite(steps).all(axis=(2, 3)))
+    own = np.where(known_steps[..., None], (steps @ turn[:, None]).reshape(n, TOKENS, 4), 0.0)
+    near, near_there = _neighbours(agents, turn, chosen, steps, known_steps)
     lanes, lanes_there = _lanes(agents, turn, segments)
     between = agents.heading[None, :] - agents.heading[:, None]
     pairs = np.concatenate([apart / (2 * METRES), np.cos(between)[..., None], np.sin(between)[..., None]], axis=2)
     size = agents.size / (LENGTH, WIDTH)
     state = np.concatenate([agents.speed[:, None] / SPEED, size, agents.light], axis=1)
     return Features(
-        _filled(np.concatenate([own, known[..., None]], axis=2), (AGENTS, TOKENS, 5)), _filled(state, (AGENTS, 8)),
+        _filled(np.concatenate([own, known_steps[..., None]], axis=2), (AGENTS, TOKENS, 5)),
+        _filled(state, (AGENTS, 8)),
         _filled(near, (AGENTS, TOKENS, NEAR, 8)), _filled(near_there, (AGENTS, TOKENS, NEAR)),
         _filled(lanes, (AGENTS, LANES, 10)), _filled(lanes_there, (AGENTS, LANES)),
         _filled(pairs, (AGENTS, AGENTS, 4)), _filled(np.ones(n), (AGENTS,)),
@@ -196,7 +197,7 @@ def _displacements(past: Floats) -> Floats:
     return np.diff(past, axis=1).reshape(len(past), TOKENS, 2, 2)
 
 
-def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known: Bools) -> tuple[Floats, Floats]:
+def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known_steps: Bools) -> tuple[Floats, Floats]:
     """``Features.near`` and ``near_there`` of the neighbours ``chosen`` ``(n, k)``.
 
     Positions are those at the end of each token.
@@ -205,7 +206,7 @@ def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known
     position = (at[chosen] - at[:, None]) @ turn[:, None]  # (n, k, TOKENS, 2)
     moved = (steps[chosen] @ turn[:, None, None]).reshape(*chosen.shape, TOKENS, 4)
     size = np.broadcast_to((agents.size / (LENGTH, WIDTH))[chosen][:, :, None], (*chosen.shape, TOKENS, 2))
-    there = known[chosen] & known[:, None]
+    there = known_steps[chosen] & known_steps[:, None]
     columns = np.where(there[..., None], np.concatenate([position / METRES, moved, size], axis=3), 0.0)
     return np.swapaxes(columns, 1, 2), np.swapaxes(there, 1, 2).astype(float)
 
@@ -219,11 +220,11 @@ def _lanes(agents: Agents, turn: Floats, segments: Segments) -> tuple[Floats, Fl
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-6)
     stretch = 1.0 + agents.speed[:, None] / AHEAD_SPEED
     far = np.hypot(np.where(x > 0.0, x / stretch, -BEHIND * x), y) + TURNED * (1.0 - along[..., 0] / length)
-    which = np.argsort(far, axis=1, kind="stable")[:, :LANES]
+    nearest = np.argsort(far, axis=1, kind="stable")[:, :LANES]
     rows = np.arange(len(here))[:, None]
-    says = np.broadcast_to(segments.about, (len(here), *segments.about.shape))[rows, which]
-    there = np.hypot(x, y)[rows, which] < OUT_OF_SIGHT
-    columns = np.concatenate([start[rows, which] / METRES, along[rows, which] / METRES, says], axis=2)
+    says = np.broadcast_to(segments.about, (len(here), *segments.about.shape))[rows, nearest]
+    there = np.hypot(x, y)[rows, nearest] < OUT_OF_SIGHT
+    columns = np.concatenate([start[rows, nearest] / METRES, along[rows, nearest] / METRES, says], axis=2)
     return np.where(there[..., None], columns, 0.0), there.astype(float)
 
 

@@ -57,8 +57,8 @@ def record(number: int, seed: int, folder: Path, *, held_out: bool, seconds: flo
         SimulationError: SUMO or netgenerate fails.
     """
     draw = Random(f"{seed}/{held_out}/{number}")
-    network, found = _network(number, draw, folder, held_out=held_out)
-    routes = _demand(found, folder / "traffic.rou.xml", draw, seconds)
+    network, journeys = _network(number, draw, folder, held_out=held_out)
+    routes = _demand(journeys, folder / "traffic.rou.xml", draw, seconds)
     simulation = Simulation(SimulationSpec(network, (routes,), (), 0.0, draw.randrange(10**6)))
     steps: list[Mapping[str, RawState]] = []
     lights: dict[int, dict[str, Sequence[Signal]]] = {}
@@ -112,13 +112,13 @@ def _generated(draw: Random, target: Path) -> Path:
     return target
 
 
-def _demand(found: list[Journey], target: Path, draw: Random, seconds: float) -> Path:
+def _demand(journeys: list[Journey], target: Path, draw: Random, seconds: float) -> Path:
     """Vehicles of ``DRIVERS`` kinds on the routes."""
-    density = min(default_density(found) * draw.uniform(*CROWD), MOST_DEPARTURES)
+    density = min(default_density(journeys) * draw.uniform(*CROWD), MOST_DEPARTURES)
     lines = ["<routes>\n", *(_driver(k, draw) for k in range(DRIVERS))]
     depart, number = 0.0, 0
     while depart < seconds:
-        journey = draw.choices(found, weights=[j.lanes for j in found])[0]
+        journey = draw.choices(journeys, weights=[j.lanes for j in journeys])[0]
         lane = draw.choice(("best", "best", "random", "free"))
         lines.append(
             f'<vehicle id="v{number}" type="driver{draw.randrange(DRIVERS)}" depart="{depart:.2f}" departLane="{lane}" '
@@ -142,5 +142,5 @@ def _driver(number: int, draw: Random) -> str:
     }  # fmt: skip
     if model == "Krauss":
         values["sigma"] = draw.uniform(0.0, 0.7)
-    said = " ".join(f'{k}="{v:.3f}"' if isinstance(v, float) else f'{k}="{v}"' for k, v in values.items())
-    return f"<vType {said}/>\n"
+    attributes = " ".join(f'{k}="{v:.3f}"' if isinstance(v, float) else f'{k}="{v}"' for k, v in values.items())
+    return f"<vType {attributes}/>\n"

@@ -66,20 +66,20 @@ def train(
         updates, state = optimiser.update(slope, state, parameters)
         return optax.apply_updates(parameters, updates), state, value
 
-    what = f"seed {seed}, {epochs} epochs, {end} steps, {len(scenes)} scenes, {digest(scenes)}"
+    recipe = f"seed {seed}, {epochs} epochs, {end} steps, {len(scenes)} scenes, {digest(scenes)}"
     stored = folder / "state.npz"
     parameters: Any = make_parameters(seed)
     state = optimiser.init(parameters)
     step = 0
     if stored.exists():
-        step, parameters, state = _restore(stored, what, parameters, state, jax)
+        step, parameters, state = _restore(stored, recipe, parameters, state, jax)
     lately: list[float] = []
     for batch in _batches(scenes, seed, step, end):
         parameters, state, value = advance(parameters, state, *batch)
         lately.append(float(value))
         step += 1
         if step % keep_every == 0 or step == end:
-            _keep(stored, what, step, parameters, jax.tree_util.tree_leaves(state))
+            _keep(stored, recipe, step, parameters, jax.tree_util.tree_leaves(state))
             write_weights(parameters, folder / "weights.npz")
             progress(step, end, sum(lately) / len(lately))
             lately.clear()
@@ -89,18 +89,18 @@ def train(
 def loss(parameters: Any, f: Features, future: Any, known: Any, xp: Any = np) -> Any:
     """The mean loss over the vehicles with a known future, of many scenes; arrays as in ``Scenes``."""
     modes = forward(parameters, f, xp)
-    known = known.astype(future.dtype)
-    count = known.sum(axis=-1)
+    counted = known.astype(future.dtype)
+    count = counted.sum(axis=-1)
     moves = (abs(future).max(axis=(-2, -1)) > MOVES) * (1.0 - STANDING) + STANDING
     weight = f.there * (count > 0) * moves
     apart = modes.place - future[..., None, :, :]
     far = xp.sqrt((apart * apart).sum(axis=-1) + 1e-6)
-    mean = (far * known[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]  # (..., AGENTS, MODES)
+    mean = (far * counted[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]  # (..., AGENTS, MODES)
     best = (mean.argmin(axis=-1)[..., None] == xp.arange(mean.shape[-1])).astype(future.dtype)
     unlikely = (xp.log(2.0 * modes.scale) + abs(apart) / modes.scale).sum(axis=-1)
-    unlikely = (unlikely * known[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]
-    wanted = _softmax(-_constant(mean, xp), xp)
-    entropy = -(wanted * xp.log(_softmax(modes.logit, xp) + 1e-9)).sum(axis=-1)
+    unlikely = (unlikely * counted[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]
+    target = _softmax(-_constant(mean, xp), xp)
+    entropy = -(target * xp.log(_softmax(modes.logit, xp) + 1e-9)).sum(axis=-1)
     return (((unlikely * best).sum(axis=-1) + entropy) * weight).sum() / xp.maximum(weight.sum(), 1.0)
 
 
@@ -120,10 +120,10 @@ def _softmax(x: Any, xp: Any) -> Any:
 
 def digest(scenes: Scenes) -> str:
     """SHA-256 over what is learnt from, in short."""
-    found = hashlib.sha256()
+    checksum = hashlib.sha256()
     for values in (*scenes.features, scenes.future, scenes.known):
-        found.update(np.ascontiguousarray(values).tobytes())
-    return found.hexdigest()[:16]
+        checksum.update(np.ascontiguousarray(values).tobytes())
+    return checksum.hexdigest()[:16]
 
 
 def _batches(scenes: Scenes, seed: int, first: int, end: int) -> Iterator[tuple[Features, Any, Any]]:
@@ -134,31 +134,31 @@ def _batches(scenes: Scenes, seed: int, first: int, end: int) -> Iterator[tuple[
         if step // a_epoch != epoch:
             epoch = step // a_epoch
             order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
-        which = np.sort(order[step % a_epoch * BATCH :][:BATCH])
-        inputs = Features(*(np.asarray(values[which], np.float32) for values in scenes.features))
-        yield inputs, np.asarray(scenes.future[which], np.float32), scenes.known[which]
+        rows = np.sort(order[step % a_epoch * BATCH :][:BATCH])
+        inputs = Features(*(np.asarray(values[rows], np.float32) for values in scenes.features))
+        yield inputs, np.asarray(scenes.future[rows], np.float32), scenes.known[rows]
 
 
-def _keep(stored: Path, what: str, step: int, parameters: Any, moments: Any) -> None:
+def _keep(stored: Path, recipe: str, step: int, parameters: Any, moments: Any) -> None:
     arrays: dict[str, Any] = {PARAMETER + name: np.asarray(values) for name, values in parameters.items()}
     arrays |= {f"{MOMENT}{k:04d}": np.asarray(values) for k, values in enumerate(moments)}
-    arrays |= {"what": np.array(what), "step": np.array(step)}
+    arrays |= {"what": np.array(recipe), "step": np.array(step)}
     write_whole(stored, lambda part: np.savez(part, **arrays))
 
 
-def _restore(stored: Path, what: str, parameters: Any, state: Any, jax: Any) -> tuple[int, Any, Any]:
+def _restore(stored: Path, recipe: str, parameters: Any, state: Any, jax: Any) -> tuple[int, Any, Any]:
     try:
         with np.load(stored, allow_pickle=False) as arrays:
-            found = dict(arrays)
-        before = str(found["what"])
+            entries = dict(arrays)
+        before = str(entries["what"])
     except (OSError, ValueError, KeyError) as error:
         raise UsageError(f"{stored} cannot be read ({error}); delete it to train from the beginning.") from error
-    if before != what:
-        raise UsageError(f"{stored} is of another training ({before}, not {what}); give another --out.")
-    moments = [found[name] for name in sorted(found) if name.startswith(MOMENT)]
+    if before != recipe:
+        raise UsageError(f"{stored} is of another training ({before}, not {recipe}); give another --out.")
+    moments = [entries[name] for name in sorted(entries) if name.startswith(MOMENT)]
     structure = jax.tree_util.tree_structure(state)
-    restored = {name: found[PARAMETER + name] for name in parameters}
-    return int(found["step"]), restored, jax.tree_util.tree_unflatten(structure, moments)
+    restored = {name: entries[PARAMETER + name] for name in parameters}
+    return int(entries["step"]), restored, jax.tree_util.tree_unflatten(structure, moments)
 
 
 def _libraries() -> tuple[Any, Any]:

@@ -25,8 +25,8 @@ def check_bounds(record: Record, where: str) -> None:
     lines += [area.points[:, :2] for area in record.areas]
     lines += [sign.position[None, :2] for sign in record.stop_signs]
     states = [np.stack([t.x[t.valid], t.y[t.valid]], axis=1) for t in record.tracks]
-    for what, places in (("map point", lines), ("position of an object", states)):
-        _check_places(np.concatenate([np.empty((0, 2)), *places]), what, where)
+    for kind, places in (("map point", lines), ("position of an object", states)):
+        _check_places(np.concatenate([np.empty((0, 2)), *places]), kind, where)
     _check_places(np.concatenate([np.empty((0, 2)), *lines, *states]), "position of an object", where)
     road = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
     if road > MOST_ROAD:
@@ -35,12 +35,12 @@ def check_bounds(record: Record, where: str) -> None:
         )
 
 
-def _check_places(places: Floats, what: str, where: str) -> None:
+def _check_places(places: Floats, kind: str, where: str) -> None:
     if not len(places):
         return
     far = float(np.abs(places).max())
     if far > FARTHEST:
-        raise UsageError(f"{where} has a {what} {far:.3g} m from the origin: that is no place on a map in metres.")
+        raise UsageError(f"{where} has a {kind} {far:.3g} m from the origin: that is no place on a map in metres.")
     extent = float(np.ptp(places, axis=0).max())
     if extent > MOST_EXTENT:
-        raise UsageError(f"{where} has a {what} {extent / 1000:.4g} km from another place, which no record spans.")
+        raise UsageError(f"{where} has a {kind} {extent / 1000:.4g} km from another place, which no record spans.")

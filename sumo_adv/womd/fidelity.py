@@ -106,13 +106,13 @@ def _deviations(
 def _own(sample: tuple[Floats, Floats, Floats], pieces: Sequence[Piece], net: SumoNet) -> Floats:
     """Distance of one lane's samples to the SUMO lanes of its pieces."""
     at, xy, _ = sample
-    found = np.full(len(at), FAR)
+    distance = np.full(len(at), FAR)
     for piece in pieces:
         over = np.flatnonzero((at >= piece.start - ENDS) & (at <= piece.end + ENDS))
         if len(over) and piece.sumo_lane in net.lanes:
             lane = Segments({0: net.lanes[piece.sumo_lane].shape})
-            found[over] = np.minimum(found[over], lane.near(xy[over], NEAR).least(len(over), FAR))
-    return found
+            distance[over] = np.minimum(distance[over], lane.near(xy[over], NEAR).least(len(over), FAR))
+    return distance
 
 
 def _percentiles(deviations: Deviations) -> dict[str, float]:
@@ -165,10 +165,10 @@ def wanted_connections(record: Record) -> list[tuple[int, int]]:
 
 def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, Any]:
     """How many of the record's connections can be driven in SUMO, from a lane's last piece to the next one's first."""
-    wanted = wanted_connections(record)
-    lost = [(a, b) for a, b in wanted if not _joined(net, pieces.get(a, ()), pieces.get(b, ()))]
-    kept = len(wanted) - len(lost)
-    return {"wanted": len(wanted), "kept": kept, "share": kept / len(wanted) if wanted else 1.0, "lost": lost}
+    connections = wanted_connections(record)
+    lost = [(a, b) for a, b in connections if not _joined(net, pieces.get(a, ()), pieces.get(b, ()))]
+    total, kept = len(connections), len(connections) - len(lost)
+    return {"wanted": total, "kept": kept, "share": kept / total if total else 1.0, "lost": lost}
 
 
 def _joined(net: SumoNet, before: Sequence[Piece], after: Sequence[Piece]) -> bool:
@@ -182,24 +182,24 @@ def _joined(net: SumoNet, before: Sequence[Piece], after: Sequence[Piece]) -> bo
 
 def _onward(net: SumoNet, lane: str) -> set[str]:
     """The lanes after ``lane``, and those after them where they are shorter than ``MAX_GAP`` m."""
-    found: set[str] = set()
+    reached: set[str] = set()
     queue = list(net.following.get(lane, ()))
     while queue:
         here = queue.pop()
-        if here not in found:
-            found.add(here)
+        if here not in reached:
+            reached.add(here)
             queue += net.following.get(here, ()) if here in net.lanes and net.lanes[here].length < MAX_GAP else ()
-    return found
+    return reached
 
 
 def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, int]:
     """Signal lanes of the record, those ever seen in a known state, and those that a SUMO signal rules."""
     lanes = {s.lane for step in record.signals for s in step}
-    known = {s.lane for step in record.signals for s in step if s.state}
+    seen = {s.lane for step in record.signals for s in step if s.state}
     ruled = {x for link in net.links if link.signal for x in (link.start, link.via, link.end)}
     ruled |= {o for lane in list(ruled) if lane.startswith(":") for o in net.following.get(lane, ()) if o[0] == ":"}
     mapped = {i for i in lanes if any(p.sumo_lane in ruled for p in pieces.get(i, ()))}
-    return {"lanes": len(lanes), "known": len(known), "mapped": len(mapped)}
+    return {"lanes": len(lanes), "known": len(seen), "mapped": len(mapped)}
 
 
 def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
@@ -216,11 +216,11 @@ def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
 
 
 def _within(segments: Segments, half: Floats, xy: Floats) -> Bools:
-    found = np.zeros(len(xy), bool)
+    inside = np.zeros(len(xy), bool)
     if len(half):
         hits = segments.near(xy, float(half.max()))
-        found[hits.point[hits.distance <= half[hits.line]]] = True
-    return found
+        inside[hits.point[hits.distance <= half[hits.line]]] = True
+    return inside
 
 
 def _moving(record: Record) -> Floats:

@@ -77,11 +77,11 @@ def record_graph(record: Record) -> LaneGraph:
 
 
 def _neighbours(lane: LaneFeature, at: Mapping[int, Floats]) -> tuple[tuple[int, float], ...]:
-    found = []
+    neighbours = []
     for n in (*lane.left, *lane.right):
         if n.lane in at and 0 <= n.own_start < len(at[lane.id]) and 0 <= n.other_start < len(at[n.lane]):
-            found.append((n.lane, float(at[n.lane][n.other_start] - at[lane.id][n.own_start])))
-    return tuple(found)
+            neighbours.append((n.lane, float(at[n.lane][n.other_start] - at[lane.id][n.own_start])))
+    return tuple(neighbours)
 
 
 def net_graph(net: SumoNet) -> LaneGraph:
@@ -101,8 +101,8 @@ def net_graph(net: SumoNet) -> LaneGraph:
             to_edge.setdefault(net.lanes[link.end].edge, []).append(chain[-1])
     for groups, at_end in ((from_edge, False), (to_edge, True)):
         for group in groups.values():
-            for one, other in permutations(group, 2):
-                beside[one].setdefault(other, lengths[other] - lengths[one] if at_end else 0.0)
+            for first, second in permutations(group, 2):
+                beside[first].setdefault(second, lengths[second] - lengths[first] if at_end else 0.0)
     return LaneGraph(
         lengths, {name: tuple(o for o in net.following.get(name, ()) if o in kept) for name in kept},
         {name: tuple(others.items()) for name, others in beside.items()},
@@ -122,17 +122,17 @@ def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
     hits = graph.segments.near(xy, NEAR, track.heading[steps])
     hits = hits.where(hits.turned < TURNED).nearest_of_each_line()
     cost = (hits.distance / SIGMA) ** 2 + (hits.turned / TURN_SIGMA) ** 2
-    found: list[Stretch] = []
+    stretches: list[Stretch] = []
     rows: list[_Row] = []
     for i in np.unique(hits.point):
         own = np.flatnonzero(hits.point == i)
         names = [graph.segments.names[k] for k in hits.line[own]]
         row = _Row(int(steps[i]), float(way[i]), names, hits.station[own], cost[own])
         if rows and not row.link(graph, rows[-1]):
-            found.append(_traced(rows))
+            stretches.append(_traced(rows))
             rows = []
         rows.append(row)
-    return (*found, _traced(rows)) if rows else ()
+    return (*stretches, _traced(rows)) if rows else ()
 
 
 def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
@@ -178,27 +178,27 @@ def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
     """Ways to all lanes that begin less than ``reach`` m (rounded up) after the end of ``lane``: of fewest changes,
     then shortest."""
     rounds = math.ceil(reach / REACH_STEP)
-    known = graph.ways.get((lane, rounds))
-    if known is not None:
-        return known
-    found: dict[Lane, Way] = {}
+    cached = graph.ways.get((lane, rounds))
+    if cached is not None:
+        return cached
+    ways: dict[Lane, Way] = {}
     farthest = graph.lengths[lane] + rounds * REACH_STEP
     queue: list[tuple[int, float, int, Lane, tuple[Lane, ...]]] = [(0, 0.0, 0, lane, ())]
     count = 0
     while queue:
         changes, length, _, here, passed = heapq.heappop(queue)
-        if here in found:
+        if here in ways:
             continue
-        found[here] = Way(length, changes, passed)
+        ways[here] = Way(length, changes, passed)
         end = length + graph.lengths[here]
-        onward = [(changes, end, other) for other in graph.following[here] if end < farthest]
+        onward = [(changes, end, next_lane) for next_lane in graph.following[here] if end < farthest]
         if changes < MOST_CHANGES:
-            onward += [(changes + 1, length - shift, other) for other, shift in graph.beside[here]]
-        for more, start, other in onward:
+            onward += [(changes + 1, length - shift, next_lane) for next_lane, shift in graph.beside[here]]
+        for more, start, next_lane in onward:
             count += 1  # settles draws
-            heapq.heappush(queue, (more, start, count, other, (*passed, other)))
-    graph.ways[lane, rounds] = found
-    return found
+            heapq.heappush(queue, (more, start, count, next_lane, (*passed, next_lane)))
+    graph.ways[lane, rounds] = ways
+    return ways
 
 
 def _traced(rows: list[_Row]) -> Stretch:

@@ -118,7 +118,7 @@ def _patient(frames: Iterator[Frame], told: Told | None) -> Iterator[Frame]:
 def _chosen(
     frames: Iterator[Frame], path: Path, choice: Choice, parse: Callable[[bytes], Any], told: Told | None
 ) -> Iterator[Record]:
-    count = found = 0
+    count = matches = 0
     for frame in islice(frames, choice.first):
         count = frame.number + 1
         if frame.data is None:
@@ -131,30 +131,30 @@ def _chosen(
             told(error)
             record = None
         if record is not None:
-            found += 1
+            matches += 1
             yield record
         if choice.index is not None or (choice.id is not None and record is not None):
             return
     if choice.index is not None:
         raise UsageError(f"{path} has no record {choice.index}: it has {count}, counted from 0.")
-    if choice.id is not None and not found:
+    if choice.id is not None and not matches:
         raise UsageError(f"{path} has no record '{choice.id}' among its {count}.")
     if count == 0 and told is None:
         raise UsageError(f"{path} holds no record: it is empty.")
 
 
-def _read(frame: Frame, path: Path, wanted: str | None, parse: Callable[[bytes], Any]) -> Record | None:
+def _read(frame: Frame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
     """The record of ``frame``; None if it is not the ``wanted`` one."""
-    where = f"Record {frame.number} of {path}"
+    label = f"Record {frame.number} of {path}"
     if not frame.intact or frame.data is None:
-        raise UsageError(f"{where} is damaged: its checksum is wrong; fetch the file again.")
+        raise UsageError(f"{label} is damaged: its checksum is wrong; fetch the file again.")
     try:
         message = parse(frame.data)
     except Exception as error:  # DecodeError; its module differs between releases of protobuf
-        raise UsageError(f"{where} is no Scenario message of the Waymo Open Motion Dataset.") from error
-    if wanted is not None and message.scenario_id != wanted:
+        raise UsageError(f"{label} is no Scenario message of the Waymo Open Motion Dataset.") from error
+    if chosen_id is not None and message.scenario_id != chosen_id:
         return None
-    return replace(record_of(message, where), content=hashlib.sha256(frame.data).hexdigest())
+    return replace(record_of(message, label), content=hashlib.sha256(frame.data).hexdigest())
 
 
 def record_of(message: Any, where: str) -> Record:
@@ -167,43 +167,43 @@ def record_of(message: Any, where: str) -> Record:
         raise UsageError(f"{where} is no scenario: it has no id or no time stamps (tf.Example files are not read).")
     if isinstance(name, bytes) or _SAFE_ID.fullmatch(name) is None:  # protobuf gives what is no UTF-8 as bytes
         raise UsageError(f"{where} has the id {name[:40]!r}, which cannot be the name of a folder.")
-    where = f"{where} ('{name}')"
+    label = f"{where} ('{name}')"
     if not np.isfinite(time).all() or (np.diff(time) <= 0.0).any():
-        raise UsageError(f"{where} has time stamps that do not increase.")
+        raise UsageError(f"{label} has time stamps that do not increase.")
     if not message.HasField("current_time_index") or not 0 <= message.current_time_index < len(time):
-        raise UsageError(f"{where} has no current step: it does not say which of its {len(time)} steps is now.")
+        raise UsageError(f"{label} has no current step: it does not say which of its {len(time)} steps is now.")
     if not message.HasField("sdc_track_index") or not 0 <= message.sdc_track_index < len(message.tracks):
-        raise UsageError(f"{where} has no ego: its sdc_track_index points at no track.")
-    lanes = {f.id: _lane(f, where) for f in message.map_features if f.HasField("lane")}
+        raise UsageError(f"{label} has no ego: its sdc_track_index points at no track.")
+    lanes = {f.id: _lane(f, label) for f in message.map_features if f.HasField("lane")}
     if not lanes:
-        raise UsageError(f"{where} has no map: it holds no lane, so it cannot be driven.")
-    tracks = [_track(t, len(time), where) for t in message.tracks]
+        raise UsageError(f"{label} has no map: it holds no lane, so it cannot be driven.")
+    tracks = [_track(t, len(time), label) for t in message.tracks]
     if len({t.id for t in tracks}) < len(tracks):
-        raise UsageError(f"{where} has two tracks of the same id.")
+        raise UsageError(f"{label} has two tracks of the same id.")
     to_predict = tuple(p.track_index for p in message.tracks_to_predict if 0 <= p.track_index < len(tracks))
     record = Record(
         scenario_id=name, time=time, current=message.current_time_index, sdc=message.sdc_track_index, tracks=tracks,
         objects_of_interest=tuple(message.objects_of_interest), to_predict=to_predict, lanes=lanes,
-        lines=_lines(message, where), stop_signs=_stop_signs(message, where), areas=_areas(message, where),
-        signals=_signals(message, len(time), where),
+        lines=_lines(message, label), stop_signs=_stop_signs(message, label), areas=_areas(message, label),
+        signals=_signals(message, len(time), label),
     )  # fmt: skip
-    check_bounds(record, where)
+    check_bounds(record, label)
     return record
 
 
-def _points(points: Sequence[Any], where: str) -> Floats:
+def _points(points: Sequence[Any], label: str) -> Floats:
     """Map points as ``(n, 3)`` m."""
     array = np.array([(p.x, p.y, p.z) for p in points], dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(array).all():
-        raise UsageError(f"{where} has a map point that is not a finite number.")
+        raise UsageError(f"{label} has a map point that is not a finite number.")
     return array
 
 
-def _lane(feature: Any, where: str) -> LaneFeature:
+def _lane(feature: Any, label: str) -> LaneFeature:
     lane = feature.lane
     speed = lane.speed_limit_mph * MPH
     return LaneFeature(
-        id=feature.id, points=_points(lane.polyline, where), kind=lane.type,
+        id=feature.id, points=_points(lane.polyline, label), kind=lane.type,
         speed_limit=speed if np.isfinite(speed) and speed > 0.0 else 0.0, interpolating=lane.interpolating,
         entries=tuple(lane.entry_lanes), exits=tuple(lane.exit_lanes), left=_neighbours(lane.left_neighbors),
         right=_neighbours(lane.right_neighbors), left_boundaries=_boundaries(lane.left_boundaries),
@@ -224,48 +224,48 @@ def _boundaries(parts: Iterable[Any]) -> tuple[BoundaryPart, ...]:
     )
 
 
-def _lines(message: Any, where: str) -> dict[int, LineFeature]:
-    found = {}
+def _lines(message: Any, label: str) -> dict[int, LineFeature]:
+    lines = {}
     for feature in message.map_features:
         for field, edge in (("road_line", False), ("road_edge", True)):
             if feature.HasField(field):
                 line = getattr(feature, field)
-                found[feature.id] = LineFeature(feature.id, edge, line.type, _points(line.polyline, where))
-    return found
+                lines[feature.id] = LineFeature(feature.id, edge, line.type, _points(line.polyline, label))
+    return lines
 
 
-def _stop_signs(message: Any, where: str) -> list[StopSign]:
+def _stop_signs(message: Any, label: str) -> list[StopSign]:
     return [
-        StopSign(f.id, tuple(f.stop_sign.lane), _points([f.stop_sign.position], where)[0])
+        StopSign(f.id, tuple(f.stop_sign.lane), _points([f.stop_sign.position], label)[0])
         for f in message.map_features
         if f.HasField("stop_sign")
     ]
 
 
-def _areas(message: Any, where: str) -> list[AreaFeature]:
+def _areas(message: Any, label: str) -> list[AreaFeature]:
     return [
-        AreaFeature(f.id, kind, _points(getattr(f, kind).polygon, where))
+        AreaFeature(f.id, kind, _points(getattr(f, kind).polygon, label))
         for f in message.map_features
         for kind in _AREAS
         if f.HasField(kind)
     ]
 
 
-def _signals(message: Any, steps: int, where: str) -> list[tuple[SignalState, ...]]:
+def _signals(message: Any, steps: int, label: str) -> list[tuple[SignalState, ...]]:
     """The signal states of every step; steps that the record does not hold have none."""
-    found = [
+    states = [
         tuple(
-            SignalState(s.lane, s.state, _points([s.stop_point], where)[0] if s.HasField("stop_point") else None)
+            SignalState(s.lane, s.state, _points([s.stop_point], label)[0] if s.HasField("stop_point") else None)
             for s in step.lane_states
         )
         for step in message.dynamic_map_states[:steps]
     ]
-    return found + [()] * (steps - len(found))
+    return states + [()] * (steps - len(states))
 
 
-def _track(track: Any, steps: int, where: str) -> ObjectTrack:
+def _track(track: Any, steps: int, label: str) -> ObjectTrack:
     if len(track.states) != steps:
-        raise UsageError(f"{where} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
+        raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
     columns = np.array(
         [[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64
     )  # fmt: skip

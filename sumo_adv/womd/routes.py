@@ -35,11 +35,11 @@ class Router:
         if chosen is None:
             return ()
         *before, last = self._parts(self.edges(chosen))
-        now = next(
+        current = next(
             lane for at, lane in zip(chosen.steps, chosen.lanes, strict=True) if at >= min(step, chosen.steps[-1])
         )
         for part in before:
-            if self._edge(now) in part:
+            if self._edge(current) in part:
                 return tuple(part + self._on(part, ""))
         return tuple(last + self._on(last, chosen.driven[-1]))
 
@@ -64,18 +64,18 @@ class Router:
 
     def edges(self, stretch: Stretch) -> list[str]:
         """Normal edges of a stretch, with those at its ends that internal lanes lead from and to."""
-        found: list[str] = []
+        edges: list[str] = []
         pending: Link | None = None
         for lane in stretch.driven:
             link = self._through.get(lane)
-            if link is not None and not found:
-                found.append(self._net.lanes[link.start].edge)
+            if link is not None and not edges:
+                edges.append(self._net.lanes[link.start].edge)
             if not self._net.lanes[lane].internal:
-                found.append(self._net.lanes[lane].edge)
+                edges.append(self._net.lanes[lane].edge)
             pending = link
         if pending is not None:
-            found.append(self._net.lanes[pending.end].edge)
-        return [edge for edge, _ in groupby(found)]
+            edges.append(self._net.lanes[pending.end].edge)
+        return [edge for edge, _ in groupby(edges)]
 
     def _on(self, edges: Sequence[str], lane: str) -> list[str]:
         """The edges after the last one: where the lane leads, straight on if there is a choice."""

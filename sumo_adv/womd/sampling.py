@@ -54,22 +54,22 @@ def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
     low = np.maximum(high - (time[high] > grid + 1e-9), 0)
     gap = time[high] - time[low]
     share = np.where(gap > 0.0, (grid - time[low]) / np.maximum(gap, 1e-9), 0.0)
-    known: Bools = np.asarray(gap <= max(LONGEST, 1.5 * step))
+    bridged: Bools = np.asarray(gap <= max(LONGEST, 1.5 * step))
     even = replace(
         record, time=record.time[0] + grid, current=int(np.argmin(np.abs(grid - time[record.current]))),
-        tracks=[_track(track, low, high, share, known) for track in record.tracks],
+        tracks=[_track(track, low, high, share, bridged) for track in record.tracks],
         signals=[record.signals[k] for k in low],
     )  # fmt: skip
     return even, Sampling(step, worst, jitter, resampled=True)
 
 
-def _track(track: ObjectTrack, low: Ints, high: Ints, share: Floats, known: Bools) -> ObjectTrack:
+def _track(track: ObjectTrack, low: Ints, high: Ints, share: Floats, bridged: Bools) -> ObjectTrack:
     def linear(values: Floats) -> Floats:
         return np.asarray(np.where(share == 0.0, values[low], values[low] * (1 - share) + values[high] * share))
 
     turn = wrap_below_pi(track.heading[high] - track.heading[low])
     return replace(
-        track, valid=track.valid[low] & track.valid[high] & known,
+        track, valid=track.valid[low] & track.valid[high] & bridged,
         heading=wrap(track.heading[low] + share * turn),
         x=linear(track.x), y=linear(track.y), z=linear(track.z), length=linear(track.length),
         width=linear(track.width), height=linear(track.height), vx=linear(track.vx), vy=linear(track.vy),

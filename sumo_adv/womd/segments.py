@@ -35,9 +35,9 @@ class Hits:
 
     def least(self, points: int, beyond: float) -> Floats:
         """For each of ``points`` points the least distance; ``beyond`` where it has no pair."""
-        found = np.full(points, beyond)
-        np.minimum.at(found, self.point, self.distance)
-        return found
+        distances = np.full(points, beyond)
+        np.minimum.at(distances, self.point, self.distance)
+        return distances
 
     def nearest_of_each_line(self) -> Hits:
         """For each point and line only the nearest segment, ordered by point, then line."""
@@ -69,17 +69,17 @@ class Segments:
         """All segments within ``radius`` m of points ``(n, 2)``."""
         from shapely import points as as_points
 
-        which, segment = self._tree.query(as_points(points), predicate="dwithin", distance=radius)
+        point, segment = self._tree.query(as_points(points), predicate="dwithin", distance=radius)
         a, along = self._a[segment], self._b[segment] - self._a[segment]
         square = np.maximum((along**2).sum(axis=1), 1e-12)
-        offset = points[which] - a
+        offset = points[point] - a
         share = np.clip((offset * along).sum(axis=1) / square, 0.0, 1.0)
         distance = np.hypot(*(offset - share[:, None] * along).T)
-        turned = np.zeros(len(which))
+        turned = np.zeros(len(point))
         if headings is not None:
-            difference = headings[which] - np.arctan2(along[:, 1], along[:, 0])
+            difference = headings[point] - np.arctan2(along[:, 1], along[:, 0])
             turned = np.abs(wrap_below_pi(difference))
-        return Hits(which, self._owner[segment], distance, self._start[segment] + share * np.sqrt(square), turned)
+        return Hits(point, self._owner[segment], distance, self._start[segment] + share * np.sqrt(square), turned)
 
 
 def stations(points: Floats) -> Floats:
@@ -91,7 +91,7 @@ def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
     """Stations, points ``(n, 2)`` and headings of a polyline about every ``step`` m, both ends included."""
     at = stations(points)
     count = max(2, round(at[-1] / step) + 1)
-    wanted = np.linspace(0.0, at[-1], count)
-    xy = np.stack([np.interp(wanted, at, points[:, k]) for k in (0, 1)], axis=1)
+    grid = np.linspace(0.0, at[-1], count)
+    xy = np.stack([np.interp(grid, at, points[:, k]) for k in (0, 1)], axis=1)
     heading = np.arctan2(*np.gradient(xy, axis=0).T[::-1])
-    return wanted, xy, heading
+    return grid, xy, heading

@@ -58,12 +58,12 @@ class SumoNet:
 
     def inner(self, link: Link) -> tuple[str, ...]:
         """The internal lanes of a link, in order."""
-        found: list[str] = []
+        chain: list[str] = []
         lane = link.via
-        while lane in self.lanes and lane not in found and self.lanes[lane].internal:
-            found.append(lane)
+        while lane in self.lanes and lane not in chain and self.lanes[lane].internal:
+            chain.append(lane)
             lane = next(iter(self.following.get(lane, ())), "")
-        return tuple(found)
+        return tuple(chain)
 
 
 def read_net(path: Path) -> SumoNet:

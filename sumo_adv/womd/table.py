@@ -43,7 +43,7 @@ def totals(reports: Sequence[Report]) -> dict[str, float]:
     samples = [r["deviation"]["samples"] for r in reports]
     states = [r["vehicles"]["states"] for r in reports]
     tried = [r["traffic"] for r in reports if r["traffic"] is not None]
-    wanted = sum(r["connectivity"]["wanted"] for r in reports)
+    connections = sum(r["connectivity"]["wanted"] for r in reports)
     return {
         "records": len(reports), "km": float(km.sum()),
         "represented": _mean([r["represented"] for r in reports], km),
@@ -53,7 +53,7 @@ def totals(reports: Sequence[Report]) -> dict[str, float]:
             for d in ("0.1", "0.5")
         },
         "median_p99": float(np.median([r["deviation"]["p99"] for r in reports])),
-        "connectivity": sum(r["connectivity"]["kept"] for r in reports) / wanted if wanted else 1.0,
+        "connectivity": sum(r["connectivity"]["kept"] for r in reports) / connections if connections else 1.0,
         "signal_lanes": sum(r["signals"]["lanes"] for r in reports),
         "signals_mapped": sum(r["signals"]["mapped"] for r in reports),
         "inside": _mean([r["vehicles"]["inside"] for r in reports], states),
@@ -75,7 +75,7 @@ def shortfalls(report: Report) -> list[str]:
     d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
     lost, beyond = c["wanted"] - c["kept"], round((1.0 - d["within_0.5"]) * d["samples"])
     more = [track for track in r["broken"] if track not in r["own_broken"]]
-    found = {
+    phrases = {
         f"{100 * (1.0 - report['represented']):.2f} % of lane length": report["represented"] < 0.9999,
         f"{beyond} samples beyond 0.5 m (at most {d['max']:.1f} m)": beyond > 0,
         f"{lost} connections": lost > 0,
@@ -86,7 +86,7 @@ def shortfalls(report: Report) -> list[str]:
         report["sampling"]["note"]: report["sampling"]["resampled"],
     }  # fmt: skip
     events = report["traffic"]["events"] if report["traffic"] is not None else []
-    return [phrase for phrase, holds in found.items() if holds] + list(events)
+    return [phrase for phrase, holds in phrases.items() if holds] + list(events)
 
 
 def _mean(values: Sequence[float], weights: Any) -> float:

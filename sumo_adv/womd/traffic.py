@@ -39,8 +39,8 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) 
         assert teleports is not None and vehicles is not None
         pairs: dict[frozenset[str], str] = {}
         for c in events.iter("collision"):
-            told = f"collision ({c.attrib['type']}) on {c.attrib['lane']} at {float(c.attrib['time']):.1f} s"
-            pairs.setdefault(frozenset((c.attrib["collider"], c.attrib["victim"])), told)
+            event = f"collision ({c.attrib['type']}) on {c.attrib['lane']} at {float(c.attrib['time']):.1f} s"
+            pairs.setdefault(frozenset((c.attrib["collider"], c.attrib["victim"])), event)
         return {
             "vehicles": int(vehicles.attrib["inserted"]), "collisions": len(pairs),
             "teleports": int(teleports.attrib["total"]), "events": [*pairs.values(), *_teleports(warnings)],
@@ -68,6 +68,6 @@ def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise SimulationError(f"Random traffic could not be tried on {network}: {error}.") from error
     if done.returncode:
-        said = (done.stderr.strip().splitlines() or ["no reason given"])[0]
-        raise SimulationError(f"Random traffic could not be tried on {network}: SUMO says '{said}'.")
+        reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
+        raise SimulationError(f"Random traffic could not be tried on {network}: SUMO says '{reason}'.")
     return done.stderr

@@ -57,9 +57,9 @@ def make_from_records(source: Path, folder: Path, progress: Callable[[int, int],
         kind = HELD_OUT if number % HELD_OUT_SHARE == HELD_OUT_SHARE - 1 else TRAIN
         target = folder / f"{kind}-{number:04d}.npz"
         if not target.exists():
-            found = [scene for record in read_records(file) if (scene := scene_of_record(record)) is not None]
-            if found:
-                save(together(found), target)
+            scenes = [scene for record in read_records(file) if (scene := scene_of_record(record)) is not None]
+            if scenes:
+                save(together(scenes), target)
         progress(number + 1, len(files))
     return len(files)
 
@@ -71,21 +71,21 @@ def scene_of_record(record: Record) -> Scene | None:
     ego = record.tracks[record.sdc]
     if first < 0 or not ego.valid[record.current]:
         return None
-    now = record.current
-    there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[now] and t.valid[first]]
-    far = {t.id: float(np.hypot(t.x[now] - ego.x[now], t.y[now] - ego.y[now])) for t in there}
+    current = record.current
+    there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[current] and t.valid[first]]
+    far = {t.id: float(np.hypot(t.x[current] - ego.x[current], t.y[current] - ego.y[current])) for t in there}
     chosen = sorted((t for t in there if far[t.id] < NEAR_FOCUS), key=lambda t: far[t.id])[:AGENTS]
     if not chosen:
         return None
     place = np.full((len(chosen), HISTORY + FUTURE, 2), np.nan)
     for i, track in enumerate(chosen):
         steps = min(HISTORY + FUTURE, len(track.x) - first)
-        known = track.valid[first : first + steps]
-        place[i, :steps][known] = np.column_stack([track.x, track.y])[first : first + steps][known]
+        valid = track.valid[first : first + steps]
+        place[i, :steps][valid] = np.column_stack([track.x, track.y])[first : first + steps][valid]
     agents = Agents(
-        place[:, :HISTORY], np.array([t.heading[now] for t in chosen]),
-        np.array([np.hypot(t.vx[now], t.vy[now]) for t in chosen]),
-        np.array([(t.length[now], t.width[now]) for t in chosen]), np.array([light_of(None) for _ in chosen]),
+        place[:, :HISTORY], np.array([t.heading[current] for t in chosen]),
+        np.array([np.hypot(t.vx[current], t.vy[current]) for t in chosen]),
+        np.array([(t.length[current], t.width[current]) for t in chosen]), np.array([light_of(None) for _ in chosen]),
     )  # fmt: skip
     return scene_of(agents, place[:, HISTORY:], _segments(record))
 

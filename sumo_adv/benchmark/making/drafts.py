@@ -120,10 +120,10 @@ def _type_id(car: Car) -> str:
 
 def apart(car: Car, others: Sequence[Car]) -> bool:
     """Whether a vehicle that departs at once has room in its lane: as much as SUMO wants to insert it, and a little."""
-    for other in others:
-        if other.edges[0] != car.edges[0] or other.lane != car.lane or other.depart != car.depart:
+    for neighbour in others:
+        if neighbour.edges[0] != car.edges[0] or neighbour.lane != car.lane or neighbour.depart != car.depart:
             continue
-        behind = car if car.place < other.place else other
-        if abs(car.place - other.place) < 1.15 * behind.speed + 9.0:
+        behind = car if car.place < neighbour.place else neighbour
+        if abs(car.place - neighbour.place) < 1.15 * behind.speed + 9.0:
             return False
     return True

@@ -65,7 +65,7 @@ class Meeting:
 def approaches(network: str) -> tuple[Approach, ...]:
     """All routes through a shipped network of a single junction, in the order of their names."""
     road = read_network(data_folder("networks") / Path(f"{network}.net.xml"))
-    found = []
+    routes = []
     for route in _routes(road):
         for name in road.edges[route[0]]:
             lane = road.lanes[name]
@@ -74,8 +74,8 @@ def approaches(network: str) -> tuple[Approach, ...]:
                 continue
             reach = sum(road.lanes[road.edges[edge][0]].length for edge in route) + 30.0
             way = road.ways(name, 0.0, reach, route)[0]
-            found.append(Approach(route, lane.index, way.movement, way.gives_way, way.path, lane.length, lane.speed))
-    return tuple(found)
+            routes.append(Approach(route, lane.index, way.movement, way.gives_way, way.path, lane.length, lane.speed))
+    return tuple(routes)
 
 
 def _routes(road: RoadMap) -> list[tuple[str, ...]]:
@@ -99,7 +99,7 @@ def _routes(road: RoadMap) -> list[tuple[str, ...]]:
 @cache
 def meetings(network: str) -> tuple[Meeting, ...]:
     """All pairs of routes from different edges that meet."""
-    found = []
+    pairs = []
     for ego in approaches(network):
         for bv in approaches(network):
             if bv.edges[0] == ego.edges[0]:
@@ -108,8 +108,8 @@ def meetings(network: str) -> tuple[Meeting, ...]:
             if conflict is not None and all(
                 -1.0 < station - way.ends < DEEPEST for way, station in ((ego, conflict.ego_s), (bv, conflict.bv_s))
             ):
-                found.append(Meeting(ego, bv, conflict))
-    return tuple(found)
+                pairs.append(Meeting(ego, bv, conflict))
+    return tuple(pairs)
 
 
 def draw_junction(kind: str, number: int, draw: Random) -> Draft:

@@ -80,7 +80,7 @@ def _other(kind: str, road: Road, ego: Car, trigger: float, draw: Random) -> Car
         ahead = kind == "neighbour_ahead"
         then = draw.uniform(5.0, 28.0) if ahead else draw.uniform(-26.0, -4.0)
         faster = draw.uniform(-2.5, 1.2) if ahead else draw.uniform(-1.0, 2.5)
-        lane = draw.choice([one for one in (ego.lane - 1, ego.lane + 1) if 0 <= one < road.lanes])
+        lane = draw.choice([beside for beside in (ego.lane - 1, ego.lane + 1) if 0 <= beside < road.lanes])
     own = min(max(v + faster, road.slowest - 1.0), road.fastest)
     return Car((road.edge,), lane, ego.place + then - (own - v) * trigger, own, 0.0, size)
 

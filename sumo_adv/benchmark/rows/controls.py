@@ -100,9 +100,9 @@ def _wheel(curvature: float) -> float:
     return min(max(math.atan(c / math.sqrt(1.0 - c * c / 4.0)), -MAX_STEERING), MAX_STEERING)
 
 
-def _towards(value: float, wanted: float, most: float) -> float:
+def _towards(value: float, goal: float, most: float) -> float:
     """``wanted``, or as near to it as ``most`` from ``value``."""
-    return min(max(wanted, value - most), value + most)
+    return min(max(goal, value - most), value + most)
 
 
 def objective(verdict: Verdict) -> float:

@@ -122,12 +122,12 @@ def _groups(cell: Cell) -> dict[str, list[Mapping[str, Any]]]:
 
 
 def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
-    known = {label: members for label, members in groups.items() if members}
-    if not known:
+    attempted = {label: members for label, members in groups.items() if members}
+    if not attempted:
         return ()
-    share = {n: sum(succeeds(a, criterion) for a in members) / len(members) for n, members in known.items()}
-    near = [n for n in known if share[n] >= max(share.values()) - SAME_SHARE]
-    mean = {n: sum(_time(a) for a in known[n]) / len(known[n]) for n in near}
+    share = {n: sum(succeeds(a, criterion) for a in members) / len(members) for n, members in attempted.items()}
+    near = [n for n in attempted if share[n] >= max(share.values()) - SAME_SHARE]
+    mean = {n: sum(_time(a) for a in attempted[n]) / len(attempted[n]) for n in near}
     return tuple(n for n in near if mean[n] <= min(mean.values()) + SAME_TTC)
 
 

@@ -44,8 +44,8 @@ def make_row(text: str) -> Opponent:
 
 
 def _label(text: str) -> str:
-    wanted = _plain(text)
-    behaviour = next((label for label in LABELS if _plain(label) == wanted), None)
+    plain = _plain(text)
+    behaviour = next((label for label in LABELS if _plain(label) == plain), None)
     if behaviour is None:
         raise UsageError(f"There is no behaviour '{text}' to fix; use one of {', '.join(LABELS)}.")
     return behaviour

@@ -167,11 +167,11 @@ def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
     return _Plan(way, lane + stray, begins, rng.uniform(2.5, 6.5, (2, n)), speeds, spans, prior)
 
 
-def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, now: float, limits: Limits, dt: float) -> Motion:
+def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, elapsed: float, limits: Limits, dt: float) -> Motion:
     """One step of all motions along what was drawn for them."""
-    later, moved, again = now >= plan.spans[0], now >= plan.begins[0], now >= plan.begins[1]
+    later, moved, again = elapsed >= plan.spans[0], elapsed >= plan.begins[0], elapsed >= plan.begins[1]
     v = np.where(later, plan.speeds[1], plan.speeds[0])
-    time = np.maximum(np.where(later, plan.spans[0] + plan.spans[1], plan.spans[0]) - now, 1.0)
+    time = np.maximum(np.where(later, plan.spans[0] + plan.spans[1], plan.spans[0]) - elapsed, 1.0)
     offset = np.where(again, plan.offsets[1], np.where(moved, plan.offsets[0], motion.target))
     goal = Goal(motion.s + (motion.v + v) / 2 * time, offset, v, time)
     sideways = goal._replace(time=np.where(again, plan.lasts[1], plan.lasts[0]))
@@ -241,6 +241,6 @@ def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, l
     time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
     for track in situation.traffic.others:
         b = on_grid([track], time)
-        other = _spread((b.x, b.y, b.heading, b.speed), (n, steps), track.length, track.width)
-        touched |= (touching(other, adversary) & before).any(axis=1) & (ids != track.id)
+        boxes = _spread((b.x, b.y, b.heading, b.speed), (n, steps), track.length, track.width)
+        touched |= (touching(boxes, adversary) & before).any(axis=1) & (ids != track.id)
     return touched

@@ -57,10 +57,10 @@ class Transformer:
             names, agents = agents_of(situation)
             predicted = self._predictor.predict(agents, segments)
             drawn += [
-                one
+                draw
                 for k, name in enumerate(names)
                 if name in situation.targets
-                for one in _draws(delay, situation, name, predicted, k, rng)
+                for draw in _draws(delay, situation, name, predicted, k, rng)
             ]
         self._proposals = _ordered(encounter, drawn, self.name)
 
@@ -115,25 +115,25 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
         return []
     settings, limits = encounter.settings, encounter.settings.limits.limits()
     planner = Planner(name, "prediction", "", (), name)
-    asked = [Proposal(one.bv, name, planner, {}, 0.0, one.delay, by=name) for one in drawn]
-    ends = [one.states[-1].tolist() for one in drawn]
+    proposals = [Proposal(draw.bv, name, planner, {}, 0.0, draw.delay, by=name) for draw in drawn]
+    ends = [draw.states[-1].tolist() for draw in drawn]
     answers = [
-        Answer(Endpoint(x, y, heading, speed, FUTURE * STEP), one.states)
-        for one, (x, y, heading, speed) in zip(drawn, ends, strict=True)
+        Answer(Endpoint(x, y, heading, speed, FUTURE * STEP), draw.states)
+        for draw, (x, y, heading, speed) in zip(drawn, ends, strict=True)
     ]
     steps = settings.steps(settings.duration)
     rollouts = predict(
-        encounter.situations, asked, lambda rows, _: [a if k in rows else None for k, a in enumerate(answers)],
-        limits=limits, steps=steps, replan=steps, touch=touch_of(encounter.situations, asked),
+        encounter.situations, proposals, lambda rows, _: [a if k in rows else None for k, a in enumerate(answers)],
+        limits=limits, steps=steps, replan=steps, touch=touch_of(encounter.situations, proposals),
     )  # fmt: skip
-    judged = judge_all(encounter.situations, asked, rollouts, encounter.drivable, limits, ScoreSettings())
+    judged = judge_all(encounter.situations, proposals, rollouts, encounter.drivable, limits, ScoreSettings())
     by_danger = sorted(range(len(drawn)), key=lambda k: _danger(judged[k][1], drawn[k]))
     before: Counter[tuple[float, str, int]] = Counter()
     order: list[tuple[bool, int, int]] = []
     for k in by_danger:
-        one = drawn[k]
-        order.append((judged[k][1].level < Level.COLLISION, before[one.delay, one.bv, one.mode], k))
-        before[one.delay, one.bv, one.mode] += 1
+        draw = drawn[k]
+        order.append((judged[k][1].level < Level.COLLISION, before[draw.delay, draw.bv, draw.mode], k))
+        before[draw.delay, draw.bv, draw.mode] += 1
     order.sort(key=lambda placed: placed[:2])  # stable: the most dangerous of each mode, then the second ones
     return [
         course_proposal(
@@ -144,7 +144,7 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
     ]  # fmt: skip
 
 
-def _danger(prediction: Prediction, one: _Drawn) -> tuple[bool, bool, float, float, float]:
+def _danger(prediction: Prediction, draw: _Drawn) -> tuple[bool, bool, float, float, float]:
     """Sorts the most dangerous first. The severity of a collision and the drivers that avoid it do not count."""
     misses = prediction.level < Level.COLLISION
-    return misses, prediction.hopeless, prediction.min_ttc, prediction.gap * misses, -one.likelihood
+    return misses, prediction.hopeless, prediction.min_ttc, prediction.gap * misses, -draw.likelihood

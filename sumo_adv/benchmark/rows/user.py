@@ -55,8 +55,8 @@ class UserRow:
         except ValueError as error:
             raise PlannerResultError(f"The generator {self.name!r} returned {error}.") from error
         except (TypeError, AttributeError) as error:
-            what = f"a Proposal with a field of a wrong type ({in_one_line(error)})"
-            raise PlannerResultError(f"The generator {self.name!r} returned {what}.") from error
+            fault = f"a Proposal with a field of a wrong type ({in_one_line(error)})"
+            raise PlannerResultError(f"The generator {self.name!r} returned {fault}.") from error
 
 
 def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
@@ -64,8 +64,8 @@ def _checked(answer: object, situations: Mapping[float, Situation], name: str) -
     if not isinstance(answer, Proposal):
         raise ValueError(f"{type(answer).__name__}; propose must return a Proposal or None")
     if answer.delay not in situations:
-        known = ", ".join(f"{d:g}" for d in sorted(situations))
-        raise ValueError(f"the delay {answer.delay!r}, which the encounter does not have; use one of {known}")
+        delays = ", ".join(f"{d:g}" for d in sorted(situations))
+        raise ValueError(f"the delay {answer.delay!r}, which the encounter does not have; use one of {delays}")
     targets = situations[answer.delay].targets
     if answer.bv not in targets:
         raise ValueError(f"the vehicle {answer.bv!r}; use one of the encounter's targets, {', '.join(targets)}")

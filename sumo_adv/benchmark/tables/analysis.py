@@ -104,14 +104,14 @@ def _truth(
     cells: Sequence[Cell], cases: Sequence[Case], ego: str, criterion: str, oracle: Mapping[Key, Cell]
 ) -> dict[Key, frozenset[str]]:
     """The labels of every encounter that has any."""
-    known: dict[Key, frozenset[str]] = {}
+    truth: dict[Key, frozenset[str]] = {}
     given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
         simulated = name in oracle and criterion in CRITERIA
         labels = oracle_labels(oracle[name])[criterion] if simulated else given.get(name[0], ())
         if labels:
-            known[name] = frozenset(labels)
-    return known
+            truth[name] = frozenset(labels)
+    return truth
 
 
 def _given(cases: Sequence[Case], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
@@ -176,11 +176,11 @@ def _score(who: str, cells: Mapping[Key, Cell], truth: Truth, applies: Mapping[K
 
 
 def _compared(score: Score, by_row: Mapping[str, Mapping[Key, Cell]], truth: Truth, reference: str | None) -> Score:
-    own, theirs = by_row[score.who], by_row.get(reference or "", {})
-    common = [name for name in own if name in theirs]
+    own, baseline = by_row[score.who], by_row.get(reference or "", {})
+    common = [name for name in own if name in baseline]
     if score.who == reference or not common:
         return score
-    left, right = ([float(_right(cells[name], truth)) for name in common] for cells in (own, theirs))
+    left, right = ([float(_right(cells[name], truth)) for name in common] for cells in (own, baseline))
     return replace(score, difference=paired(left, right, rate=True))
 
 
@@ -197,10 +197,10 @@ def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | 
     drawn = np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
     weights = np.array([np.bincount(row, minlength=n) for row in drawn], dtype=float) / n
     kappas = _kappas(np.vstack([np.full((1, n), 1 / n), weights]), right, answer, allowed)
-    known = kappas[1:][np.isfinite(kappas[1:])]
-    if not np.isfinite(kappas[0]) or not known.size:
+    finite = kappas[1:][np.isfinite(kappas[1:])]
+    if not np.isfinite(kappas[0]) or not finite.size:
         return None
-    low, high = np.quantile(known, [0.025, 0.975])
+    low, high = np.quantile(finite, [0.025, 0.975])
     return Estimate(float(kappas[0]), float(low), float(high), n)
 
 

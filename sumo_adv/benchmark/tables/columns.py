@@ -52,8 +52,8 @@ class Column:
 
     def values(self, cells: Sequence[Cell]) -> dict[c.Key, float]:
         """The value of each cell that has one."""
-        found = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
-        return {name: float(value) for name, value in found.items() if value is not None}
+        by_key = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
+        return {name: float(value) for name, value in by_key.items() if value is not None}
 
     def estimate(self, cells: Sequence[Cell], seed: int = 0) -> Estimate | None:
         """The figure with its interval; None where no cell has a value."""

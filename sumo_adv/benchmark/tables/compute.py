@@ -70,21 +70,21 @@ def make_table(
     those of the cells); ``reference``: the row others are compared with (left out: the first that attacks); ``notes``:
     said before those on the cells.
     """
-    asked = tuple(rows or names(cells, "row"))
-    cells = [cell for cell in cells if cell["row"] in asked]
+    listed = tuple(rows or names(cells, "row"))
+    cells = [cell for cell in cells if cell["row"] in listed]
     best, hindsight = best_fixed(cells)
-    cells, shown = [*cells, *best], asked + ((BEST_FIXED,) if best else ())
+    cells, shown = [*cells, *best], listed + ((BEST_FIXED,) if best else ())
     reference = reference or next((row for row in shown if row != RAW), None)
     entries: list[Entry] = []
     sizes: dict[tuple[str, str, str], int] = {}
     drivers = list(egos or names(cells, "ego"))
     for ego in drivers:
         for part, part_cells in parts(c for c in cells if c["ego"] == ego).items():
-            wanted = [q for q in columns if part == "all" or q.key in BY_PART]
+            part_columns = [q for q in columns if part == "all" or q.key in BY_PART]
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in shown}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
-            entries += [e for row in shown for e in _entries(ego, part, row, by_row, wanted, reference)]
-    notes = (*notes, *_missing(cells, drivers, asked, cases), *hindsight, *_never_valid(cells, drivers))
+            entries += [e for row in shown for e in _entries(ego, part, row, by_row, part_columns, reference)]
+    notes = (*notes, *_missing(cells, drivers, listed, cases), *hindsight, *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
     return Table(title, tuple(drivers), shown, tuple(columns), indexed, sizes, reference, notes, words or {})
 
@@ -170,17 +170,17 @@ def _missing(
     for ego in egos:
         own_cells = [c for c in cells if c["ego"] == ego]
         seeds = sorted({int(c["seed"]) for c in own_cells}) or [0]
-        wanted: list[Key] = [(case, seed) for case in expected for seed in seeds]
+        keys: list[Key] = [(case, seed) for case in expected for seed in seeds]
         for row in rows:
             there = {key(c) for c in own_cells if c["row"] == row}
-            gone = [name for name in wanted if name not in there]
+            gone = [name for name in keys if name not in there]
             if gone:
-                notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(wanted)))
+                notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(keys)))
     return notes
 
 
-def _name(which: Key, with_seed: bool) -> str:
-    return f"{which[0]} (seed {which[1]})" if with_seed else which[0]
+def _name(cell: Key, with_seed: bool) -> str:
+    return f"{cell[0]} (seed {cell[1]})" if with_seed else cell[0]
 
 
 def _sentence(row: str, ego: str, gone: Sequence[str], of: int) -> str:

@@ -56,9 +56,9 @@ def league(cells: Sequence[Cell], budget: int) -> tuple[list[Place], list[Duel]]
     places = [_place(ego, group, budget) for ego, group in by_ego.items()]
     places.sort(key=lambda p: (not p.known, -p.attempts.value))
     duels = [
-        _duel(one.ego, other.ego, by_ego, budget)
-        for one, other in combinations(places, 2)
-        if one.known == other.known
+        _duel(first.ego, second.ego, by_ego, budget)
+        for first, second in combinations(places, 2)
+        if first.known == second.known
     ]  # fmt: skip
     return places, [duel for duel in duels if duel is not None]
 
@@ -94,26 +94,26 @@ def _place(ego: str, cells: Sequence[Cell], budget: int) -> Place:
     called = [a for cell in cells for a in c.attempts(cell) if (a.get("predicted_valid") or 0.0) >= LIKELY]
     figures = {column.key: column.estimate(cells) for column in COLUMNS if column.key in SHOWN}
     right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
-    known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter
+    is_known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter
     return Place(
-        ego, known, len(cells), figures, bootstrap([_attempts(cell, budget) for cell in cells]), len(called), right
+        ego, is_known, len(cells), figures, bootstrap([_attempts(cell, budget) for cell in cells]), len(called), right
     )
 
 
-def _duel(one: str, other: str, by_ego: dict[str, list[Cell]], budget: int) -> Duel | None:
+def _duel(first_ego: str, second_ego: str, by_ego: dict[str, list[Cell]], budget: int) -> Duel | None:
     """The pair with the driver that takes more attempts as ``more``; None if they met in no encounter."""
-    first, second = ({c.key(cell): cell for cell in by_ego[ego]} for ego in (one, other))
+    first, second = ({c.key(cell): cell for cell in by_ego[ego]} for ego in (first_ego, second_ego))
     both = sorted(first.keys() & second.keys())
     if not both:
         return None
     a, b = ([group[k] for k in both] for group in (first, second))
     attempts = paired_bootstrap([_attempts(x, budget) for x in a], [_attempts(x, budget) for x in b])
     if attempts.difference < 0:
-        return _duel(other, one, by_ego, budget)
+        return _duel(second_ego, first_ego, by_ego, budget)
     valid = paired_bootstrap(*([float(c.first_valid(x) is not None) for x in group] for group in (a, b)))
-    return Duel(fewer=other, more=one, attempts=attempts, valid=valid)
+    return Duel(fewer=second_ego, more=first_ego, attempts=attempts, valid=valid)
 
 
 def _attempts(cell: Cell, budget: int) -> float:
-    found = c.first_valid(cell)
-    return float(budget + 1 if found is None else found)
+    first = c.first_valid(cell)
+    return float(budget + 1 if first is None else first)

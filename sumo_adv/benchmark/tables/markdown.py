@@ -125,9 +125,9 @@ def _beside_the_paper(table: Table, ego: str) -> list[str]:
 
 
 def _realism_beside(table: Table, ego: str) -> list[str]:
-    wanted = {**paper.DIVERGENCES, "abnormal_lateral": paper.ABNORMAL_LATERAL}
-    columns = [c for c in table.columns if c.key in wanted]
-    rows = [["the paper (section IV-C)", *(f"{wanted[c.key]:.{c.digits}f}" for c in columns)]]
+    reference = {**paper.DIVERGENCES, "abnormal_lateral": paper.ABNORMAL_LATERAL}
+    columns = [c for c in table.columns if c.key in reference]
+    rows = [["the paper (section IV-C)", *(f"{reference[c.key]:.{c.digits}f}" for c in columns)]]
     for row in table.rows:
         entries = [table.entry(ego, "all", row, c.key) for c in columns]
         if any(entries):

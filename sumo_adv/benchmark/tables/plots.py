@@ -60,13 +60,13 @@ def draw_distributions(target: Path, cells: Sequence[Cell], title: str) -> Path:
     figure, axes = _figure(11.0, 4.2, 1, 2)
     for panel, feature in zip(axes[0], UNITS, strict=True):
         bins = PAPER_BINS[feature]
-        ours, theirs = (np.concatenate(side) for side in samples(cells, feature))
+        generated, raw = (np.concatenate(side) for side in samples(cells, feature))
         edges = np.linspace(bins.low, bins.high, bins.count + 1)
-        for values, colour, label in ((theirs, RAW_COLOUR, "raw"), (ours, OURS, "generated")):
+        for values, colour, label in ((raw, RAW_COLOUR, "raw"), (generated, OURS, "generated")):
             share = bins.counts(values) / max(len(values), 1)
             panel.stairs(share, edges, color=colour, alpha=0.35, fill=True)
             panel.stairs(share, edges, color=colour, lw=1.8, label=f"{label} ({len(values)} steps)")
-        panel.set_xlim(*_range(np.concatenate([ours, theirs]), bins.low, bins.high))
+        panel.set_xlim(*_range(np.concatenate([generated, raw]), bins.low, bins.high))
         panel.set_ylim(top=1.25 * panel.get_ylim()[1])
         panel.set_xlabel(UNITS[feature])
         panel.set_ylabel("share of steps")
@@ -138,8 +138,8 @@ def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
         accuracy = {s.who: s.accuracy for s in part.scores}
         for who, matrix in part.confusion.items():
             name = file_name("confusion", part.ego, part.criterion, who)
-            said = f"{who} against {part.ego}, by {part.criterion}: accuracy {accuracy[who].text()}"
-            paths.append(draw_confusion(folder / name, matrix, said))
+            title = f"{who} against {part.ego}, by {part.criterion}: accuracy {accuracy[who].text()}"
+            paths.append(draw_confusion(folder / name, matrix, title))
     return paths
 
 

@@ -23,31 +23,31 @@ Pooled = Callable[[Sequence[Cell]], Estimate | None]
 
 def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Floats]]:
     """Values of ``speed`` [m/s] or ``acceleration`` [m/s2] of each encounter that has both: adversary, unattacked."""
-    ours, theirs = [], []
+    attacked, raw = [], []
     for cell in cells:
         motion = cell.get("motion") or {}
         a, b = (np.asarray((motion.get(who) or {}).get(feature) or (), dtype=float) for who in ("adversary", "raw"))
         if not failed(cell) and a.size and b.size:
-            ours.append(a)
-            theirs.append(b)
-    return ours, theirs
+            attacked.append(a)
+            raw.append(b)
+    return attacked, raw
 
 
 def distance(feature: str, measure: str) -> Pooled:
     """The distance ``kl``, ``js`` or ``wasserstein`` of a feature's distributions, over encounters."""
 
     def of(cells: Sequence[Cell]) -> Estimate | None:
-        ours, theirs = samples(cells, feature)
-        if not ours:
+        attacked, raw = samples(cells, feature)
+        if not attacked:
             return None
-        a, b = np.concatenate(ours), np.concatenate(theirs)
+        a, b = np.concatenate(attacked), np.concatenate(raw)
         exact = measure == "wasserstein"
         bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
-        own, reference = (np.array([bins.counts(v) for v in side]) for side in (ours, theirs))
-        weights = _weights(len(ours))
+        own, reference = (np.array([bins.counts(v) for v in side]) for side in (attacked, raw))
+        weights = _weights(len(attacked))
         resampled = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ own, weights @ reference, strict=True)]
         value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
-        return _interval(value, np.array(resampled), len(ours))
+        return _interval(value, np.array(resampled), len(attacked))
 
     return of
 
@@ -71,12 +71,14 @@ def step_share(name: str) -> Pooled:
 
     def of(cells: Sequence[Cell]) -> Estimate | None:
         blocks = [cell.get("realism") or {} for cell in cells if not failed(cell)]
-        known = [(b[name], b["steps"]) for b in blocks if b.get(name) is not None and b.get("steps")]
-        if not known:
+        counted = [(b[name], b["steps"]) for b in blocks if b.get(name) is not None and b.get("steps")]
+        if not counted:
             return None
-        share, steps = np.array(known, dtype=float).T
-        weights = _weights(len(known))
-        return _interval(float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(known))
+        share, steps = np.array(counted, dtype=float).T
+        weights = _weights(len(counted))
+        return _interval(
+            float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(counted)
+        )
 
     return of
 

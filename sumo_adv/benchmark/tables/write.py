@@ -63,10 +63,10 @@ def write_texts(folder: Path, texts: Mapping[str, str]) -> list[Path]:
 
 def manifest(about: About, cells: Sequence[Cell], files: Sequence[str]) -> dict[str, Any]:
     """What the tables were made of: the suite, versions, settings, and a digest of every cell's verdicts."""
-    said = asdict(about)
-    further = said.pop("further")
+    described = asdict(about)
+    further = described.pop("further")
     return {
-        "schema": SCHEMA, **said, **further, "files": list(files), "egos": names(cells, "ego"),
+        "schema": SCHEMA, **described, **further, "files": list(files), "egos": names(cells, "ego"),
         "rows": names(cells, "row"), "cells": len(cells), "cells_digest": digest(cells),
     }  # fmt: skip
 

@@ -64,16 +64,16 @@ def add_entities(parent: Element, tracks: Sequence[Track], names: dict[str, str]
     entities = SubElement(parent, "Entities")
     for track in tracks:
         scenario_object = SubElement(entities, "ScenarioObject", name=names[track.id])
-        what = kind(track)
-        if what == "pedestrian":
+        category = kind(track)
+        if category == "pedestrian":
             thing = SubElement(scenario_object, "Pedestrian", pedestrianCategory="pedestrian")
-        elif what == "obstacle":
+        elif category == "obstacle":
             thing = SubElement(scenario_object, "MiscObject", miscObjectCategory="obstacle")
         else:
-            thing = SubElement(scenario_object, "Vehicle", vehicleCategory=what)
-        thing.set("name", f"{what}_{track.length:.2f}x{track.width:.2f}")
-        thing.set("mass", str(MASS[what]))
-        _add_box(thing, track, what)
+            thing = SubElement(scenario_object, "Vehicle", vehicleCategory=category)
+        thing.set("name", f"{category}_{track.length:.2f}x{track.width:.2f}")
+        thing.set("mass", str(MASS[category]))
+        _add_box(thing, track, category)
         if thing.tag == "Vehicle":
             _add_vehicle_parts(thing, track)
         properties = SubElement(thing, "Properties")
@@ -86,9 +86,9 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() and c != "$" else "_" for c in text)
 
 
-def _add_box(thing: Element, track: Track, what: str) -> None:
+def _add_box(thing: Element, track: Track, category: str) -> None:
     box = SubElement(thing, "BoundingBox")
-    height = HEIGHT[what]
+    height = HEIGHT[category]
     SubElement(box, "Center", x=metres(centre_ahead(track)), y="0.0", z=metres(height / 2))
     SubElement(
         box, "Dimensions", length=metres(track.length), width=metres(track.width), height=metres(height)

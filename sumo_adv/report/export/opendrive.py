@@ -29,9 +29,9 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
         command += ["--precision", "4", "--xml-validation", "never"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, cwd=scratch)
         if done.returncode or not made.is_file():
-            said = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")
+            reason = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")
             raise SumoAdvError(
-                f"netconvert made no OpenDRIVE of {network.name} ({said.rstrip('.')}); check the network."
+                f"netconvert made no OpenDRIVE of {network.name} ({reason.rstrip('.')}); check the network."
             )
         tree = ElementTree.parse(made)
     header = tree.getroot().find("header")
@@ -49,6 +49,6 @@ def _net_offset(network: Path) -> str:
     opened = gzip.open if network.suffix == ".gz" else open
     with opened(network, "rt", encoding="utf-8") as file:
         for line in file:
-            if found := re.search(r'netOffset="([^"]*)"', line):
-                return found.group(1)
+            if match := re.search(r'netOffset="([^"]*)"', line):
+                return match.group(1)
     return "0.00,0.00"

@@ -58,7 +58,7 @@ def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
 
 def _properties(piece: Piece, names: dict[str, str]) -> dict[str, str]:
     """What a reader needs to find its way back to the run."""
-    found = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
+    properties = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
     if piece.adversary is not None:
-        found |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
-    return found | {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
+        properties |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
+    return properties | {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}

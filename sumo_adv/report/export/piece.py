@@ -49,8 +49,8 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
     run = read_run(folder)
     tracks = run.raw if unattacked else run.best
     if not tracks:
-        what = "no states of the unattacked run" if unattacked else "no states: it met no encounter"
-        raise UsageError(f"The run in {folder} has {what}, so there is nothing to export.")
+        fault = "no states of the unattacked run" if unattacked else "no states: it met no encounter"
+        raise UsageError(f"The run in {folder} has {fault}, so there is nothing to export.")
     try:
         return _piece(run, tracks, unattacked, before, whole)
     except (KeyError, TypeError, ValueError, AttributeError) as error:

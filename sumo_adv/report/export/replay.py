@@ -63,7 +63,7 @@ def _home(track: Track, road: RoadMap) -> Lane:
         if lane is not None and not lane.internal:
             return lane
     x, y = float(track.x[0]), float(track.y[0])
-    near: list[Lane] = next((found for radius in SEARCHED if (found := road.lanes_near(x, y, radius))), [])
+    near: list[Lane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
     return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
 
 
@@ -80,11 +80,11 @@ def _point_at(lane: Lane, position: float) -> tuple[float, float, float]:
 
 def _types(piece: Piece) -> str:
     """A vType a role and size; its class may be anywhere, its size is the recorded one."""
-    found = {type_name(track): track for track in piece.tracks}
+    by_name = {type_name(track): track for track in piece.tracks}
     lines = [
         f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
         f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{COLOURS[track.role]}"/>\n'
-        for name, track in sorted(found.items())
+        for name, track in sorted(by_name.items())
     ]
     return "<additional>\n" + "".join(lines) + "</additional>\n"
 
@@ -103,9 +103,10 @@ def _view(piece: Piece) -> str:
     ego = piece.track(piece.ego)
     x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
     if piece.adversary is not None:
-        other = piece.track(piece.adversary)
+        adversary = piece.track(piece.adversary)
         gap = np.hypot(
-            ego.x - np.interp(ego.time, other.time, other.x), ego.y - np.interp(ego.time, other.time, other.y)
+            ego.x - np.interp(ego.time, adversary.time, adversary.x),
+            ego.y - np.interp(ego.time, adversary.time, adversary.y),
         )
         k = int(np.argmin(gap))
         x, y = float(ego.x[k]), float(ego.y[k])

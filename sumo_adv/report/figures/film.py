@@ -81,8 +81,8 @@ def _even(height: float) -> float:
 
 
 def _draw_moment(axes: Any, story: Story, time: float) -> None:
-    for other in story.attacked.others:
-        draw_box(axes, other, time, OTHER, 5, style=LOOK)
+    for track in story.attacked.others:
+        draw_box(axes, track, time, OTHER, 5, style=LOOK)
     if story.raw is not None and time > story.trigger:
         for track, colour in story.raw.coloured():
             draw_box(axes, track, time, colour, 6, filled=False, style=LOOK)
@@ -92,7 +92,7 @@ def _draw_moment(axes: Any, story: Story, time: float) -> None:
 
 def _words(story: Story, time: float) -> str:
     since = time - story.trigger
-    said = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
+    caption = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
     if story.collided and time >= story.decisive - 1e-6:
-        return f"{said}   contact"
-    return said
+        return f"{caption}   contact"
+    return caption

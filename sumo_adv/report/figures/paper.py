@@ -72,8 +72,8 @@ def draw_paper(story: Story) -> Picture:
 def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) -> None:
     left, bottom, width, tall = view
     draw_lanes(axes, story.lanes, SMALL)
-    for other in scene.others:
-        draw_box(axes, other, story.decisive, OTHER, 7, style=SMALL)
+    for track in scene.others:
+        draw_box(axes, track, story.decisive, OTHER, 7, style=SMALL)
     for track, colour in scene.coloured():
         part = track.between(story.trigger, story.end)
         axes.plot(part.x, part.y, color=colour, lw=1.2, zorder=6, solid_capstyle="round")

@@ -134,7 +134,7 @@ def draw_box(
 def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: Style = LARGE) -> None:
     """A dot each second since the trigger; the number on the side away from the other vehicle."""
     colours = (EGO, ADVERSARY)
-    for track, other, colour in zip(parts, reversed(parts), colours, strict=True):
+    for track, counterpart, colour in zip(parts, reversed(parts), colours, strict=True):
         last = (math.inf, math.inf)
         for second in range(int(track.time[-1] - trigger_time + 0.02) + 1 if track.time.size else 0):
             pose = pose_at(track, trigger_time + second)
@@ -144,7 +144,7 @@ def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: St
             if math.dist(last, (x, y)) < style.apart:
                 continue
             last = (x, y)
-            away = pose_at(other, trigger_time + second)
+            away = pose_at(counterpart, trigger_time + second)
             side = 1.0
             if away is not None:
                 left = (away[1] - y) * math.cos(heading) - (away[0] - x) * math.sin(heading)

@@ -83,12 +83,12 @@ def write_report(
     done = 0
     (out / PAGES).mkdir(parents=True, exist_ok=True)
     try:
-        for one, result in _all_pages(missing, runs, packs, out / PAGES, workers, roads):
+        for run, result in _all_pages(missing, runs, packs, out / PAGES, workers, roads):
             done += 1
             if isinstance(result, str):
                 damaged.append(result)
             else:
-                made[one] = Made(stamps[one], *result)
+                made[run] = Made(stamps[run], *result)
             tell(done, len(missing))
     finally:
         _write(out, made, roads)
@@ -103,17 +103,17 @@ def _urgency(row: Mapping[str, Any]) -> tuple[bool, float]:
 
 def _stamps(runs: Path, table: Table, packs: Packs) -> dict[str, int]:
     """A checksum of each run's outcome, by id; names that are no plain file names are left out."""
-    found = {}
+    stamps = {}
     for row in table.rows:
         name = str(row["id"])
         file = runs / name / OUTCOME
         if not SAFE.fullmatch(name):
             continue
         if file.is_file():
-            found[name] = zlib.crc32(file.read_bytes())
+            stamps[name] = zlib.crc32(file.read_bytes())
         elif name in packs.outcomes:
-            found[name] = zlib.crc32(packs.outcomes[name].encode())
-    return found
+            stamps[name] = zlib.crc32(packs.outcomes[name].encode())
+    return stamps
 
 
 def _all_pages(

@@ -54,16 +54,16 @@ def make_index(
 ) -> str:
     """The index as HTML. ``made``: the episodes that have a page, by id; ``roads``: see :func:`road_of`, by network."""
     rows = table.rows
-    known = [made.get(str(row["id"])) for row in rows]
-    maps = [n for n, _ in Counter(m.network for m in known if m and m.place and m.network in roads).most_common()]
+    pages = [made.get(str(row["id"])) for row in rows]
+    maps = [n for n, _ in Counter(m.network for m in pages if m and m.place and m.network in roads).most_common()]
     columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *NUMBERS, *TRUTHS, *table.varied)}
     data = {
         "schema": SCHEMA, "name": name, "varied": list(table.varied),
         "columns": {n: _coded(v) if n in CODED else v for n, v in columns.items()},
-        "page": [int(m is not None) for m in known],
-        "map": [maps.index(m.network) if m and m.place and m.network in roads else -1 for m in known],
-        "x": [m.place[0] if m and m.place else None for m in known],
-        "y": [m.place[1] if m and m.place else None for m in known],
+        "page": [int(m is not None) for m in pages],
+        "map": [maps.index(m.network) if m and m.place and m.network in roads else -1 for m in pages],
+        "x": [m.place[0] if m and m.place else None for m in pages],
+        "y": [m.place[1] if m and m.place else None for m in pages],
         "maps": [{"name": n, **roads[n]} for n in maps],
         "egos": [_ego(summary) for summary in summarise(rows)],
         "coverage": None if coverage is None else _cells(coverage),

@@ -81,19 +81,19 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
     verdict = outcome.get("outcome") or {}
     shown = {a.key: a for a in attempts}
     best = shown.get("best")
-    found = [
+    moments = [
         ("trigger", "trigger", outcome.get("trigger_time")),
         ("hazard", "hazard shows", verdict.get("hazard_time")),
         ("contact", "contact", verdict.get("contact_time")),
     ]
     if best is not None and best.closest is not None and verdict.get("contact_time") is None:
-        found.append(("closest", "closest approach", best.closest[0]))
+        moments.append(("closest", "closest approach", best.closest[0]))
     if best is not None and verdict.get("contact_time") is None and verdict.get("min_ttc_time") is not None:
-        found.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
+        moments.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
     raw = shown.get("raw")
     if best is not None and raw is not None and raw.closest is not None:
-        found.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))
-    rows = [{"key": key, "name": name, "time": float(t)} for key, name, t in found if t is not None]
+        moments.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))
+    rows = [{"key": key, "name": name, "time": float(t)} for key, name, t in moments if t is not None]
     return sorted(rows, key=lambda m: m["time"])
 
 

@@ -57,14 +57,14 @@ class StopLine:
 @lru_cache(maxsize=4)
 def lane_changes(path: Path) -> Changes:
     """Which lanes of a network restrict the change of lanes; the others do not. Raises UsageError."""
-    found: dict[str, tuple[bool, bool]] = {}
+    changes: dict[str, tuple[bool, bool]] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "lane" and ("changeLeft" in attributes or "changeRight" in attributes):
-            found[attributes["id"]] = _allowed(attributes.get("changeLeft")), _allowed(attributes.get("changeRight"))
+            changes[attributes["id"]] = _allowed(attributes.get("changeLeft")), _allowed(attributes.get("changeRight"))
 
     parse(path, start)
-    return found
+    return changes
 
 
 def _allowed(classes: str | None) -> bool:

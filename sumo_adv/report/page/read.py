@@ -96,8 +96,8 @@ def reading(folder: Path) -> Iterator[None]:
     except (SumoAdvError, OSError, MemoryError):
         raise
     except Exception as error:
-        what = f"{type(error).__name__}: {error}"[:200].replace("\n", " ")
-        raise UsageError(f"The run in {folder} is not as this program writes it ({what}); run it again.") from error
+        message = f"{type(error).__name__}: {error}"[:200].replace("\n", " ")
+        raise UsageError(f"The run in {folder} is not as this program writes it ({message}); run it again.") from error
 
 
 def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:

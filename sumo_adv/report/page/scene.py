@@ -159,14 +159,16 @@ def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
     whole_run = "raw" if best is None and not names else "best"
     shown = [_shown(whole_run, run.best, grid, lead.id, names[0] if names else "", outcome.get("trigger_time"), None)]
     if run.first and listed:
-        theirs = listed[0]
+        attempt = listed[0]
         shown.append(
-            _shown("first", run.first, grid, lead.id, str(theirs["adversaries"][0]), theirs["trigger_time"], common)
+            _shown("first", run.first, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
         )
     for k, tracks in run.attacks:
-        theirs = listed[k]
-        key = f"attack {k + 1}: {theirs['kind']}"
-        shown.append(_shown(key, tracks, grid, lead.id, str(theirs["adversaries"][0]), theirs["trigger_time"], common))
+        attempt = listed[k]
+        key = f"attack {k + 1}: {attempt['kind']}"
+        shown.append(
+            _shown(key, tracks, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
+        )
     if run.raw and whole_run == "best":
         trigger = outcome.get("trigger_time")
         shown.append(_shown("raw", run.raw, grid, lead.id, names[0] if names else "", trigger, common))
@@ -186,13 +188,13 @@ def _shown(
     vehicles = [(t, s) for t in cut if (s := _segments(t, grid, None if t.id in (ego, adversary) else lead))]
     frm = 0 if common is None else grid.frame(common)
     to = max((grid.frame(float(t.time[-1])) for t in cut), default=frm)
-    other = next((t for t in cut if t.id == adversary), None)
+    foe = next((t for t in cut if t.id == adversary), None)
     if lead is None:
         return Shown(key, ego, adversary, trigger, frm, to, vehicles)
-    measures = {} if other is None else series(lead, [other])
-    curves = _curves(lead, other, measures, grid)
+    measures = {} if foe is None else series(lead, [foe])
+    curves = _curves(lead, foe, measures, grid)
     closest = None
-    if other is not None:
+    if foe is not None:
         after = measures["time"] >= (start if trigger is None else trigger) - 1e-3
         gap = np.where(after, measures["gap"][0], math.inf)
         k = int(np.argmin(gap))
@@ -208,28 +210,28 @@ def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
         x, y = (np.interp(track.time, lead.time, v) for v in (lead.x, lead.y))
         keep = np.hypot(track.x - x, track.y - y) <= NEAR
     heading = np.unwrap(track.heading)
-    found = []
+    segments = []
     places = np.flatnonzero(keep)
     for piece in np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []:
-        found.append(
+        segments.append(
             Segment(
                 int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
                 whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
             )
         )  # fmt: skip
-    return found
+    return segments
 
 
-def _curves(ego: Track, other: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[Ints]:
+def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[Ints]:
     """The six series on every frame from the ego's first to its last."""
     frames = np.rint((ego.time - grid.start) / grid.step).astype(np.int64)
     empty = np.full(len(ego.time), np.nan)
     rows = [empty, empty, ego.speed, ego.acceleration, empty, empty]
-    if other is not None:
+    if foe is not None:
         on = np.isfinite(measures["centre_distance"][0])
         rows[0], rows[1] = measures["ttc"][0], measures["gap"][0]
-        for k, values in ((4, other.speed), (5, other.acceleration)):
-            rows[k] = np.where(on, np.interp(ego.time, other.time, values), np.nan)
+        for k, values in ((4, foe.speed), (5, foe.acceleration)):
+            rows[k] = np.where(on, np.interp(ego.time, foe.time, values), np.nan)
     curves = []
     for row in rows:
         full = np.full(int(frames[-1] - frames[0]) + 1, np.nan)

@@ -59,11 +59,11 @@ def _samples(strands: tuple[Strand, ...]) -> tuple[NDArray[np.intp], Floats, Flo
     for strand in strands:
         if strand.bike:
             continue
-        where = np.linspace(0.0, strand.length, max(2, int(strand.length / STEP) + 1))
-        owners.append(np.full(len(where), strand.number, dtype=np.intp))
-        stations.append(where)
-        places.append(at(strand.points, strand.along, where))
-        directions.append(headings(strand.points, strand.along, where))
+        own_stations = np.linspace(0.0, strand.length, max(2, int(strand.length / STEP) + 1))
+        owners.append(np.full(len(own_stations), strand.number, dtype=np.intp))
+        stations.append(own_stations)
+        places.append(at(strand.points, strand.along, own_stations))
+        directions.append(headings(strand.points, strand.along, own_stations))
     if not owners:
         return np.empty(0, dtype=np.intp), np.empty(0), np.empty((0, 3)), np.empty(0)
     return np.concatenate(owners), np.concatenate(stations), np.vstack(places), np.concatenate(directions)

@@ -34,10 +34,10 @@ def finish(
     lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge}
     for edge in roads.edges.values():
         for index, lane in enumerate(edge.lanes):
-            found = lanes.get(f"{edge.name}_{index}")
-            if found is None:
+            element = lanes.get(f"{edge.name}_{index}")
+            if element is None:
                 raise UsageError(f"netconvert left out lane {edge.name}_{index}: the network is not complete.")
-            _shape(found, lane.shape, lane.width, lane.speed)
+            _shape(element, lane.shape, lane.width, lane.speed)
     via = _connections(net, lanes, roads, order, programs)
     _junctions(net, roads, order, programs, via)
     if ground is not None:
@@ -64,26 +64,27 @@ def _connections(
     via = [""] * len(roads.links)
     link_of_via: dict[str, int] = {}
     inner = []
-    for found in net.findall("connection"):
-        if found.get("from", "").startswith(":"):
-            inner.append(found)
+    for element in net.findall("connection"):
+        if element.get("from", "").startswith(":"):
+            inner.append(element)
             continue
-        key = found.get("from", ""), int(found.get("fromLane", 0)), found.get("to", ""), int(found.get("toLane", 0))
+        start, end = element.get("from", ""), element.get("to", "")
+        key = start, int(element.get("fromLane", 0)), end, int(element.get("toLane", 0))
         n = number[key]
         link = roads.links[n]
-        via[n] = found.get("via", "")
+        via[n] = element.get("via", "")
         link_of_via[via[n]] = n
-        found.set("dir", link.direction)
-        found.set("state", order.state[n])
+        element.set("dir", link.direction)
+        element.set("state", order.state[n])
         program = programs.get(link.junction)
         if program is not None and n in program.index:
-            found.set("tl", link.junction)
-            found.set("linkIndex", str(program.index[n]))
-            found.set("state", "O" if order.state[n] == "M" else "o")
+            element.set("tl", link.junction)
+            element.set("linkIndex", str(program.index[n]))
+            element.set("state", "O" if order.state[n] == "M" else "o")
         _shape(lanes[via[n]], link.shape, link.width, link.speed)
-    for found in inner:
-        link = roads.links[link_of_via[f"{found.get('from')}_{found.get('fromLane')}"]]
-        found.set("dir", link.direction)
+    for element in inner:
+        link = roads.links[link_of_via[f"{element.get('from')}_{element.get('fromLane')}"]]
+        element.set("dir", link.direction)
     if "" in via:
         lost = roads.links[via.index("")]
         raise UsageError(
@@ -131,7 +132,7 @@ def junction_polygons(roads: Roads) -> dict[str, Floats]:
     of_junction: dict[str, list[Link]] = {}
     for link in roads.links:
         of_junction.setdefault(link.junction, []).append(link)
-    found = {}
+    polygons = {}
     for name, links in of_junction.items():
         strips = [
             LineString(link.shape).simplify(0.1).buffer(link.width / 2, cap_style="flat", quad_segs=2) for link in links
@@ -141,8 +142,8 @@ def junction_polygons(roads: Roads) -> dict[str, Floats]:
             area = max(area.geoms, key=lambda g: g.area) if len(area.geoms) else area
         if not area.is_empty:
             outline = area.simplify(0.2).exterior
-            found[name] = np.asarray(outline.coords)[:-1]
-    return found
+            polygons[name] = np.asarray(outline.coords)[:-1]
+    return polygons
 
 
 def _boundary(roads: Roads) -> str:

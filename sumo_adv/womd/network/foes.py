@@ -35,14 +35,14 @@ def find_foes(links: Sequence[Link]) -> set[tuple[int, int]]:
         return set()
     lines = [linestrings(link.shape) for link in links]
     pairs = STRtree(lines).query(lines, predicate="dwithin", distance=CLOSE).T
-    found = set()
+    foes = set()
     for i, j in pairs[pairs[:, 0] < pairs[:, 1]].tolist():
         a, b = links[i], links[j]
         if a.junction != b.junction or (a.source, a.from_lane) == (b.source, b.from_lane):
             continue
         if (a.target, a.to_lane) == (b.target, b.to_lane) or not _apart(a, b):
-            found.add((i, j))
-    return found
+            foes.add((i, j))
+    return foes
 
 
 def _apart(a: Link, b: Link) -> bool:
@@ -67,17 +67,17 @@ def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[tu
         lines = LineString(a.shape), LineString(b.shape)
         if lines[0].intersects(lines[1]):
             continue
-        where, missing = _nearest(lines, [substring(line, END, line.length - END) for line in lines])
+        nearest_at, missing = _nearest(lines, [substring(line, END, line.length - END) for line in lines])
         if np.hypot(*missing) > 2.0 * MOST_BENT:
-            where, missing = _nearest(lines, lines)
-        midway = [END - SAME <= w <= line.length - END + SAME for w, line in zip(where, lines, strict=True)]
+            nearest_at, missing = _nearest(lines, lines)
+        midway = [END - SAME <= w <= line.length - END + SAME for w, line in zip(nearest_at, lines, strict=True)]
         if not any(midway) or (not all(midway) and np.hypot(*missing) > MOST_BENT):
             continue
         share = 1.0 / sum(midway)
         if midway[0]:
-            bent[i] = _bend(a, where[0], share * missing)
+            bent[i] = _bend(a, nearest_at[0], share * missing)
         if midway[1]:
-            bent[j] = _bend(b, where[1], -share * missing)
+            bent[j] = _bend(b, nearest_at[1], -share * missing)
         pairs += 1
     return tuple(bent), pairs
 
@@ -88,17 +88,17 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
     from shapely.ops import nearest_points
 
     ends = nearest_points(*parts)
-    where = [float(line.project(end)) for line, end in zip(lines, ends, strict=True)]
+    nearest_at = [float(line.project(end)) for line, end in zip(lines, ends, strict=True)]
     gap = np.array([ends[1].x - ends[0].x, ends[1].y - ends[0].y])
-    return where, gap * (1.0 + OVER / max(float(np.hypot(*gap)), 1e-6))
+    return nearest_at, gap * (1.0 + OVER / max(float(np.hypot(*gap)), 1e-6))
 
 
-def _bend(link: Link, where: float, way: Floats) -> Link:
+def _bend(link: Link, station: float, way: Floats) -> Link:
     """The link moved by ``way`` [m] at station ``where``, less and less to both sides, its ends kept."""
     along = stations(link.shape)
-    reach = min(BEND, where, float(along[-1]) - where)
-    extra = where + reach * np.linspace(-1.0, 1.0, 17)
+    reach = min(BEND, station, float(along[-1]) - station)
+    extra = station + reach * np.linspace(-1.0, 1.0, 17)
     every = np.unique(np.concatenate([along, extra]))
-    weight = 0.5 + 0.5 * np.cos(np.pi * np.clip((every - where) / reach, -1.0, 1.0))
+    weight = 0.5 + 0.5 * np.cos(np.pi * np.clip((every - station) / reach, -1.0, 1.0))
     shape = at(link.shape, along, every) + weight[:, None] * way
     return replace(link, shape=shape, heights=np.interp(every, along, link.heights))

@@ -100,13 +100,13 @@ def _on_the_left(places: Any, segments: Floats, tree: Any) -> Bools:
     """
     from shapely import get_coordinates
 
-    where, hit = tree.query_nearest(places)
+    place, hit = tree.query_nearest(places)
     a, along = segments[hit, 0], segments[hit, 1] - segments[hit, 0]
-    to = get_coordinates(places)[where] - a
+    to = get_coordinates(places)[place] - a
     beside = (along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0]) / np.maximum(np.hypot(*along.T), 1e-9)
     order = np.argsort(np.abs(beside), kind="stable")  # the furthest beside is written last
     left = np.zeros(len(places), bool)
-    left[where[order]] = beside[order] > 0.0
+    left[place[order]] = beside[order] > 0.0
     return left
 
 

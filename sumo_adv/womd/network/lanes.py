@@ -83,10 +83,10 @@ def keep(record: Record) -> Kept:
 
 def _links(record: Record, usable: dict[int, Floats]) -> tuple[set[tuple[int, int]], list[tuple[int, int]]]:
     """Pairs (lane, exit) that touch, and those that do not."""
-    wanted = {(a, b) for a in usable for b in record.lanes[a].exits}
-    wanted |= {(a, b) for b in usable for a in record.lanes[b].entries}
+    pairs = {(a, b) for a in usable for b in record.lanes[a].exits}
+    pairs |= {(a, b) for b in usable for a in record.lanes[b].entries}
     links, gaps = set(), []
-    for a, b in sorted(wanted):
+    for a, b in sorted(pairs):
         if a not in usable or b not in usable or a == b:
             continue
         if np.hypot(*(usable[b][0] - usable[a][-1])[:2]) < MAX_GAP:
@@ -102,10 +102,10 @@ def _speeds(record: Record, usable: dict[int, Floats], links: set[tuple[int, int
     without = [n for n in usable if n not in speeds]
     near: dict[int, list[int]] = {n: [] for n in without}
     for a, b in links:
-        for own, other in ((a, b), (b, a)):
+        for own, neighbour in ((a, b), (b, a)):
             if own in near:
-                near[own].append(other)
+                near[own].append(neighbour)
     for n in without:
-        known = [record.lanes[m].speed_limit for m in near[n] if record.lanes[m].speed_limit > 0]
-        speeds[n] = max(known) if known else BIKE_SPEED if record.lanes[n].kind == BIKE else DEFAULT_SPEED
+        limits = [record.lanes[m].speed_limit for m in near[n] if record.lanes[m].speed_limit > 0]
+        speeds[n] = max(limits) if limits else BIKE_SPEED if record.lanes[n].kind == BIKE else DEFAULT_SPEED
     return speeds, len(without)

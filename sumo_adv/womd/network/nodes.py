@@ -41,7 +41,7 @@ class _Union:
 
 def make_nodes(spans: Spans, rows: list[Row], conflicts: Conflicts) -> Nodes:
     """Union of all that belongs to one junction."""
-    keys = [(s, k) for s, found in enumerate(spans.of) for k in range(len(found))]
+    keys = [(s, k) for s, strand_spans in enumerate(spans.of) for k in range(len(strand_spans))]
     span_id = {key: 2 * len(rows) + n for n, key in enumerate(keys)}
     union = _Union(2 * len(rows) + len(keys))
     row_of: dict[Stretch, int] = {stretch: n for n, row in enumerate(rows) for stretch in row}
@@ -70,18 +70,18 @@ def make_nodes(spans: Spans, rows: list[Row], conflicts: Conflicts) -> Nodes:
 
 def _join_conflicts(spans: Spans, span_id: dict[tuple[int, int], int], conflicts: Conflicts, union: _Union) -> None:
     def ids(owner: np.ndarray, station: np.ndarray) -> np.ndarray:
-        found = np.full(len(owner), -1)
+        span_ids = np.full(len(owner), -1)
         for s, row in enumerate(spans.of):
-            mine = np.flatnonzero(owner == s)
-            if not len(mine) or not row:
+            on_strand = np.flatnonzero(owner == s)
+            if not len(on_strand) or not row:
                 continue
             starts = np.array([a for a, _ in row])
             ends = np.array([b for _, b in row])
-            k = np.searchsorted(starts, station[mine] + 1e-6) - 1
-            inside = (k >= 0) & (station[mine] <= ends[np.maximum(k, 0)] + 1e-6)
+            k = np.searchsorted(starts, station[on_strand] + 1e-6) - 1
+            inside = (k >= 0) & (station[on_strand] <= ends[np.maximum(k, 0)] + 1e-6)
             base = span_id[s, 0]
-            found[mine[inside]] = base + k[inside]
-        return found
+            span_ids[on_strand[inside]] = base + k[inside]
+        return span_ids
 
     pairs = np.stack([ids(conflicts.a, conflicts.sa), ids(conflicts.b, conflicts.sb)], axis=1)
     for a, b in np.unique(pairs[(pairs >= 0).all(axis=1)], axis=0):

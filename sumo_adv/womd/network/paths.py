@@ -45,8 +45,8 @@ def find_ways(spans: Spans) -> tuple[list[Way], list[Way]]:
 def _from(spans: Spans, source: Stretch, starts: dict[tuple[int, float], Stretch]) -> Iterator[Way]:
     """All ways from the end of ``source``, depth first."""
     stack: list[tuple[int, float, tuple[Leg, ...], float]] = [(source.strand, source.end, (), 0.0)]
-    found = 0
-    while stack and found < MAX_WAYS:
+    count = 0
+    while stack and count < MAX_WAYS:
         strand, station, legs, length = stack.pop()
         at_end = station >= spans.strands[strand].length - 1e-9
         follow = [(e, 0.0) for e in spans.strands[strand].exits] if at_end else [(strand, station)]
@@ -54,7 +54,7 @@ def _from(spans: Spans, source: Stretch, starts: dict[tuple[int, float], Stretch
             k = next((k for k, (a, _) in enumerate(spans.of[number]) if abs(a - start) < 1e-9), None)
             if k is None:
                 if (number, start) in starts:
-                    found += 1
+                    count += 1
                     yield Way(source, starts[number, start], legs, length)
             elif (number, k) not in legs and len(legs) < MAX_SPANS:
                 a, b = spans.of[number][k]

@@ -45,11 +45,11 @@ def find_pieces(
         return sorted(made)
 
     of_strand = [parts(strand.number) for strand in layout.strands.all]
-    found = {}
+    of_lane = {}
     for number in lanes:
         pieces = [piece for strand, run in layout.strands.of_lane[number] for piece in _on(run, of_strand[strand])]
-        found[number] = tuple(pieces)
-    return found
+        of_lane[number] = tuple(pieces)
+    return of_lane
 
 
 def _on(run: Run, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[Piece]:

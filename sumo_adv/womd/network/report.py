@@ -22,10 +22,12 @@ def make_report(
 ) -> dict[str, Any]:  # fmt: skip
     """JSON-ready. Lengths in m."""
     total = sum(lane.length for lane in kept.lanes.values())
-    inside = sum(b - a for found in layout.spans.of for a, b in found)
-    shown = sum(end - start for found in pieces.values() for start, end in {(p.start, p.end) for p in found})
-    wanted = {(a, b) for a, lane in kept.lanes.items() for b in lane.exits}
-    missing = _missing(wanted, pieces, roads, via)
+    inside = sum(b - a for strand_spans in layout.spans.of for a, b in strand_spans)
+    shown = sum(
+        end - start for lane_pieces in pieces.values() for start, end in {(p.start, p.end) for p in lane_pieces}
+    )
+    connections = {(a, b) for a, lane in kept.lanes.items() for b in lane.exits}
+    missing = _missing(connections, pieces, roads, via)
     kinds = ["traffic_light" if name in signals.programs else kind for name, kind in order.kind.items()]
     return {
         "lanes": len(record.lanes),
@@ -38,8 +40,8 @@ def make_report(
         "links": len(roads.links),
         "parallel_ways_lost": len(layout.lost),
         "edges_closed_in_a_junction": layout.loops,
-        "connections_wanted": len(wanted),
-        "connections_kept": len(wanted) - len(missing),
+        "connections_wanted": len(connections),
+        "connections_kept": len(connections) - len(missing),
         "connections_missing": missing,
         "connections_with_a_gap": [list(pair) for pair in kept.gaps],
         "speeds_assumed": kept.assumed_speeds,
@@ -58,7 +60,7 @@ def make_report(
 
 
 def _missing(
-    wanted: Iterable[tuple[int, int]], pieces: Mapping[int, tuple[Piece, ...]], roads: Roads, via: list[str]
+    connections: Iterable[tuple[int, int]], pieces: Mapping[int, tuple[Piece, ...]], roads: Roads, via: list[str]
 ) -> list[list[int]]:
     """Pairs of lanes with ends that are neither on one SUMO lane nor joined by a link."""
     joined = set()
@@ -73,4 +75,4 @@ def _missing(
         after = {piece.sumo_lane for piece in pieces[b] if piece.start < start + 0.02}
         return bool(before & after) or any((x, y) in joined for x in before for y in after)
 
-    return [[a, b] for a, b in sorted(wanted) if not kept(a, b)]
+    return [[a, b] for a, b in sorted(connections) if not kept(a, b)]

@@ -66,7 +66,7 @@ def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str
     stopping = [_heading(edges[name]) for name in approaches & halting]
     if len(approaches) < 2 or len(stopping) < min(3, len(approaches)):
         return False
-    return all(any(_one_road(_heading(edges[name]), other) for other in stopping) for name in approaches)
+    return all(any(_one_road(_heading(edges[name]), heading) for heading in stopping) for name in approaches)
 
 
 def _ranks(
@@ -78,10 +78,10 @@ def _ranks(
     straight = {name: any(links[k].direction == "s" for k in members if links[k].source == name) for name in sources}
     worth: dict[str, tuple[float, ...]] = {}
     for name in sources:
-        axis = [other for other in sources if _one_road(heading[name], heading[other])]
-        lanes = sum(len(edges[other].lanes) for other in axis)
-        speed = max(math.floor(edges[other].speed / SPEED_STEP + 0.5) for other in axis)
-        worth[name] = (float(any(straight[other] for other in axis)), float(speed), float(lanes))
+        axis = [source for source in sources if _one_road(heading[name], heading[source])]
+        lanes = sum(len(edges[source].lanes) for source in axis)
+        speed = max(math.floor(edges[source].speed / SPEED_STEP + 0.5) for source in axis)
+        worth[name] = (float(any(straight[source] for source in axis)), float(speed), float(lanes))
     ranks = {}
     for k in members:
         link = links[k]

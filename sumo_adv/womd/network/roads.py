@@ -98,7 +98,7 @@ def make_roads(layout: Layout, widths: Widths) -> Roads:
         for lane in edge.lanes:
             ends.setdefault(edge.start, []).append(lane.shape[0])
             ends.setdefault(edge.end, []).append(lane.shape[-1])
-    centres = {name: np.mean(found, axis=0) for name, found in ends.items()}
+    centres = {name: np.mean(points, axis=0) for name, points in ends.items()}
     junctions = {name: (float(c[0]), float(c[1])) for name, c in centres.items()}
     return Roads(edges, links, junctions, place)
 

@@ -81,7 +81,7 @@ def _share(spans: Spans, beside: Beside, right: Stretch, left: Stretch) -> float
         return 0.0
     strands = spans.strands
     middle = (max(a, left.start) + min(b, left.end)) / 2
-    other = float(np.interp(middle, beside.left_at, beside.right_at))
+    across = float(np.interp(middle, beside.left_at, beside.right_at))
     p = at(strands[left.strand].points, strands[left.strand].along, middle)
-    q = at(strands[right.strand].points, strands[right.strand].along, other)
+    q = at(strands[right.strand].points, strands[right.strand].along, across)
     return share if np.hypot(*(p - q)[:2]) < MAX_SPACING else 0.0

@@ -62,27 +62,27 @@ def make_sections(lanes: dict[int, KeptLane], held: Collection[int]) -> dict[int
     first = {lane: len(body) + head_of[lane] if lane in head_of else body[lane] for lane in lanes}
     base = len(body) + len(heads)
     last = {lane: base + tail_of[lane] if lane in tail_of else body[lane] for lane in lanes}
-    found: dict[int, Section] = {}
+    sections: dict[int, Section] = {}
     for number, lane in lanes.items():
         start = heads[head_of[number]].length if number in head_of else 0.0
         end = lane.length - (tails[tail_of[number]].length if number in tail_of else 0.0)
         before = (first[number],) if number in head_of else tuple(sorted({last[e] for e in lane.entries}))
         after = (last[number],) if number in tail_of else tuple(sorted({first[e] for e in lane.exits}))
         points = part(lane.points, lane.along, start, end) if end - start < lane.length else lane.points
-        found[body[number]] = Section(
+        sections[body[number]] = Section(
             points, (Use(number, start, end),), before, after, lane.speed, lane.bike, lane.feature.interpolating
         )
     for n, shared in enumerate(heads):
         lane = lanes[shared.lanes[0]]
         uses = tuple(Use(k, 0.0, shared.length) for k in shared.lanes)
         before = tuple(sorted({last[e] for e in lane.entries}))
-        found[len(body) + n] = _make(lanes, lane, uses, before, tuple(body[k] for k in shared.lanes))
+        sections[len(body) + n] = _make(lanes, lane, uses, before, tuple(body[k] for k in shared.lanes))
     for n, shared in enumerate(tails):
         lane = lanes[shared.lanes[0]]
         uses = tuple(Use(k, lanes[k].length - shared.length, lanes[k].length) for k in shared.lanes)
         after = tuple(sorted({first[e] for e in lane.exits}))
-        found[base + n] = _make(lanes, lane, uses, tuple(body[k] for k in shared.lanes), after)
-    return found
+        sections[base + n] = _make(lanes, lane, uses, tuple(body[k] for k in shared.lanes), after)
+    return sections
 
 
 def _make(
@@ -95,7 +95,7 @@ def _make(
 
 def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) -> list[_Shared]:
     """Groups of lanes that share their last metres before, or their first after, the same one lane."""
-    found = []
+    groups = []
     for number, lane in lanes.items():
         if at_end:
             group = [k for k in lane.entries if lanes[k].exits == (number,)]
@@ -109,8 +109,8 @@ def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) 
         length = _common([lanes[k] for k in group], at_end=at_end)
         if length >= LEAST:
             group.sort(key=lambda k: (lanes[k].feature.interpolating, abs(turned(lanes[k].points)), k))
-            found.append(_Shared(tuple(group), length))
-    return found
+            groups.append(_Shared(tuple(group), length))
+    return groups
 
 
 def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:

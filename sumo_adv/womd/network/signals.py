@@ -64,16 +64,16 @@ def ruling_lanes(
     """Link number -> the signal lane that rules it; None for links of an approach without a recorded signal or a stop
     sign that goes straight on across a ruled one."""
     recorded = {state.lane for step in record.signals for state in step}
-    found: dict[int, int | None] = {}
+    ruling: dict[int, int | None] = {}
     for n, link in enumerate(links):
         lane = next((lane for lane in link.lanes if lane in recorded), None)
         if lane is not None:
-            found[n] = lane
-    crossing = {a for pair in foes for a, b in (pair, pair[::-1]) if a not in found and b in found}
+            ruling[n] = lane
+    crossing = {a for pair in foes for a, b in (pair, pair[::-1]) if a not in ruling and b in ruling}
     stopping = {link.source for link in links if any(lane in stops for lane in link.lanes)}
     assumed = {links[n].source for n in crossing if links[n].direction == "s"} - stopping
-    found |= {n: None for n in crossing if links[n].source in assumed and links[n].direction != "r"}
-    return found
+    ruling |= {n: None for n in crossing if links[n].source in assumed and links[n].direction != "r"}
+    return ruling
 
 
 def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: RightOfWay) -> SignalPlan:
@@ -86,9 +86,9 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
     for junction in sorted({links[n].junction for n in rulers}):
         members = [n for n in rulers if links[n].junction == junction]
         members.sort(key=lambda n: (place.get(rulers[n], len(place)), n))
-        known, told = _known(record, links, members, rulers, letters)
-        witnessed += told
-        rows = ["".join(known[n][k] for n in members) for k in range(len(record.signals))]
+        of_link, streams = _known(record, links, members, rulers, letters)
+        witnessed += streams
+        rows = ["".join(of_link[n][k] for n in members) for k in range(len(record.signals))]
         phases = _run_lengths(rows, step)
         needy = _needy(links, members, phases)
         completed += len(needy)
@@ -104,17 +104,17 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
 
 def _letters(record: Record) -> dict[int, list[str]]:
     """For each signal lane, in the recorded order, a letter a step; gaps are filled with the last known one."""
-    found: dict[int, list[str]] = {}
+    letters: dict[int, list[str]] = {}
     for k, step in enumerate(record.signals):
         for state in step:
-            states = found.setdefault(state.lane, [""] * len(record.signals))
+            states = letters.setdefault(state.lane, [""] * len(record.signals))
             states[k] = LETTERS[state.state] if 0 <= state.state < len(LETTERS) else ""
-    for states in found.values():
+    for states in letters.values():
         last = next((letter for letter in states if letter), "")
         for k, letter in enumerate(states):
             last = letter or last
             states[k] = last
-    return found
+    return letters
 
 
 def _known(
@@ -123,21 +123,21 @@ def _known(
     """Each link's letters; where its own are never known those of a like link, else what logged vehicles tell, else
     red; and of how many streams vehicles told."""
     own = {n: letters.get(lane, []) if (lane := rulers[n]) is not None else [] for n in members}
-    told: dict[Stream, list[str]] = {}
+    of_stream: dict[Stream, list[str]] = {}
     for n in members:
         if any(own[n]):
-            told.setdefault(_stream(links[n]), own[n])
+            of_stream.setdefault(_stream(links[n]), own[n])
     unseen: dict[Stream, list[Link]] = {}
     for n in members:
-        if _stream(links[n]) not in told:
+        if _stream(links[n]) not in of_stream:
             unseen.setdefault(_stream(links[n]), []).append(links[n])
     traffic = logged_traffic(record) if unseen else None
-    found = {s: witnessed_letters(traffic, like) for s, like in unseen.items()} if traffic is not None else {}
-    witnessed = {stream: told_by for stream, told_by in found.items() if told_by}
-    told |= witnessed
+    observed = {s: witnessed_letters(traffic, like) for s, like in unseen.items()} if traffic is not None else {}
+    witnessed = {stream: told_by for stream, told_by in observed.items() if told_by}
+    of_stream |= witnessed
     red = ["r"] * len(record.signals)
-    known = {n: own[n] if any(own[n]) else told.get(_stream(links[n]), red) for n in members}
-    return known, len(witnessed)
+    of_link = {n: own[n] if any(own[n]) else of_stream.get(_stream(links[n]), red) for n in members}
+    return of_link, len(witnessed)
 
 
 def _stream(link: Link) -> Stream:

@@ -30,26 +30,28 @@ class Beside:
 
 def find_beside(lanes: dict[int, KeptLane], strands: Strands) -> list[Beside]:
     """All pairs of strands beside one another, from the neighbours of their lanes."""
-    found: dict[tuple[int, int], list[_Range]] = {}
+    ranges: dict[tuple[int, int], list[_Range]] = {}
     for number, lane in lanes.items():
         for neighbours, is_left in ((lane.feature.left, True), (lane.feature.right, False)):
             for n in neighbours:
                 if n.lane not in lanes or lane.bike != lanes[n.lane].bike:
                     continue
                 own = _stations(lane, n.own_start, n.own_end)
-                other = _stations(lanes[n.lane], n.other_start, n.other_end)
-                if own[1] - own[0] <= 0 or other[1] - other[0] <= 0:
+                across = _stations(lanes[n.lane], n.other_start, n.other_end)
+                if own[1] - own[0] <= 0 or across[1] - across[0] <= 0:
                     continue
-                for a, b, span in _pieces(strands, number, own, n.lane, other):
+                for a, b, span in _pieces(strands, number, own, n.lane, across):
                     key, row = ((a, b), span) if is_left else ((b, a), (*span[2:], *span[:2]))
-                    found.setdefault(key, []).append(row)
-    return [made for key, rows in sorted(found.items()) for made in _runs(key, rows)]
+                    ranges.setdefault(key, []).append(row)
+    return [made for key, rows in sorted(ranges.items()) for made in _runs(key, rows)]
 
 
-def _pieces(strands: Strands, lane: int, own: Floats, other: int, there: Floats) -> Iterator[tuple[int, int, _Range]]:
+def _pieces(
+    strands: Strands, lane: int, own: Floats, neighbour: int, there: Floats
+) -> Iterator[tuple[int, int, _Range]]:
     """A range of a lane beside a range of another, as ranges of their strands (which may change on the way)."""
     for a, run in strands.of_lane[lane]:
-        for b, across in strands.of_lane[other]:
+        for b, across in strands.of_lane[neighbour]:
             if a == b:
                 continue
             ends = np.interp([across.lane_start, across.lane_end], there, own)

@@ -91,20 +91,20 @@ def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
                 tuple(last[n] for n in head.entries), tuple(first[n] for n in tail.exits),
             )
         )  # fmt: skip
-    of_lane = {lane: tuple(sorted(found, key=lambda f: f[1].lane_start)) for lane, found in runs_of.items()}
+    of_lane = {lane: tuple(sorted(lane_runs, key=lambda f: f[1].lane_start)) for lane, lane_runs in runs_of.items()}
     return Strands(tuple(made), of_lane)
 
 
 def _follows(sections: dict[int, Section]) -> dict[int, int]:
     """Section -> its successor, where there is no other and both are alike."""
-    found = {}
+    successors = {}
     for key, section in sections.items():
         if len(section.exits) == 1 and section.exits[0] != key:
             after = sections[section.exits[0]]
             alike = after.bike == section.bike and abs(after.speed - section.speed) < SAME_SPEED
             if after.entries == (key,) and alike:
-                found[key] = section.exits[0]
-    return found
+                successors[key] = section.exits[0]
+    return successors
 
 
 def _string(parts: list[Floats]) -> tuple[Floats, list[tuple[float, float]]]:

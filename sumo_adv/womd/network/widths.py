@@ -59,9 +59,9 @@ def _choose(left: Floats, right: Floats, spacing: float | None, default: float) 
         return float(np.median(both[np.isfinite(both)])), "both sides"
     if spacing is not None:
         return spacing, "neighbours"
-    one = np.concatenate([left[np.isfinite(left)], right[np.isfinite(right)]])
-    if len(one):
-        return 2 * float(np.median(one)), "one side"
+    finite = np.concatenate([left[np.isfinite(left)], right[np.isfinite(right)]])
+    if len(finite):
+        return 2 * float(np.median(finite)), "one side"
     return default, "default"
 
 
@@ -70,9 +70,9 @@ def _probes(strands: tuple[Strand, ...], stretches: list[Stretch]) -> tuple[Floa
     centres, sides = [], []
     for stretch in stretches:
         strand = strands[stretch.strand]
-        where = stretch.start + (stretch.end - stretch.start) * (np.arange(PROBES) + 0.5) / PROBES
-        centres.append(at(strand.points, strand.along, where))
-        heading = headings(strand.points, strand.along, where)
+        places = stretch.start + (stretch.end - stretch.start) * (np.arange(PROBES) + 0.5) / PROBES
+        centres.append(at(strand.points, strand.along, places))
+        heading = headings(strand.points, strand.along, places)
         sides.append(np.stack([-np.sin(heading), np.cos(heading)], axis=-1))
     if not centres:
         return np.empty((0, 3)), np.empty((0, 2))
@@ -83,10 +83,10 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
     """Distance from each centre to the first line that crosses the ray to its side, inf if none within ``REACH``."""
     from shapely import STRtree, linestrings
 
-    found = np.full(len(centre), np.inf)
+    distances = np.full(len(centre), np.inf)
     pieces = [np.stack([line.points[:-1], line.points[1:]], axis=1) for line in lines if len(line.points) > 1]
     if not pieces or not len(centre):
-        return found
+        return distances
     segments = np.concatenate(pieces)
     rays = np.stack([centre[:, :2] + 0.2 * side, centre[:, :2] + REACH * side], axis=1)
     ray, hit = STRtree(linestrings(segments[:, :, :2])).query(linestrings(rays))
@@ -99,20 +99,20 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
         t = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / cross
         u = (to[:, 0] * d[:, 1] - to[:, 1] * d[:, 0]) / cross
     good = (t > 0.2) & (t < REACH) & (u >= 0) & (u <= 1) & (np.abs(a[:, 2] - p[:, 2]) < OVERPASS)
-    np.minimum.at(found, ray[good], t[good])
-    return found
+    np.minimum.at(distances, ray[good], t[good])
+    return distances
 
 
 def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[Stretch, float]:
     """Mean distance between the middles of neighbours in a row."""
-    found: dict[Stretch, list[float]] = {}
+    spacings: dict[Stretch, list[float]] = {}
     for row in rows:
         middles = [_middle(strands[s.strand], s) for s in row]
         for right, left, p, q in zip(row, row[1:], middles, middles[1:], strict=False):
             distance = float(np.hypot(*(p - q)[:2]))
-            found.setdefault(right, []).append(distance)
-            found.setdefault(left, []).append(distance)
-    return {stretch: float(np.mean(values)) for stretch, values in found.items()}
+            spacings.setdefault(right, []).append(distance)
+            spacings.setdefault(left, []).append(distance)
+    return {stretch: float(np.mean(values)) for stretch, values in spacings.items()}
 
 
 def _middle(strand: Strand, stretch: Stretch) -> Floats:
