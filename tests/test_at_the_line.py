@@ -47,7 +47,7 @@ def asked(
 
 
 @pytest.mark.parametrize(
-    ("ahead", "speed", "wanted", "aside", "slower"),
+    ("ahead", "speed", "target_left", "aside", "slower"),
     [
         (205.0, 16.0, 3.2, 3.2, 16.0),  # 200 m between the bumpers at 40 m/s: 5 s and no sooner
         (204.0, 16.0, 3.2, 1.8, 8.5),  # now: 1.6 + 0.9 - 0.7 m from the ego's middle, 3 s of braking with 2.5 m/s2
@@ -58,9 +58,9 @@ def asked(
     ],
 )
 def test_it_keeps_astride_the_line_until_the_ego_is_near(
-    sandbox: Sandbox, ahead: float, speed: float, wanted: float, aside: float, slower: float
+    sandbox: Sandbox, ahead: float, speed: float, target_left: float, aside: float, slower: float
 ) -> None:
-    changes = {"ahead": ahead, "speed": speed, "target_left": wanted, "left": wanted, "lateral_time": 0.0}
+    changes = {"ahead": ahead, "speed": speed, "target_left": target_left, "left": target_left, "lateral_time": 0.0}
     numbers = STRADDLE if ahead != 205.0 else {**STRADDLE, "early": 4.99}
     end = asked(sandbox, "straddle", COMES, numbers, changes)
     assert (end["y"], end["speed"]) == pytest.approx((aside, slower))
