@@ -14,15 +14,15 @@ pytestmark = needs_sumo
 RAW = r"""
 raw = socket.create_connection(("127.0.0.1", PORT))
 def message(*commands): return struct.pack("!i", 4 + sum(map(len, commands))) + b"".join(commands)
-def heard():
+def receive():
     size = struct.unpack("!i", raw.recv(4, socket.MSG_WAITALL))[0]
     return raw.recv(size - 4, socket.MSG_WAITALL)
 VERSION, LOAD, STEP = b"\2\0", b"\x0a\1" + bytes(8), b"\x0a\2" + bytes(8)
 GETTER = struct.pack("!BBBi", 10, 0xa4, 0x40, 3) + b"ego"
-raw.sendall(message(VERSION)); heard()
+raw.sendall(message(VERSION)); receive()
 """
 FAREWELL = """
-print(heard()[7:], flush=True)
+print(receive()[7:], flush=True)
 """
 
 
