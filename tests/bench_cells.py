@@ -15,13 +15,13 @@ def attempt(intent: str = "Aggressive Cut-in", **given: Any) -> dict[str, Any]:
         given["collided"] = True
     collided = bool(given.get("collided"))
     least = 0.0 if collided else given.get("min_ttc")
-    found: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "intent": intent, "adversaries": ["1"], "phase": "tuner", "min_ttc": least, "collided": collided,
         "critical": collided or (least is not None and least <= 1.0), "feasible": True, "rear_end": False,
         "valid": False if collided else None, "strict": False if collided else None, "failed_gates": [],
         "avoidable": ("any_manoeuvre" if given.get("valid") else "unavoidable") if collided else None,
     }  # fmt: skip
-    return found | given
+    return defaults | given
 
 
 def cell(case: str, row: str = "expert", *tried: dict[str, Any], **given: Any) -> Cell:

@@ -55,8 +55,8 @@ def encounter(
     **changed: Any,
 ) -> Encounter:
     """The hand-made situation with these vehicles at every delay; ``changed`` goes to ``situation``."""
-    one: Situation = situation(targets, **changed)
-    return Encounter(dict.fromkeys(delays, one), library, everywhere(), Settings(), seed, NETWORK)
+    hand_made: Situation = situation(targets, **changed)
+    return Encounter(dict.fromkeys(delays, hand_made), library, everywhere(), Settings(), seed, NETWORK)
 
 
 def attempt(proposal: Proposal, index: int = 0, **changed: Any) -> Attempt:
@@ -68,7 +68,7 @@ def attempt(proposal: Proposal, index: int = 0, **changed: Any) -> Attempt:
     return Attempt(index, "row", proposal, 100.0, Verdict(**verdict), "passed")
 
 
-def asked(row: Any, many: int) -> list[Proposal]:
+def first_proposals(row: Any, many: int) -> list[Proposal]:
     """The first proposals of a row if all attempts miss."""
     tried: list[Attempt] = []
     while len(tried) < many and (proposal := row.propose(tried)) is not None:

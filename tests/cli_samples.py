@@ -150,17 +150,17 @@ States = dict[str, dict[float, dict[str, str]]]
 
 def lacking(folder: Path, files: set[str] = RUN_FILES) -> set[str]:
     """Files that a run's folder lacks, and files that it must not have: hidden and half-written ones."""
-    found = {p.name for p in folder.iterdir()}
-    return (files - found) | {name for name in found if name.startswith(".") or name.endswith((".part", ".tmp"))}
+    present = {p.name for p in folder.iterdir()}
+    return (files - present) | {name for name in present if name.startswith(".") or name.endswith((".part", ".tmp"))}
 
 
 def read_states(file: Path) -> States:
     """A table of states as vehicle -> time [s] -> row."""
-    found: States = {}
+    states: States = {}
     with gzip.open(file, "rt", newline="", encoding="utf-8") as text:
         for row in csv.DictReader(text):
-            found.setdefault(row["id"], {})[float(row["time"])] = row
-    return found
+            states.setdefault(row["id"], {})[float(row["time"])] = row
+    return states
 
 
 def position(row: Mapping[str, str]) -> tuple[float, float]:

@@ -24,17 +24,17 @@ INLINE = re.compile(r"(?<!`)`(sumo-adv [^`\n]+|make [a-z]+[^`\n]*|python -m sumo
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A code block. ``mark``: run, not run, file, or none of them (""); ``said``: what stands behind the mark."""
+    """A code block. ``mark``: run, not run, file, or none of them (""); ``detail``: what stands behind the mark."""
 
     page: Path
     line: int
     language: str
     text: str
     mark: str
-    said: str
+    detail: str
 
     @property
-    def where(self) -> str:
+    def location(self) -> str:
         """Page and line, for messages."""
         return f"{self.page.relative_to(ROOT)}:{self.line}"
 
@@ -66,8 +66,8 @@ def blocks(page: Path) -> Iterator[Block]:
     at, mark, after_blank = 0, ("", ""), True
     while at < len(lines):
         line = lines[at]
-        if found := MARK.fullmatch(line.strip()):
-            mark = (found[1], found[2] or "")
+        if marked := MARK.fullmatch(line.strip()):
+            mark = (marked[1], marked[2] or "")
         elif line.startswith("```"):
             end = next(k for k in range(at + 1, len(lines)) if lines[k].startswith("```"))
             yield Block(page, at + 1, line[3:].strip(), "\n".join(lines[at + 1 : end]) + "\n", *mark)
@@ -89,7 +89,7 @@ def inline_commands(page: Path) -> list[str]:
     """What stands between backticks in prose and looks like a command."""
     text = page.read_text(encoding="utf-8")
     outside = re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL)
-    return [found[1] for found in INLINE.finditer(outside)]
+    return [match[1] for match in INLINE.finditer(outside)]
 
 
 def words(command: str) -> list[str]:

@@ -75,7 +75,7 @@ class Errands:
     def squares(self, numbers: list[int]) -> list[int]:
         return list(in_forks([partial(pow, n, 2) for n in numbers]))
 
-    def fork_that(self, what: str) -> list[Any]:
+    def fork_that(self, failure: str) -> list[Any]:
         """A fork that does well, and a fork that fails in the way named."""
         failures: dict[str, Callable[[], Any]] = {
             "divides": lambda: 1 // 0,
@@ -85,7 +85,7 @@ class Errands:
             "cannot_be_sent": lambda: lambda: 0,
             "exits": lambda: os._exit(3),
         }
-        return in_forks([lambda: 1, failures[what]])
+        return in_forks([lambda: 1, failures[failure]])
 
     def fork_again(self, numbers: list[int], skip: bool = False) -> list[str]:
         """Numbers as words. A negative one crashes until the simulation was loaded again, 0 always; with ``skip`` the

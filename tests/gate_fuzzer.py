@@ -88,14 +88,17 @@ def setter(chance: random.Random) -> bytes:
 def subscription(chance: random.Random) -> bytes:
     domain = chance.choice(list(GETTERS))
     begin = struct.pack("!2d", chance.choice(NUMBERS), chance.choice(NUMBERS)) + text(chance.choice(NAMES))
-    wanted = [chance.choice([*shapes.GET.get(domain, {0: ("",)}), *range(256)]) for _ in range(chance.randrange(6))]
+    variable_ids = [
+        chance.choice([*shapes.GET.get(domain, {0: ("",)}), *range(256)]) for _ in range(chance.randrange(6))
+    ]
     if chance.random() < 0.5:
         reach = struct.pack("!d", chance.choice(NUMBERS))
         return make_command(
-            chance.choice(list(GETTERS)) - 0x20, begin + bytes((domain,)) + reach + bytes((len(wanted), *wanted))
+            chance.choice(list(GETTERS)) - 0x20,
+            begin + bytes((domain,)) + reach + bytes((len(variable_ids), *variable_ids)),
         )
-    variables = b"".join(bytes((w,)) + value(chance, chance.choice(shapes.get_shapes(domain, w))) for w in wanted)
-    return make_command(domain + GETTER_TO_SUBSCRIPTION, begin + bytes((len(wanted),)) + variables)
+    variables = b"".join(bytes((w,)) + value(chance, chance.choice(shapes.get_shapes(domain, w))) for w in variable_ids)
+    return make_command(domain + GETTER_TO_SUBSCRIPTION, begin + bytes((len(variable_ids),)) + variables)
 
 
 def control(chance: random.Random) -> bytes:
@@ -116,14 +119,14 @@ def mutated(chance: random.Random, message: bytes) -> bytes:
     data = bytearray(message)
     for _ in range(chance.randrange(1, 4)):
         at = chance.randrange(len(data)) if data else 0
-        what = chance.randrange(5)
-        if what == 0 and data:
+        mutation = chance.randrange(5)
+        if mutation == 0 and data:
             data[at] = chance.randrange(256)
-        elif what == 1:
+        elif mutation == 1:
             data[at:at] = chance.randbytes(chance.randrange(1, 9))
-        elif what == 2:
+        elif mutation == 2:
             del data[at : at + chance.randrange(1, 9)]
-        elif what == 3 and len(data) >= 4:
+        elif mutation == 3 and len(data) >= 4:
             data[:4] = struct.pack("!i", len(data))
         elif len(data) > 5:
             data[4] = chance.randrange(256)

@@ -15,10 +15,10 @@ from traci import constants as tc
 
 client = traci.connect(int(sys.argv[1]), host="127.0.0.1")
 client.setOrder(2)
-said: list[tuple[str, str]] = []
+answers: list[tuple[str, str]] = []
 
 
-def say(what: str, call: Callable[..., Any], *given: Any, **named: Any) -> None:
+def say(label: str, call: Callable[..., Any], *given: Any, **named: Any) -> None:
     """Ask, and note the answer or the error."""
     try:
         answer = repr(call(*given, **named))
@@ -26,7 +26,7 @@ def say(what: str, call: Callable[..., Any], *given: Any, **named: Any) -> None:
         raise
     except Exception as error:  # also traci's own, where it cannot read what SUMO says
         answer = f"{type(error).__name__}: {error}"
-    said.append((what, re.sub(" at 0x[0-9a-f]+", "", answer)))
+    answers.append((label, re.sub(" at 0x[0-9a-f]+", "", answer)))
 
 
 def read(domain: Any) -> None:
@@ -48,9 +48,9 @@ def read(domain: Any) -> None:
             continue
         if any(p.kind in (p.VAR_POSITIONAL, p.VAR_KEYWORD) for p in signature.parameters.values()):
             needed = needed[:1]
-        for one in ids:
+        for object_id in ids:
             if len(needed) <= 1:
-                say(f"{name}.{method}({one})", call, *([one] if needed else []))
+                say(f"{name}.{method}({object_id})", call, *([object_id] if needed else []))
 
 
 def read_with_parameters() -> None:
@@ -230,7 +230,7 @@ def several_in_one() -> None:
     answer = b""
     while len(answer) < length - 4:
         answer += client._socket.recv(length - 4 - len(answer))
-    said.append(("several", answer.hex()))
+    answers.append(("several", answer.hex()))
 
 
 def main() -> None:
@@ -272,7 +272,7 @@ def main() -> None:
     say("all", client.vehicle.getIDList)
     client.simulationStep()
     client.close()
-    print(json.dumps(said))
+    print(json.dumps(answers))
 
 
 if __name__ == "__main__":

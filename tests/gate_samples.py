@@ -91,11 +91,11 @@ class Script:
     def end(self, timeout: float = 30.0) -> str:
         """What else it says, once it has ended in good order."""
         assert self.process.stdout is not None and self.process.stderr is not None
-        said = self.process.stdout.read()
+        output = self.process.stdout.read()
         errors = self.process.stderr.read()
         assert self.process.wait(timeout) == 0, errors[-3000:]
         self.process.communicate()
-        return said
+        return output
 
     def kill(self) -> None:
         """As by kill -9."""
@@ -125,7 +125,7 @@ class Scene:
         """What happened so far."""
         return [event.kind for event in self.events]
 
-    def told(self, kind: EventKind, timeout: float = 5.0) -> str:
+    def sentence_of(self, kind: EventKind, timeout: float = 5.0) -> str:
         """The sentence of the last event of a kind; waits for it."""
         until = time.monotonic() + timeout
         while kind not in self.kinds():
@@ -165,5 +165,5 @@ def attached(gate: Gate, events: list[GateEvent], folder: Path, hidden: tuple[st
 @contextmanager
 def scene(folder: Path, deadline: float = 5.0, rules: Rules | None = None) -> Iterator[Scene]:
     """One simulation behind a gate of its own."""
-    with opened(folder, deadline, rules) as (gate, events), attached(gate, events, folder) as one:
-        yield one
+    with opened(folder, deadline, rules) as (gate, events), attached(gate, events, folder) as simulation:
+        yield simulation

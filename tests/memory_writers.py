@@ -24,12 +24,12 @@ from sumo_adv.memory.migrations import utc_now
 
 def deadly_clock(calls: int) -> Callable[[], str]:
     """A clock that kills the process when it is asked for the ``calls``-th time; the bank asks within a transaction."""
-    asked = 0
+    calls_made = 0
 
     def clock() -> str:
-        nonlocal asked
-        asked += 1
-        if asked == calls:
+        nonlocal calls_made
+        calls_made += 1
+        if calls_made == calls:
             os.kill(os.getpid(), signal.SIGKILL)
         return utc_now()
 

@@ -1,4 +1,4 @@
-"""A language model whose answers a test gives."""
+"""A language model with answers that a test gives."""
 
 from __future__ import annotations
 

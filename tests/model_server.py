@@ -108,8 +108,8 @@ def status(code: int, message: str = "", **headers: str) -> Raw:
 def no_schema(answer: Answer, refused: Sequence[str] = ("json_schema",)) -> Callable[[Asked], Answer]:
     """A server that answers 400 to these response formats, and else ``answer``."""
 
-    def script(asked: Asked) -> Answer:
-        return status(400, f"response_format {asked.mode} is unavailable") if asked.mode in refused else answer
+    def script(request: Asked) -> Answer:
+        return status(400, f"response_format {request.mode} is unavailable") if request.mode in refused else answer
 
     return script
 
@@ -160,20 +160,20 @@ class ModelServer:
         self._server.server_close()
         self._thread.join()
 
-    def _answer(self, asked: Asked) -> Answer:
+    def _answer(self, request: Asked) -> Answer:
         with self._lock:
             place = len(self.asked)
-            self.asked.append(asked)
+            self.asked.append(request)
             if not callable(self._script):
                 return self._script[place] if place < len(self._script) else status(500, "no more answers")
-        return self._script(asked)
+        return self._script(request)
 
-    def _embeddings(self, asked: Asked) -> Answer:
+    def _embeddings(self, request: Asked) -> Answer:
         with self._lock:
-            self.asked.append(asked)
+            self.asked.append(request)
         if self._vectors is None:
             return status(404, "no embeddings here")
-        data = [{"index": i, "embedding": list(self._vectors(t))} for i, t in enumerate(asked.body["input"])]
+        data = [{"index": i, "embedding": list(self._vectors(t))} for i, t in enumerate(request.body["input"])]
         return Raw(200, json.dumps({"data": data[::-1]}).encode())
 
     def _enter(self, step: int) -> None:
@@ -189,13 +189,13 @@ class ModelServer:
 
             def do_POST(self) -> None:
                 body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                asked = Asked(self.path, dict(self.headers.items()), body)
+                request = Asked(self.path, dict(self.headers.items()), body)
                 server._enter(1)
                 try:
                     if self.path == "/v1/chat/completions":
-                        answer = server._answer(asked)
+                        answer = server._answer(request)
                     elif self.path == "/v1/embeddings":
-                        answer = server._embeddings(asked)
+                        answer = server._embeddings(request)
                     else:
                         answer = status(404, f"no {self.path} here")
                 finally:

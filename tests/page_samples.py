@@ -53,18 +53,18 @@ def states(names: Sequence[str], frames: range, pose: Pose = along, roles: Seque
     return gzip.compress("".join(rows).encode(), mtime=0)
 
 
-def attempt(index: int, planner: str, adversary: str = ADVERSARY, **other: Any) -> dict[str, Any]:
+def attempt(index: int, planner: str, adversary: str = ADVERSARY, **changes: Any) -> dict[str, Any]:
     """An attempt as ``outcome.json`` lists it."""
     return {
         "index": index, "by": "expert", "phase": "analyzer", "adversaries": [adversary], "intent": "Cut-in",
         "planner": {"mode": "side", "hash": planner, "origin": "seed"}, "parameters": {"gap": 3.0},
         "acceleration": 0.0, "trigger_time": 2.0, "min_ttc": 0.72, "min_distance": 1.2, "collided": False,
         "critical": True, "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None,
-        "failed_gates": [], "ending": "passed", "message": "", **other,
+        "failed_gates": [], "ending": "passed", "message": "", **changes,
     }  # fmt: skip
 
 
-def outcome(ego: str = EGO, adversary: str = ADVERSARY, **other: Any) -> dict[str, Any]:
+def outcome(ego: str = EGO, adversary: str = ADVERSARY, **changes: Any) -> dict[str, Any]:
     """An ``outcome.json`` of a run without contact: min TTC 0.72 s, 9.87 s unattacked."""
     intent = {
         "bv": adversary, "label": "Cut-in", "description": "It cuts in.", "risk": "high", "acceleration": 0.0,
@@ -82,17 +82,17 @@ def outcome(ego: str = EGO, adversary: str = ADVERSARY, **other: Any) -> dict[st
         "encounter": {"time": 2.0, "ranking": [{"id": adversary, "relation": "neighbour", "risk": 0.5}]},
         "agents": {"analyzer": "expert", "note": "Built-in expert."}, "intent": intent, "intents": [intent],
         "raw": {"min_ttc": 9.8765, "collided": False}, "attempts": [attempt(0, "a" * 64, adversary)], "best": 0,
-        "outcome": verdict, "realism": {"speed_kl": 1.5731}, "timing": {"total": 2.0}, "notes": [], **other,
+        "outcome": verdict, "realism": {"speed_kl": 1.5731}, "timing": {"total": 2.0}, "notes": [], **changes,
     }  # fmt: skip
 
 
-def manifest(**other: Any) -> dict[str, Any]:
+def manifest(**changes: Any) -> dict[str, Any]:
     """A ``manifest.json``, as much of it as a page reads."""
     planner = {"label": "Cut-in", "mode": "side", "origin": "seed", "parent": None, "source": "GAP = 3\nSIDE = 1\n"}
     return {
         "schema": 1, "versions": {"sumo_adv": "0"}, "name": "sample", "settings": {"step_length": STEP, "ttc": 1.0},
         "network": f"0-{NETWORK}", "seed": 7, "planners": {"a" * 64: planner}, "attempt": {"planner": "a" * 64},
-        **other,
+        **changes,
     }  # fmt: skip
 
 

@@ -13,18 +13,18 @@ from model_server import Asked
 APPLIES = re.compile(r"^(BV\d+): .*Behaviours that apply: (.*)\.$", re.MULTILINE)
 
 
-def agent_of(asked: Asked) -> str:
+def agent_of(request: Asked) -> str:
     """The agent that asked a question."""
-    opening = asked.system[:60]
+    opening = request.system[:60]
     for agent, word in (("generator", "You write"), ("modifier", "You repair"), ("confirm", "You compare")):
         if opening.startswith(word):
             return agent
     return "analyzer"
 
 
-def chosen(asked: Asked, label: str) -> str:
+def chosen(request: Asked, label: str) -> str:
     """The first BV that the behaviour applies to, else the first BV."""
-    question = next(content for role, content in asked.messages if role == "user")
+    question = next(content for role, content in request.messages if role == "user")
     listed = APPLIES.findall(question)
     return next((bv for bv, labels in listed if label in labels.split(", ")), listed[0][0])
 
@@ -51,22 +51,24 @@ class Author:
     ways: Sequence[Mapping[str, Any]] = ()
     questions: list[str] = field(default_factory=list)
 
-    def __call__(self, asked: Asked) -> Mapping[str, Any]:
-        agent = agent_of(asked)
+    def __call__(self, request: Asked) -> Mapping[str, Any]:
+        agent = agent_of(request)
         self.questions.append(agent)
         if agent == "analyzer":
-            wanted = intent(chosen(asked, self.label), self.label, self.acceleration, description=self.description)
-            return {"analysis": "As told.", "intents": [wanted | {"ways": list(self.ways)}]}
+            first_intent = intent(
+                chosen(request, self.label), self.label, self.acceleration, description=self.description
+            )
+            return {"analysis": "As told.", "intents": [first_intent | {"ways": list(self.ways)}]}
         if agent == "confirm":
             return {"same_as": None, "reason": "It is another manoeuvre."}
         written = sum(q in ("generator", "modifier") for q in self.questions) - 1
-        text = self._edited(asked, written) if self.edits else self.texts[min(written, len(self.texts) - 1)]
+        text = self._edited(request, written) if self.edits else self.texts[min(written, len(self.texts) - 1)]
         return {"mode": "direct", "diagnosis": "As told.", "source": text}
 
-    def _edited(self, asked: Asked, written: int) -> str:
-        found = re.search(r"PLANNER \(mode .*?\)\n(.*)\n\nWHAT ITS ATTEMPTS SHOWED", asked.last, re.DOTALL)
-        assert found is not None
-        text = found.group(1)
+    def _edited(self, request: Asked, written: int) -> str:
+        matched = re.search(r"PLANNER \(mode .*?\)\n(.*)\n\nWHAT ITS ATTEMPTS SHOWED", request.last, re.DOTALL)
+        assert matched is not None
+        text = matched.group(1)
         fitting = [(old, new) for old, new in self.edits if old in text]
         return text.replace(*fitting[0]) if fitting else f"{text}# rewritten {written}\n"
 

@@ -46,16 +46,16 @@ class Server:
             return []
         text = self._events.read_text(encoding="utf-8")
         whole = text[: text.rfind("\n") + 1]
-        found = [json.loads(line) for line in whole.splitlines()]
-        return [e for e in found if kind is None or e["event"] == kind]
+        all_events = [json.loads(line) for line in whole.splitlines()]
+        return [e for e in all_events if kind is None or e["event"] == kind]
 
     def wait(self, kind: str, count: int = 1, *, after: Callable[[Event], bool] = bool) -> Event:
         """The event of that kind that is the ``count``-th for which ``after`` holds."""
         until = time.monotonic() + PATIENCE
         while time.monotonic() < until:
-            found = [e for e in self.events(kind) if after(e)]
-            if len(found) >= count:
-                return found[count - 1]
+            matches = [e for e in self.events(kind) if after(e)]
+            if len(matches) >= count:
+                return matches[count - 1]
             assert self.process.poll() is None, (kind, self.process.communicate())
             time.sleep(0.02)
         raise AssertionError(f"no {kind} came: {self.events()[-5:]}")
@@ -84,15 +84,15 @@ class Server:
     def simulators(self) -> list[int]:
         """SUMO programs that this server started and that still run: their demand lies in its temporary folder."""
         mark = str(self.folder).encode()
-        found = []
+        pids = []
         for entry in Path("/proc").glob("[0-9]*"):
             try:
                 command = (entry / "cmdline").read_bytes()
             except OSError:
                 continue
             if b"--remote-port" in command and mark in command and b"serve\0" not in command:
-                found.append(int(entry.name))
-        return found
+                pids.append(int(entry.name))
+        return pids
 
     def close(self) -> None:
         """End what is left."""

@@ -86,8 +86,8 @@ def test_the_planner_gets_the_number_that_holds_at_its_time() -> None:
             assert adversary.replan(time, (0.0, 0.0, 10.0, 0.0)) is None
             alone.append(adversary.goal.v)
 
-        def ask(rows: object, told: object) -> object:
-            answers = sessions.answers([proposal], [0], told)  # type: ignore[arg-type]
+        def ask(rows: object, observations: object) -> object:
+            answers = sessions.answers([proposal], [0], observations)  # type: ignore[arg-type]
             assert answers[0] is not None
             speeds.append(answers[0].endpoint.speed)
             return answers

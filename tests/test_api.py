@@ -47,8 +47,8 @@ def python(code: str | Path, folder: Path, *options: str) -> str:
 
 def test_importing_is_light(tmp_path: Path) -> None:
     heavy = "numpy", "pydantic", "matplotlib", "typer", "libsumo", "httpx", "shapely", "IPython"
-    said = python(f"import sumo_adv, sys; print([m for m in {heavy!r} if m in sys.modules])", tmp_path)
-    assert said == "[]\n"
+    output = python(f"import sumo_adv, sys; print([m for m in {heavy!r} if m in sys.modules])", tmp_path)
+    assert output == "[]\n"
 
 
 def test_the_names_are_few() -> None:
@@ -63,9 +63,9 @@ def test_the_names_are_few() -> None:
 def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
-    once, said, there = python(script, tmp_path).splitlines()
+    once, ending_and_events, there = python(script, tmp_path).splitlines()
     assert once == "once"  # the engine's process did not run the script again
-    assert said.endswith("['encounter', 'intents', 'why_first', 'attempt']")
+    assert ending_and_events.endswith("['encounter', 'intents', 'why_first', 'attempt']")
     assert there == "False"
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith("bank.sqlite")) == ["script.py"]
 
@@ -131,11 +131,11 @@ def test_criticality_is_a_table_in_which_never_is_nan() -> None:
     assert table["id"][k] == rows[k]["id"]
 
 
-@pytest.mark.parametrize("which", ["states", "raw"])
-def test_tables_are_columns_of_the_files(which: str) -> None:
+@pytest.mark.parametrize("table_name", ["states", "raw"])
+def test_tables_are_columns_of_the_files(table_name: str) -> None:
     result = sumo_adv.load(run_folder("crossing"))
-    table = getattr(result, which)
-    with gzip.open(result.folder / f"{which}.csv.gz", "rt") as file:
+    table = getattr(result, table_name)
+    with gzip.open(result.folder / f"{table_name}.csv.gz", "rt") as file:
         rows = list(csv.DictReader(file))
     assert list(table) == list(rows[0])
     assert {len(column) for column in table.values()} == {len(rows)}

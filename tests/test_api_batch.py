@@ -85,8 +85,8 @@ def test_states_of_all_runs_as_parquet(folder: Path, tmp_path: Path) -> None:
     table = parquet.read_table(campaign.folder / "states.parquet").to_pandas()
     name = str(campaign.table["id"][1])
     states = campaign.run(name).states
-    mine = table[table.run == name]
-    assert len(mine) == len(states["time"]) and mine.x.tolist() == states["x"].tolist()
+    run_rows = table[table.run == name]
+    assert len(run_rows) == len(states["time"]) and run_rows.x.tolist() == states["x"].tolist()
     assert set(table.run) == set(campaign.table["id"]) and table.speed.dtype == float
 
 

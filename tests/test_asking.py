@@ -103,7 +103,7 @@ def test_the_sentence_of_a_check_is_sent_back() -> None:
 
 def test_after_the_last_re_ask_the_answer_is_refused_by_name() -> None:
     with (
-        ModelServer(lambda asked: "Never.") as server,
+        ModelServer(lambda request: "Never.") as server,
         pytest.raises(
             ModelError,
             match=r"answer from test-model was refused 2 times; try another model. Last fault: .*no JSON object",
@@ -112,14 +112,14 @@ def test_after_the_last_re_ask_the_answer_is_refused_by_name() -> None:
         ask(metered(server), "analyzer", "S", "U", Choice)
     assert len(server.asked) == 2
     with (
-        ModelServer(lambda asked: "") as server,
+        ModelServer(lambda request: "") as server,
         pytest.raises(ModelError, match=r"refused once; try another model. Last fault: It is empty."),
     ):
         ask(metered(server), "analyzer", "S", "U", Choice, re_asks=0)
 
 
 def test_many_samples_come_in_their_order_and_failed_ones_are_dropped() -> None:
-    def script(asked: Asked) -> Say:
+    def script(request: Asked) -> Say:
         return Say(GOOD) if next(turns) != 1 else Say("Never.")
 
     turns = iter(range(100))
@@ -131,7 +131,7 @@ def test_many_samples_come_in_their_order_and_failed_ones_are_dropped() -> None:
 
 
 def test_a_question_fails_if_all_its_samples_fail() -> None:
-    with ModelServer(lambda asked: status(401)) as server, pytest.raises(ModelError, match="key"):
+    with ModelServer(lambda request: status(401)) as server, pytest.raises(ModelError, match="key"):
         ask_many(metered(server), "analyzer", "S", "U", Choice, samples=3)
-    with ModelServer(lambda asked: GOOD) as server, pytest.raises(BudgetError, match="2 calls"):
+    with ModelServer(lambda request: GOOD) as server, pytest.raises(BudgetError, match="2 calls"):
         ask_many(metered(server, Budget(calls=2)), "analyzer", "S", "U", Choice, samples=3)

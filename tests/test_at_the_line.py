@@ -36,7 +36,7 @@ def planner(mode: str) -> Planner:
     return shipped_planners()[LABELS[mode], mode]
 
 
-def asked(
+def endpoint(
     sandbox: Sandbox, mode: str, probe: Probe, numbers: Mapping[str, float], changes: Mapping[str, Any]
 ) -> dict[str, float]:
     with sandbox.session(planner(mode), {"here": probe.road}) as session:
@@ -47,7 +47,7 @@ def asked(
 
 
 @pytest.mark.parametrize(
-    ("ahead", "speed", "wanted", "aside", "slower"),
+    ("ahead", "speed", "target_left", "aside", "slower"),
     [
         (205.0, 16.0, 3.2, 3.2, 16.0),  # 200 m between the bumpers at 40 m/s: 5 s and no sooner
         (204.0, 16.0, 3.2, 1.8, 8.5),  # now: 1.6 + 0.9 - 0.7 m from the ego's middle, 3 s of braking with 2.5 m/s2
@@ -58,18 +58,18 @@ def asked(
     ],
 )
 def test_it_keeps_astride_the_line_until_the_ego_is_near(
-    sandbox: Sandbox, ahead: float, speed: float, wanted: float, aside: float, slower: float
+    sandbox: Sandbox, ahead: float, speed: float, target_left: float, aside: float, slower: float
 ) -> None:
-    changes = {"ahead": ahead, "speed": speed, "target_left": wanted, "left": wanted, "lateral_time": 0.0}
+    changes = {"ahead": ahead, "speed": speed, "target_left": target_left, "left": target_left, "lateral_time": 0.0}
     numbers = STRADDLE if ahead != 205.0 else {**STRADDLE, "early": 4.99}
-    end = asked(sandbox, "straddle", COMES, numbers, changes)
+    end = endpoint(sandbox, "straddle", COMES, numbers, changes)
     assert (end["y"], end["speed"]) == pytest.approx((aside, slower))
 
 
 def test_what_slowed_down_goes_on_to_the_line_although_they_meet_later_now(sandbox: Sandbox) -> None:
     """At 3 m/s and 24 m/s 200 m take 7.4 s; it began before, and is on its way to 1.8 m."""
     changes = {"ahead": 205.0, "speed": 3.0, "target_left": 1.8, "left": 2.6, "lateral_time": 2.0}
-    end = asked(sandbox, "straddle", COMES, STRADDLE, changes)
+    end = endpoint(sandbox, "straddle", COMES, STRADDLE, changes)
     assert (end["y"], end["time"]) == pytest.approx((1.8, 2.0))
 
 
@@ -91,7 +91,7 @@ def test_it_drives_at_the_edge_before_it_moves_in(
     sandbox: Sandbox, changes: Mapping[str, Any], aside: float, time: float
 ) -> None:
     at_24 = {"speed": 24.0, "speed_along": 24.0, "lateral_time": 0.0, "last": AGO}
-    end = asked(sandbox, "nudge", BESIDE, NUDGE, {**at_24, **changes})
+    end = endpoint(sandbox, "nudge", BESIDE, NUDGE, {**at_24, **changes})
     assert (end["y"], end["time"]) == pytest.approx((aside, time))
     if aside == 3.2:
         assert end["speed"] < 24.0  # it falls back to its place
@@ -105,12 +105,12 @@ def test_an_ego_that_moves_aside_a_little_does_not_confuse_it(sandbox: Sandbox, 
     changes = {
         "ahead": 4.0, "left": 2.4 + moved, "target_left": 2.2 + moved, "lateral_time": 1.0, "speed": 24.0, "last": AGO,
     }  # fmt: skip
-    assert asked(sandbox, "nudge", BESIDE, NUDGE, changes)["y"] == pytest.approx(2.2 + moved)
+    assert endpoint(sandbox, "nudge", BESIDE, NUDGE, changes)["y"] == pytest.approx(2.2 + moved)
 
 
 def test_one_ahead_in_the_ego_s_lane_leaves_it_first_although_it_is_where_it_will_end(sandbox: Sandbox) -> None:
     """0.0 m aside is as good as the 0.3 m it ends at; at the first question it has not left yet."""
     sides = [{"offset": 3.2, "kind": "same"}]
     probe = Probe(LEADS.name, LEADS.bv, LEADS.ego, {**LEADS.road, "sides": sides})
-    end = asked(sandbox, "nudge", probe, NUDGE, {"last": None})
+    end = endpoint(sandbox, "nudge", probe, NUDGE, {"last": None})
     assert end["y"] == pytest.approx(3.2)

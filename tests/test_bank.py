@@ -109,8 +109,8 @@ def test_the_content_hash_counts_content_only(tmp_path: Path) -> None:
 def test_what_is_there_stays_and_another_spelling_is_the_same_intent(tmp_path: Path) -> None:
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         bank.add(BRAKING, [BRAKE_PLANNER])
-        other = IntentRecord("emergency  BRAKING", "Something else.", ("follower",))
-        bank.record(evidence(label=other.label), intent=other)
+        respelt = IntentRecord("emergency  BRAKING", "Something else.", ("follower",))
+        bank.record(evidence(label=respelt.label), intent=respelt)
         assert bank.intents() == [BRAKING]
         assert bank.evidence()[0].label == "Emergency Braking"
 

@@ -43,18 +43,18 @@ def sources(folder: Path) -> Path:
 
 def test_building_twice_gives_the_same_bank(tmp_path: Path) -> None:
     folder = sources(tmp_path / "memory_bank")
-    one, two = tmp_path / "one.sqlite", tmp_path / "two.sqlite"
-    build(folder, one, parse)
-    two.write_text("something old, which is replaced")
-    build(folder, two, parse)
-    with MemoryBank.open(one, read_only=True) as a, MemoryBank.open(two, read_only=True) as b:
+    first, second = tmp_path / "one.sqlite", tmp_path / "two.sqlite"
+    build(folder, first, parse)
+    second.write_text("something old, which is replaced")
+    build(folder, second, parse)
+    with MemoryBank.open(first, read_only=True) as a, MemoryBank.open(second, read_only=True) as b:
         assert a.content_hash() == b.content_hash()
         assert [record.description for record in a.intents()] == ["It brakes hard."]
         assert [planner.mode for planner in a.planners("Emergency Braking")] == ["late", "plain"]
         assert a.planners("Emergency Braking")[1] == BRAKE_PLANNER
         assert a.epsilon() == (TextAndSlots.epsilon, TextAndSlots.calibrated_on)
-    assert one.read_bytes() == two.read_bytes()
-    assert verify_same(folder, one, parse) == []
+    assert first.read_bytes() == second.read_bytes()
+    assert verify_same(folder, first, parse) == []
     assert {file.name for file in tmp_path.iterdir()} == {"memory_bank", "one.sqlite", "two.sqlite"}
 
 
@@ -69,13 +69,13 @@ def test_differences_are_named(tmp_path: Path) -> None:
     (folder / "more" / "plain.py").write_text("PARAMETERS = {}\n")
     with MemoryBank.open(bank_path) as bank:
         bank.record(evidence())
-    said = "\n".join(verify_same(folder, bank_path, parse))
-    assert "lacks the intent 'More Braking'" in said
-    assert "'Emergency Braking' differs" in said
-    assert "bank lacks the planner 'plain'" in said
-    assert "sources lack the planner 'plain'" in said
-    assert "holds evidence" in said
-    assert said.count("\n") == 4
+    differences = "\n".join(verify_same(folder, bank_path, parse))
+    assert "lacks the intent 'More Braking'" in differences
+    assert "'Emergency Braking' differs" in differences
+    assert "bank lacks the planner 'plain'" in differences
+    assert "sources lack the planner 'plain'" in differences
+    assert "holds evidence" in differences
+    assert differences.count("\n") == 4
 
 
 def test_wrong_sources_are_refused_and_the_old_bank_stays(tmp_path: Path) -> None:
@@ -124,9 +124,9 @@ def test_intents_share_a_text_and_give_it_their_own_words(tmp_path: Path) -> Non
     (folder / "more").mkdir()
     more = INTENT.replace("Emergency", "More")
     (folder / "more" / "intent.toml").write_text(more + '[shared]\nwait = { late = "2.0" }\n')
-    braking, other = read_sources(folder, lambda _: ())
+    braking, more_braking = read_sources(folder, lambda _: ())
     assert [planner.mode for planner in braking.planners] == ["late", "plain", "wait"]
-    first, second = braking.planners[2].source, other.planners[0].source
+    first, second = braking.planners[2].source, more_braking.planners[0].source
     assert first == '# Emergency Braking\nPARAMETERS = {"late": (0.5, 0.0, 3.0, "s")}\n'
     assert second == '# More Braking\nPARAMETERS = {"late": (2.0, 0.0, 3.0, "s")}\n'
 
@@ -160,8 +160,8 @@ def test_a_label_may_be_used_once(tmp_path: Path) -> None:
 
 
 def test_the_seven_intents_of_the_paper_are_there() -> None:
-    found = [source.intent for source in read_sources(SHIPPED, lambda _: ())]
-    assert {record.label for record in found} == LABELS
-    assert len(found) == 7
-    covered = {relation for record in found for relation in record.applies}
+    intents = [source.intent for source in read_sources(SHIPPED, lambda _: ())]
+    assert {record.label for record in intents} == LABELS
+    assert len(intents) == 7
+    covered = {relation for record in intents for relation in record.applies}
     assert covered == set(RELATIONS) - {"crossing_right", "merging", *SIZES}

@@ -127,17 +127,17 @@ def test_the_shipped_bank_is_copied_and_never_written(tmp_path: Path) -> None:
     with MemoryBank.open(shipped) as bank:
         bank.add(BRAKING, [BRAKE_PLANNER])
     before = shipped.read_bytes()
-    mine = tmp_path / "mine" / "bank.sqlite"
-    with MemoryBank.open(mine, seed_from=shipped) as bank:
+    own_copy = tmp_path / "mine" / "bank.sqlite"
+    with MemoryBank.open(own_copy, seed_from=shipped) as bank:
         assert bank.intents() == [BRAKING]
         bank.record(evidence())
-    with MemoryBank.open(mine, seed_from=shipped) as bank:
+    with MemoryBank.open(own_copy, seed_from=shipped) as bank:
         assert len(bank.evidence()) == 1
     with MemoryBank.open(shipped, seed_from=shipped) as bank, pytest.raises(BankError, match="read-only"):
         bank.record(evidence())
     assert shipped.read_bytes() == before
     assert [file.name for file in shipped.parent.iterdir()] == ["memory_bank.sqlite"]
-    assert [file.name for file in mine.parent.iterdir()] == ["bank.sqlite"]
+    assert [file.name for file in own_copy.parent.iterdir()] == ["bank.sqlite"]
 
 
 def test_a_seed_that_is_not_a_bank_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -230,9 +230,9 @@ def test_each_error_of_sqlite_is_one_sentence(tmp_path: Path) -> None:
         connection.execute("PRAGMA max_page_count = 2")
         with pytest.raises(sqlite3.OperationalError) as full:
             connection.execute("INSERT INTO t VALUES (zeroblob(100000))")
-    said = str(bank_error(full.value, path))
-    assert "the disk is full; free some space" in said
-    assert said.startswith(f"The memory bank {path} ")
+    message = str(bank_error(full.value, path))
+    assert "the disk is full; free some space" in message
+    assert message.startswith(f"The memory bank {path} ")
     assert str(bank_error(sqlite3.ProgrammingError("odd"), path)).endswith("failed: odd.")
 
 
@@ -269,10 +269,10 @@ def test_no_room_for_a_row_is_a_sentence_and_loses_nothing(tmp_path: Path) -> No
 
 def test_a_busy_bank_waits_for_the_other_writer(tmp_path: Path) -> None:
     path = tmp_path / "bank.sqlite"
-    with MemoryBank.open(path) as bank, contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
-        other.execute("BEGIN IMMEDIATE")
+    with MemoryBank.open(path) as bank, contextlib.closing(sqlite3.connect(path, isolation_level=None)) as writer:
+        writer.execute("BEGIN IMMEDIATE")
         assert bank.retrieve("Emergency Braking").hit is None
         bank.refresh()
-        other.execute("ROLLBACK")
+        writer.execute("ROLLBACK")
         bank.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
         assert len(bank.evidence()) == 1

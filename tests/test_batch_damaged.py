@@ -64,8 +64,8 @@ def test_a_campaign_with_damaged_runs_is_resumed(program: Program) -> None:
     for damage, run in zip(DAMAGES, runs, strict=True):
         damage(run)
         assert read_row(run) is None
-    said = summary(program(*ONE))
-    assert (said["ran"], said["finished"], said["failed"]) == (6, 6, 0)
+    report = summary(program(*ONE))
+    assert (report["ran"], report["finished"], report["failed"]) == (6, 6, 0)
     assert table(program.folder / "out") == before
     clean(program)
 

@@ -45,14 +45,14 @@ def test_the_product_is_in_the_order_of_the_lists() -> None:
         inputs=["motorway_cut_in_left", "leader_two_lanes"], egos=["idm", "krauss"], seeds=2,
         vary={"attempts": [1, 5]},
     )  # fmt: skip
-    told = [(j.input.name, j.ego, plan.varied[j.variant]["attempts"], j.seed) for j in plan.jobs]
-    assert len(told) == len({j.id for j in plan.jobs}) == plan.size == 16
-    assert told[:5] == [
+    combinations = [(j.input.name, j.ego, plan.varied[j.variant]["attempts"], j.seed) for j in plan.jobs]
+    assert len(combinations) == len({j.id for j in plan.jobs}) == plan.size == 16
+    assert combinations[:5] == [
         ("motorway_cut_in_left", "idm", 1, 0), ("motorway_cut_in_left", "idm", 1, 1),
         ("motorway_cut_in_left", "idm", 5, 0), ("motorway_cut_in_left", "idm", 5, 1),
         ("motorway_cut_in_left", "krauss", 1, 0),
     ]  # fmt: skip
-    assert told[8][0] == "leader_two_lanes"
+    assert combinations[8][0] == "leader_two_lanes"
 
 
 def test_patterns_folders_and_paths_count_from_the_plan(tmp_path: Path) -> None:
@@ -110,9 +110,9 @@ def test_an_id_hangs_on_all_that_shapes_an_episode_and_on_nothing_else() -> None
     ],
 )
 def test_a_bad_plan_is_refused_by_name(table: dict[str, Any], says: str) -> None:
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as refusal:
         plan_of(**table)
-    assert says in str(told.value)
+    assert says in str(refusal.value)
 
 
 def test_plans_and_scenarios_are_told_apart(tmp_path: Path) -> None:
@@ -162,16 +162,16 @@ def test_a_record_is_found_past_one_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_two_plans_differ_in_words(tmp_path: Path) -> None:
-    one = plan_of(inputs=["motorway", "two_way"], seeds=3)
-    two = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
-    said, common = differences(one.as_dict(), two.as_dict())
-    assert said == [
+    before = plan_of(inputs=["motorway", "two_way"], seeds=3)
+    after = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
+    changes, common = differences(before.as_dict(), after.as_dict())
+    assert changes == [
         "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, are idm",
         "seeds were 0, 1, 2, are 0, 1", "settings changed: attempts",
     ]  # fmt: skip
     assert common == []
     versions = {"versions": {"sumo_adv": "0"}}, {"versions": {"sumo_adv": "1"}}
-    _, common = differences(one.as_dict() | versions[0], one.as_dict() | versions[1])
+    _, common = differences(before.as_dict() | versions[0], before.as_dict() | versions[1])
     assert common == ["versions: sumo_adv 0 then, sumo_adv 1 now"]
 
 
@@ -206,10 +206,10 @@ def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> N
     rows = {name: write_failure(tmp_path, job(name), "x", "") for name in ("a", "b")}
     write_csv(tmp_path / "results.csv", table_of(jobs, rows, [{"attempts": 3}]), ["attempts"])
     with (tmp_path / "results.csv").open(newline="") as file:
-        found = list(csv.DictReader(file))
-    assert [r["id"] for r in found] == ["b", "a"]
-    assert list(found[0]) == [*COLUMNS, "set_attempts"]
-    assert (found[0]["min_ttc"], found[0]["attempts"], found[0]["set_attempts"]) == ("", "0", "3")
+        written = list(csv.DictReader(file))
+    assert [r["id"] for r in written] == ["b", "a"]
+    assert list(written[0]) == [*COLUMNS, "set_attempts"]
+    assert (written[0]["min_ttc"], written[0]["attempts"], written[0]["set_attempts"]) == ("", "0", "3")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["outcome.json", "results.csv", "traceback.txt"]
 
 

@@ -50,14 +50,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Progr
 
 def ray_workers() -> list[int]:
     """Processes that run an episode's task."""
-    found = []
+    pids = []
     for pid in children_of(os.getpid()):
         try:
             if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::episode"):
-                found.append(pid)
+                pids.append(pid)
         except OSError:
             continue
-    return found
+    return pids
 
 
 def settled(outcomes: dict[str, bytes]) -> dict[str, bytes]:
@@ -66,11 +66,11 @@ def settled(outcomes: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def test_a_cluster_gives_the_same_rows_and_folders(program: Program, whole: tuple[Program, Done], cluster: Any) -> None:
-    said = summary(program(*SMALL, "--ray", cluster.address, "--json"))
-    assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
+    report = summary(program(*SMALL, "--ray", cluster.address, "--json"))
+    assert (report["finished"], report["ran"], report["failed"]) == (4, 4, 0)
     assert table(program.folder / "out") == table(whole[1].folder)
-    ours, theirs = (settled(files_of(folder / "runs")) for folder in (program.folder / "out", whole[1].folder))
-    assert ours == theirs
+    clustered, local = (settled(files_of(folder / "runs")) for folder in (program.folder / "out", whole[1].folder))
+    assert clustered == local
     assert summary(program(*SMALL, "--json"))["ran"] == 0  # gone on with without a cluster
     clean(program)
 
@@ -89,8 +89,8 @@ def test_kill_9_on_the_cluster_loses_nothing(
         else:
             cluster.remove_node(spare, allow_graceful=False)
         out, err = process.communicate(timeout=PATIENCE)
-    said = json.loads(out)  # on stderr Ray tells what it lost
-    assert (process.returncode, said["finished"], said["failed"]) == (0, 4, 0), err
+    report = json.loads(out)  # on stderr Ray tells what it lost
+    assert (process.returncode, report["finished"], report["failed"]) == (0, 4, 0), err
     assert table(program.folder / "out") == table(whole[1].folder)
 
 

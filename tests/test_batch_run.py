@@ -88,15 +88,15 @@ def test_any_number_of_workers_gives_the_same_rows(
     whole: tuple[Program, Done], taught: list[tuple[Program, dict[str, Any]]]
 ) -> None:
     """One worker, recycled after every second episode, and two: what they learnt the others did not see either."""
-    for program, said in taught:
-        assert (said["finished"], said["ran"], said["failed"]) == (4, 4, 0)
+    for program, report in taught:
+        assert (report["finished"], report["ran"], report["failed"]) == (4, 4, 0)
         assert table(program.folder / "out") == table(whole[1].folder)
         clean(program, "bank.sqlite")
 
 
 def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tuple[Program, Done]) -> None:
-    said = summary(program(*SMALL, "--dry-run", "--json"))
-    assert [e["id"] for e in said["episodes"]] == [r["id"] for r in table(whole[1].folder)]
+    report = summary(program(*SMALL, "--dry-run", "--json"))
+    assert [e["id"] for e in report["episodes"]] == [r["id"] for r in table(whole[1].folder)]
     done = program(*SMALL, "--dry-run")
     assert done.out.splitlines()[-1] == "4 episodes, into out."
     assert program.leftovers() == []
@@ -105,9 +105,9 @@ def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tu
 def test_a_plan_file_is_the_same_as_its_options(program: Program, whole: tuple[Program, Done]) -> None:
     text = f"inputs = {json.dumps(INPUTS)}\nseeds = [0, 1]\n[settings]\n{SETTINGS_FILE}"
     (program.folder / "plan.toml").write_text(text)
-    said = summary(program("batch", "plan.toml", "--dry-run", "--json"))
-    assert [e["id"] for e in said["episodes"]] == [r["id"] for r in table(whole[1].folder)]
-    assert said["out"] == "runs/plan"
+    report = summary(program("batch", "plan.toml", "--dry-run", "--json"))
+    assert [e["id"] for e in report["episodes"]] == [r["id"] for r in table(whole[1].folder)]
+    assert report["out"] == "runs/plan"
 
 
 # -- going on
@@ -120,8 +120,8 @@ def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple
     (out / "runs" / f".{before[2]['id']}.half").mkdir()  # what a kill leaves
     (out / "runs" / before[0]["id"] / "outcome.json").write_text("{")  # damaged
     (out / "results.csv").unlink()
-    said = summary(program(*SMALL, "--workers", "1", "--json"))
-    assert (said["finished"], said["ran"]) == (4, 2)
+    report = summary(program(*SMALL, "--workers", "1", "--json"))
+    assert (report["finished"], report["ran"]) == (4, 2)
     assert table(out) == before
     assert summary(program(*SMALL, "--json"))["ran"] == 0
     clean(program)
@@ -133,8 +133,8 @@ def test_another_plan_in_the_same_folder_says_what_differs(program: Program, who
     refused(program(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
     refused(program(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
     before = table(out)
-    said = summary(program(*more, "--force", "--json"))
-    assert (said["episodes"], said["ran"]) == (6, 2)
+    report = summary(program(*more, "--force", "--json"))
+    assert (report["episodes"], report["ran"]) == (6, 2)
     assert [r for r in table(out) if r["seed"] != "2"] == before
 
 
@@ -159,8 +159,8 @@ EGOS = ("ego_samples:CalmEgo", "batch_samples:CrashingEgo", "batch_samples:OnceC
 
 @pytest.fixture(scope="module")
 def broken(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Program, Done]:
-    """A corrupt network, a corrupt record, a driver that crashes, a driver that does so only once and one that is
-    not there, beside a good one."""
+    """A corrupt network, a corrupt record, and four drivers: a good one, one crashing always, one crashing only once,
+    and a missing one."""
     program = Program(tmp_path_factory.mktemp("broken"), caches)
     (program.folder / "bad.tfrecord").write_bytes(b"\x05" * 40)
     (program.folder / "cut.net.xml").write_text("<net>")
@@ -223,8 +223,8 @@ def test_a_worker_that_starts_as_its_parent_dies_ends_without_a_word(
 ) -> None:
     """Another worker has removed the scratch folder by then."""
     context = multiprocessing.get_context("spawn")
-    _, theirs = context.Pipe()
-    process = context.Process(target=_work, args=(theirs, None, tmp_path / "gone" / "worker-1" / "log"))
+    _, child_end = context.Pipe()
+    process = context.Process(target=_work, args=(child_end, None, tmp_path / "gone" / "worker-1" / "log"))
     process.start()
     process.join(PATIENCE)
     assert process.exitcode == 0 and capfd.readouterr().err == ""
@@ -241,8 +241,8 @@ def test_kill_9_loses_nothing(program: Program, whole: tuple[Program, Done], vic
         process.communicate(timeout=PATIENCE)
     assert left_of(family) == set()
     assert process.returncode == (0 if victim == "worker" else -signal.SIGKILL)
-    said = summary(program(*SMALL, "--json"))
-    assert said["ran"] == 0 if victim == "worker" else 0 < said["ran"] < 4
+    report = summary(program(*SMALL, "--json"))
+    assert report["ran"] == 0 if victim == "worker" else 0 < report["ran"] < 4
     assert table(program.folder / "out") == table(whole[1].folder)
     clean(program)
 
@@ -253,8 +253,8 @@ def test_ctrl_c_lets_finish_what_runs(program: Program, whole: tuple[Program, Do
     kept = table(done.folder)
     assert 0 < len(kept) < 4 and [r for r in table(whole[1].folder) if r in kept] == kept
     clean(program)
-    said = summary(program(*SMALL, "--json"))
-    assert said["ran"] == 4 - len(kept)
+    report = summary(program(*SMALL, "--json"))
+    assert report["ran"] == 4 - len(kept)
     assert table(done.folder) == table(whole[1].folder)
 
 
@@ -327,12 +327,12 @@ def test_a_full_disk_is_a_sentence_and_nothing_is_half_written(program: Program)
 def test_off_learns_nothing_and_after_learns_in_the_plans_order(
     whole: tuple[Program, Done], taught: list[tuple[Program, dict[str, Any]]]
 ) -> None:
-    one, two = (evidence_of(program.folder / "bank.sqlite") for program, _ in taught)
-    assert one == two and [said["learnt"] for _, said in taught] == [len(one), len(two)]
-    assert one
+    first, second = (evidence_of(program.folder / "bank.sqlite") for program, _ in taught)
+    assert first == second and [report["learnt"] for _, report in taught] == [len(first), len(second)]
+    assert first
     program, _ = taught[0]
     again = summary(program(*TAUGHT, "--json"))
-    assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == one
+    assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == first
     assert evidence_of(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite") == []
 
 

@@ -21,8 +21,8 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Progra
     the three are called."""
     program = Program(tmp_path_factory.mktemp("womd"), caches)
     small = sorted(SHARED.glob("*.tfrecord"), key=lambda p: p.stat().st_size)[:3]
-    one, two, three = (file.read_bytes() for file in small)
-    (program.folder / "all.tfrecord").write_bytes(one + frame(b"no scenario") + two + three)
+    first, second, third = (file.read_bytes() for file in small)
+    (program.folder / "all.tfrecord").write_bytes(first + frame(b"no scenario") + second + third)
     options = ("--egos", ",".join(EGOS), *QUICK, "--workers", "2", "--out", "out")
     return program, program("batch", "all.tfrecord", *options), [p.name.partition(".")[0] for p in small]
 

@@ -71,7 +71,7 @@ def test_every_ablation_stands_beside_the_expert_that_does_not_learn(folder: Pro
     valid = {r["row"]: r for r in lines(folder, "ablations.csv") if (r["part"], r["column"]) == ("all", "valid")}
     without = ("tuner=off", "replan=60", "forecast=constant", "shift=-1.5",
                "shift=1.5")  # fmt: skip
-    assert set(valid) == {"expert", "expert+learn=off", *(f"expert+{what}+learn=off" for what in without)}
+    assert set(valid) == {"expert", "expert+learn=off", *(f"expert+{ablation}+learn=off" for ablation in without)}
     assert [row for row, r in valid.items() if r["difference"] == ""] == ["expert+learn=off"]  # the others' reference
 
 
@@ -98,11 +98,11 @@ def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(progr
     with ModelServer(Author("Aggressive Cut-in")) as server:
         program.variables = server.environment()
         run(program, "table", "--row", row, "--keep-runs")
-        asked = len(server.asked)
+        questions = len(server.asked)
     (recording,) = (program.folder / "out" / "runs").rglob("model.jsonl")
-    assert len(recording.read_text().splitlines()) == 1 + asked  # and a header
+    assert len(recording.read_text().splitlines()) == 1 + questions  # and a header
     cost = {
         r["column"]: float(r["value"]) for r in lines(program, "table.csv") if (r["part"], r["row"]) == ("all", row)
     }
-    assert cost["calls"] == asked >= SAMPLES[1] and cost["tokens"] == 110 * asked
+    assert cost["calls"] == questions >= SAMPLES[1] and cost["tokens"] == 110 * questions
     assert 0 < cost["seconds"] < cost["seconds_model"] and cost["memory_hit"] == 1

@@ -23,7 +23,7 @@ SHIPPED = ROOT / "memory_bank.sqlite"
 
 
 @contextmanager
-def nobody(*_: Any) -> Iterator[None]:
+def no_agents(*_: Any) -> Iterator[None]:
     yield None
 
 
@@ -31,7 +31,7 @@ def unused(path: Path, episode: Any) -> None:
     return None
 
 
-PARTS = Parts(lambda path, record: None, nobody, lambda episode: {}, unused, unused)  # type: ignore[arg-type, return-value]
+PARTS = Parts(lambda path, record: None, no_agents, lambda episode: {}, unused, unused)  # type: ignore[arg-type, return-value]
 
 
 def test_rows_that_change_nothing_of_the_simulation_share_it_and_those_that_learn_are_chains() -> None:
@@ -80,8 +80,8 @@ def test_what_cannot_be_changed_is_said(row: str) -> None:
 
 def test_names_of_files_are_safe_and_stay_apart() -> None:
     assert slug("expert+learn=off") == "expert+learn=off"
-    one, two = slug("../../etc:passwd"), slug("..-..-etc-passwd")
-    assert one != two and "/" not in one and not one.startswith(".")
+    slashed, dashed = slug("../../etc:passwd"), slug("..-..-etc-passwd")
+    assert slashed != dashed and "/" not in slashed and not slashed.startswith(".")
     assert cell_path(Path("b"), "idm", "one", "raw") == Path("b/cells/idm/one/raw.json")
 
 
@@ -130,9 +130,9 @@ def _learnt(tmp_path: Path, place: int, label: str) -> str:
         MemoryBank.open(SHIPPED, read_only=True) as library,
         bank_of(Method("expert", learns=True), job, _setup(tmp_path), library, tmp_path) as bank,
     ):
-        found = bank.content_hash()
+        content_hash = bank.content_hash()
         bank.retire(label)
-        return found
+        return content_hash
 
 
 def test_an_encounter_that_broke_or_was_none_hands_on_the_bank_it_had(tmp_path: Path) -> None:

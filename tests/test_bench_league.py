@@ -8,10 +8,10 @@ from sumo_adv.benchmark.tables.league import WARNING, league, to_markdown
 MISS, VALID = attempt(min_ttc=3.0, predicted_valid=0.6), attempt(valid=True, predicted_valid=0.9)
 
 
-def cells(ego: str, known: bool, *tries: int | None) -> list[Cell]:
+def cells(ego: str, driver_known: bool, *tries: int | None) -> list[Cell]:
     """Encounters in which the given attempt was the first valid one; None: three attempts missed."""
     tried = [[MISS] * 3 if k is None else [MISS] * (k - 1) + [VALID] for k in tries]
-    return [cell(f"straight-{i}", "expert", *a, ego=ego, driver_known=known) for i, a in enumerate(tried)]
+    return [cell(f"straight-{i}", "expert", *a, ego=ego, driver_known=driver_known) for i, a in enumerate(tried)]
 
 
 def test_the_driver_that_takes_more_attempts_stands_first_and_a_failure_counts_as_one_more_than_the_budget() -> None:

@@ -76,10 +76,10 @@ def test_a_fresh_copy_has_the_same_structure_and_other_figures(fresh: Path) -> N
     assert (suite.name, [c.name for c in suite.cases]) == ("suite81-7", ["straight-01", "intersection-01"])
     shipped = {case.kind: case for case in reversed(load_suite("suite81").cases)}
     for case in suite.cases:
-        ours, theirs = load_input(case.path), load_input(shipped[case.kind].path)
-        assert ours.network.name == theirs.network.name
-        assert ours.routes[0].read_text() != theirs.routes[0].read_text()
-        assert ours.network.is_relative_to(fresh)
+        fresh_input, shipped_input = load_input(case.path), load_input(shipped[case.kind].path)
+        assert fresh_input.network.name == shipped_input.network.name
+        assert fresh_input.routes[0].read_text() != shipped_input.routes[0].read_text()
+        assert fresh_input.network.is_relative_to(fresh)
 
 
 @needs_forks
@@ -119,8 +119,8 @@ def test_what_is_wrong_with_an_encounter_is_found_in_sumo(tmp_path: Path) -> Non
     trials = []
     for name, (bv, kind, _) in stories.items():
         me = Car(("eastbound",), 1, 1000.0, 20.0) if name == "short" else ego
-        other = Car(("eastbound",), 1, 1040.0, 20.0) if name == "short" else bv
-        scenario, meant = write_pair(tmp_path / name, me, other, kind)
+        adversary = Car(("eastbound",), 1, 1040.0, 20.0) if name == "short" else bv
+        scenario, meant = write_pair(tmp_path / name, me, adversary, kind)
         trials.append(trial(scenario, "idm", meant, kind))
     with Engine(body, slots=1) as engine:
         assert engine.request("trials", trials) == [expected for _, _, expected in stories.values()]
@@ -128,10 +128,10 @@ def test_what_is_wrong_with_an_encounter_is_found_in_sumo(tmp_path: Path) -> Non
 
 def test_ways_at_every_junction_meet_behind_both_stop_lines() -> None:
     for network in sorted({name for names in NETWORKS.values() for name in names}):
-        found = meetings(network)
-        assert found, network
-        assert all(m.conflict.ego_s > m.ego.ends - 1.0 and m.conflict.bv_s > m.bv.ends - 1.0 for m in found)
-        assert all(m.ego.edges[0] != m.bv.edges[0] for m in found)
+        pairs = meetings(network)
+        assert pairs, network
+        assert all(m.conflict.ego_s > m.ego.ends - 1.0 and m.conflict.bv_s > m.bv.ends - 1.0 for m in pairs)
+        assert all(m.ego.edges[0] != m.bv.edges[0] for m in pairs)
 
 
 @pytest.mark.parametrize("kind", [*STRAIGHT, *JUNCTIONS])
@@ -206,12 +206,13 @@ def test_scenario_files_are_a_suite_too(tmp_path: Path) -> None:
         'schema = 1\nname = "mine"\nversion = "3"\n[[cases]]\nname = "a"\nkind = "leader"\ngroup = "straight"\n'
         f"file = {json.dumps(str(scenario))}\n"
     )
-    mine = load_suite(str(listed))
-    assert (mine.name, mine.version, mine.cases[0].kind, mine.cases[0].path) == ("mine", "3", "leader", scenario)
+    own_suite = load_suite(str(listed))
+    assert (own_suite.name, own_suite.version) == ("mine", "3")
+    assert (own_suite.cases[0].kind, own_suite.cases[0].path) == ("leader", scenario)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "sentence"),
     [
         ("cases = [", "not valid TOML"),
         ('schema = 2\nname = "a"\nversion = "1"\ncases = []', "bad 'schema'"),
@@ -221,10 +222,10 @@ def test_scenario_files_are_a_suite_too(tmp_path: Path) -> None:
         ('schema = 1\nname = "a"\nversion = "1"\nsuite = "smoke"\ncases = ["x"]', "no list of scenarios"),
     ],
 )
-def test_a_bad_list_is_one_sentence(text: str, said: str, tmp_path: Path) -> None:
+def test_a_bad_list_is_one_sentence(text: str, sentence: str, tmp_path: Path) -> None:
     path = tmp_path / "suite.toml"
     path.write_text(text)
-    with pytest.raises(UsageError, match=said) as caught:
+    with pytest.raises(UsageError, match=sentence) as caught:
         load_suite(str(path))
     assert "\n" not in str(caught.value)
 

@@ -43,10 +43,10 @@ def some(row: str = "a$b:c/d") -> list[Cell]:
 
 
 def test_pictures_of_a_table(tmp_path: Path) -> None:
-    found = draw_all(some(), tmp_path / "figures")
+    pictures = draw_all(some(), tmp_path / "figures")
     names = {"ttc-idm.png", "seconds-idm.png", "distributions-idm-a-b-c-d.png"}
-    assert {p.name for p in found} == names == {p.name for p in (tmp_path / "figures").iterdir()}
-    assert all(size(p)[0] >= 1300 for p in found)
+    assert {p.name for p in pictures} == names == {p.name for p in (tmp_path / "figures").iterdir()}
+    assert all(size(p)[0] >= 1300 for p in pictures)
 
 
 def test_equal_cells_give_equal_pictures(tmp_path: Path) -> None:
@@ -57,8 +57,8 @@ def test_equal_cells_give_equal_pictures(tmp_path: Path) -> None:
 def test_a_confusion_for_every_analyzer(tmp_path: Path) -> None:
     label = {"idm": {"valid": ("Aggressive Cut-in",)}}
     cases = [Case("straight-1", Path("x"), None, "leader", "straight", label)]
-    found = draw_confusions(analyze(some("expert"), cases, title="Made"), tmp_path)
-    assert [p.name for p in found] == [file_name("confusion", "idm", "valid", "expert")]
+    pictures = draw_confusions(analyze(some("expert"), cases, title="Made"), tmp_path)
+    assert [p.name for p in pictures] == [file_name("confusion", "idm", "valid", "expert")]
 
 
 def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
@@ -86,10 +86,10 @@ def test_growth_goes_through_the_suite_in_order() -> None:
 
 
 def test_growth_by_scenes_counts_attacks_that_were_remembered() -> None:
-    asked = {"recall": "hit", "intent": {"label": "Straight Lane Shift", "recall": "scene"}}
+    remembered = {"recall": "hit", "intent": {"label": "Straight Lane Shift", "recall": "scene"}}
     cells = [
-        cell("straight-0", "expert+recall=scene", attempt(valid=True, by="tuner"), **asked),
-        cell("straight-1", "expert+recall=scene", attempt(valid=True, by="memory"), **asked),
+        cell("straight-0", "expert+recall=scene", attempt(valid=True, by="tuner"), **remembered),
+        cell("straight-1", "expert+recall=scene", attempt(valid=True, by="memory"), **remembered),
     ]
     assert [s.hit for s in growth(cells, CASES)] == [False, True]
 

@@ -44,7 +44,7 @@ def load(path: Path, record: str | None) -> Any:
 
 
 @contextmanager
-def nobody(*_: Any) -> Iterator[None]:
+def no_agents(*_: Any) -> Iterator[None]:
     yield None
 
 
@@ -56,7 +56,7 @@ def keep(path: Path, episode: Any) -> None:
     return None
 
 
-class Told:
+class Watcher:
     """A watcher that counts."""
 
     def __init__(self) -> None:
@@ -73,9 +73,9 @@ def job(folder: Path, name: str, *rows: str, place: int | None = None) -> Job:
     return Job(Case(name, folder / f"{name}.toml", None, "leader", "straight"), "idm", 0, rows, place=place)
 
 
-def bench(folder: Path, told: Told, deadline: float = 600.0) -> Bench:
-    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, nobody, outcome, keep, keep))
-    return Bench(setup, 2, told, deadline)
+def bench(folder: Path, watcher: Watcher, deadline: float = 600.0) -> Bench:
+    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, no_agents, outcome, keep, keep))
+    return Bench(setup, 2, watcher, deadline)
 
 
 def reasons(folder: Path) -> dict[tuple[str, str], str]:
@@ -86,22 +86,22 @@ def reasons(folder: Path) -> dict[tuple[str, str], str]:
 
 def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: Path) -> None:
     """The killer has one row that dies, twice; the second row of another dies, and the rows around it do not."""
-    told = Told()
+    watcher = Watcher()
     free = [
         job(tmp_path, "killer", "raw"), job(tmp_path, "slow", "raw"), job(tmp_path, "second", "raw", "random", "bezier")
     ]  # fmt: skip
     chain = [job(tmp_path, name, "expert", place=k) for k, name in enumerate(("slow", "killer", "other"))]
-    bench(tmp_path, told).run(free, [chain])
+    bench(tmp_path, watcher).run(free, [chain])
     died = "Its process died, twice."
     assert reasons(tmp_path) == {
         ("killer", "raw"): died, ("killer", "expert"): died, ("second", "random"): died, ("slow", "raw"): CALM,
         ("second", "raw"): CALM, ("second", "bezier"): CALM, ("slow", "expert"): CALM, ("other", "expert"): CALM,
     }  # fmt: skip
-    assert sorted(told.cells) == sorted(reasons(tmp_path)) and (told.total, told.before) == (8, 0)
+    assert sorted(watcher.cells) == sorted(reasons(tmp_path)) and (watcher.total, watcher.before) == (8, 0)
 
 
 def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
-    bench(tmp_path, Told(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
+    bench(tmp_path, Watcher(), deadline=1.0).run([job(tmp_path, "hangs", "raw")], [])
     assert reasons(tmp_path) == {("hangs", "raw"): "It was not done after 1 s; raise cell_seconds."}
     assert read_cells(tmp_path)[0]["timing"]["total"] >= 1  # it is no cheap row
 
@@ -109,20 +109,20 @@ def test_a_row_that_hangs_has_failed(tmp_path: Path) -> None:
 def test_a_row_that_waits_for_a_model_is_not_stuck(tmp_path: Path) -> None:
     """Five seconds of waiting do not count against a limit of four. Its clock runs faster, so that the time that a
     process needs to start does not count either."""
-    bench(tmp_path, Told(), deadline=4.0).run([job(tmp_path, "asks", "raw")], [])
+    bench(tmp_path, Watcher(), deadline=4.0).run([job(tmp_path, "asks", "raw")], [])
     assert reasons(tmp_path) == {("asks", "raw"): CALM}
 
 
 def test_what_is_there_is_not_run_again_and_a_chain_goes_on_where_it_can(tmp_path: Path) -> None:
     """Of three encounters in a line the second has no cell, and no bank is left: all three are done again."""
-    told, kept = Told(), cell_path(tmp_path, "idm", "killer", "raw")
+    watcher, kept = Watcher(), cell_path(tmp_path, "idm", "killer", "raw")
     chain = [job(tmp_path, name, "expert", place=k) for k, name in enumerate(("one", "two", "three"))]
     for file in (kept, *(cell_path(tmp_path, "idm", name, "expert") for name in ("one", "three"))):
         file.parent.mkdir(parents=True)
         file.write_text("{}")
-    bench(tmp_path, told).run([job(tmp_path, "killer", "raw")], [chain])
-    assert kept.read_text() == "{}" and (told.total, told.before) == (4, 1)
-    assert sorted(told.cells) == [("one", "expert"), ("three", "expert"), ("two", "expert")]
+    bench(tmp_path, watcher).run([job(tmp_path, "killer", "raw")], [chain])
+    assert kept.read_text() == "{}" and (watcher.total, watcher.before) == (4, 1)
+    assert sorted(watcher.cells) == [("one", "expert"), ("three", "expert"), ("two", "expert")]
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"row": "raw"}', "\x00"])

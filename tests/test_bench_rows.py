@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import pytest
-from bench_rows_samples import LIBRARY, asked, encounter
+from bench_rows_samples import LIBRARY, encounter, first_proposals
 from situation_samples import leader, neighbour
 
 from sumo_adv.app import shipped_bank
@@ -25,7 +25,7 @@ BOUNDS = (-3.0, 4.0)  # of the only number of the samples' planners
 def test_random_draws_every_family_about_as_often_and_numbers_within_bounds() -> None:
     row = RandomIntent()
     row.begin(encounter([neighbour()], delays=(0.0, 1.5)))
-    plans = asked(row, 600)
+    plans = first_proposals(row, 600)
     often = Counter((p.delay, p.label, p.planner.mode) for p in plans)
     # A neighbour: lane shift in two modes and cut-in in one, at two moments: 6 templates, 100 draws each; 4 sigma = 36.
     assert len(often) == 6
@@ -40,7 +40,7 @@ def test_random_is_the_same_for_a_seed_and_another_for_another() -> None:
     def drawn(seed: int) -> list[object]:
         row = RandomIntent()
         row.begin(encounter([neighbour()], seed=seed))
-        return [(p.label, p.planner.mode, p.parameters["gap"]) for p in asked(row, 10)]
+        return [(p.label, p.planner.mode, p.parameters["gap"]) for p in first_proposals(row, 10)]
 
     assert drawn(3) == drawn(3) != drawn(4)
 
@@ -57,7 +57,7 @@ def test_where_nothing_applies_nothing_is_proposed() -> None:
 def test_fixed_tries_all_ways_with_their_authors_numbers_then_draws() -> None:
     row = FixedIntent("Straight Lane Shift")
     row.begin(encounter([neighbour()], delays=(0.0, 1.5)))
-    plans = asked(row, 6)
+    plans = first_proposals(row, 6)
     assert {p.label for p in plans} == {"Straight Lane Shift"}
     ways = [(0.0, "left"), (0.0, "right"), (1.5, "left"), (1.5, "right")]
     assert [(p.delay, p.planner.mode) for p in plans] == [*ways, *ways[:2]]
@@ -77,7 +77,7 @@ def test_the_labels_are_those_of_the_shipped_library() -> None:
 def test_the_oracle_drives_every_family_first_and_then_evens_the_labels_out() -> None:
     row = Oracle()
     row.begin(encounter([leader()], delays=(0.0, 1.5, 3.0)))
-    plans = asked(row, 1000)
+    plans = first_proposals(row, 1000)
     assert (len(plans), row.exhaustive) == (MOST, True)
     # Lane shift has 2 modes x 3 delays, braking 1 x 3.
     first = Counter((p.label, p.planner.mode, p.delay) for p in plans[:9])
@@ -103,14 +103,14 @@ HIT, MISS = (True, 0.0), (False, 4.0)
 
 
 def test_the_label_is_the_share_of_collisions_that_count() -> None:
-    found = oracle_labels(
+    labels = oracle_labels(
         cell(
             candidate("A", *HIT, valid=True), candidate("A", *MISS),  # 1/2 collide, 1/2 valid
             candidate("B", *HIT), candidate("B", *HIT), candidate("B", *MISS),  # 2/3 collide, none valid
             candidate("C", *HIT, feasible=False), candidate("C", *HIT, rear_end=True),  # none of them counts
         )
     )  # fmt: skip
-    assert found == {"collision": ("B",), "valid": ("A",)}
+    assert labels == {"collision": ("B",), "valid": ("A",)}
 
 
 def test_equal_shares_are_told_apart_by_mean_ttc_and_else_are_a_tie() -> None:

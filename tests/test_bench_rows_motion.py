@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bench_rows_samples import asked, attempt, encounter
+from bench_rows_samples import attempt, encounter, first_proposals
 from hypothesis import given
 from hypothesis import strategies as st
 from situation_samples import KRAUSS, changed, crossing, leader, neighbour
@@ -70,7 +70,7 @@ def test_a_bezier_curve_is_at_the_known_ego_when_it_said() -> None:
 def test_every_curve_ends_where_the_ego_is_and_they_run_out() -> None:
     row = Bezier()
     row.begin(encounter([crossing()], model=REPLAY))
-    plans = asked(row, 100)
+    plans = first_proposals(row, 100)
     assert len(plans) == len(ARRIVALS)
     for plan, arrival in zip(plans, ARRIVALS, strict=True):
         course = course_of(plan)
@@ -85,12 +85,12 @@ def test_a_curve_keeps_no_limits() -> None:
 
 
 def test_an_ego_that_is_no_replay_is_taken_to_keep_its_speed() -> None:
-    one = encounter([neighbour()])
-    slows = changed(one.situations[0.0], s=0.2 * one.situations[0.0].baseline.s)
+    neighbour_encounter = encounter([neighbour()])
+    slows = changed(neighbour_encounter.situations[0.0], s=0.2 * neighbour_encounter.situations[0.0].baseline.s)
     ends = []
     for model in (KRAUSS, REPLAY):
         row = Bezier()
-        row.begin(replace(one, situations={0.0: changed(slows, model=model)}))
+        row.begin(replace(neighbour_encounter, situations={0.0: changed(slows, model=model)}))
         ends.append(course_of(row.propose([])).x[-1])
     # At its speed 60 m; along the profile 0.2 x 50 m in 5 s and then 1 s at the profile's last speed, 10 m/s.
     assert ends == pytest.approx([60.0, 20.0])
@@ -101,8 +101,8 @@ def test_an_ego_that_is_no_replay_is_taken_to_keep_its_speed() -> None:
 
 def test_the_zero_vector_drives_on_along_the_way() -> None:
     bv = neighbour()
-    one = encounter([bv])
-    course = drive(starts(one)[0], np.zeros(SIZE), one)
+    neighbour_encounter = encounter([bv])
+    course = drive(starts(neighbour_encounter)[0], np.zeros(SIZE), neighbour_encounter)
     k = np.arange(1, 121)
     assert course.x == pytest.approx(20.0 + 1.2 * k)
     assert course.y == pytest.approx(np.full(120, 3.2))
@@ -113,9 +113,9 @@ def test_a_bend_of_the_way_is_driven_without_steering_of_ones_own() -> None:
     """8 m/s into a bend of 6 m radius is too fast, at 3 m/s it is not (1.5 m/s2)."""
     bv = crossing()
     slow = replace(bv, state=replace(bv.state, speed=3.0))
-    one = encounter([slow])
-    left = next(s for s in starts(one) if s.way.movement == "left")
-    course = drive(left, np.zeros(SIZE), one)
+    crossing_encounter = encounter([slow])
+    left = next(s for s in starts(crossing_encounter) if s.way.movement == "left")
+    course = drive(left, np.zeros(SIZE), crossing_encounter)
     assert math.cos(course.heading[-1]) == pytest.approx(-1.0, abs=0.01)  # west
     assert course.y[-1] == pytest.approx(-2.0, abs=1.5)  # nothing brings it back to the middle of the lane
     assert gates(slow, course) == ()
@@ -124,8 +124,8 @@ def test_a_bend_of_the_way_is_driven_without_steering_of_ones_own() -> None:
 @given(st.lists(st.floats(-4.0, 4.0), min_size=SIZE, max_size=SIZE), st.floats(0.5, 25.0))
 def test_any_controls_keep_the_limits(vector: list[float], speed: float) -> None:
     bv = neighbour(speed=speed)
-    one = encounter([bv])
-    assert gates(bv, drive(starts(one)[0], vector, one)) == ()
+    neighbour_encounter = encounter([bv])
+    assert gates(bv, drive(starts(neighbour_encounter)[0], vector, neighbour_encounter)) == ()
 
 
 def test_a_motion_ends_where_it_leaves_the_road() -> None:
@@ -133,9 +133,9 @@ def test_a_motion_ends_where_it_leaves_the_road() -> None:
 
     bv = neighbour()
     road = Drivable(box(-100.0, -2.0, 1000.0, 5.0))
-    one = replace(encounter([bv]), drivable=road)
+    narrow_road = replace(encounter([bv]), drivable=road)
     left = [4.0] * 6 + [0.0] * 6
-    course = drive(starts(one)[0], left, one)
+    course = drive(starts(narrow_road)[0], left, narrow_road)
     # The box is 2 m wide and may stick out by 0.15 m: a corner is over the line from y = 4.15 on, sooner as it turns.
     assert 3.2 < course.y[-3] < course.y[-2] < 4.3
     assert course.y[-1] == course.y[-2]
@@ -155,21 +155,21 @@ def test_a_motion_ends_where_it_leaves_the_road() -> None:
     ],
 )
 def test_the_objective_prefers_valid_then_what_counts_then_nearness(verdict: dict[str, Any], value: float) -> None:
-    plan = asked(_begun(RandomSearch(), encounter([neighbour()])), 1)[0]
+    plan = first_proposals(_begun(RandomSearch(), encounter([neighbour()])), 1)[0]
     assert objective(attempt(plan, **verdict).verdict) == pytest.approx(value)
 
 
-def _begun(row: Any, one: Encounter) -> Any:
-    row.begin(one)
+def _begun(row: Any, encounter: Encounter) -> Any:
+    row.begin(encounter)
     return row
 
 
 def test_random_search_takes_vehicles_ways_and_delays_in_turn() -> None:
     row = _begun(RandomSearch(), encounter([crossing()], delays=(0.0, 1.5)))
-    plans = asked(row, 8)
+    plans = first_proposals(row, 8)
     assert [p.delay for p in plans] == [0.0, 0.0, 1.5, 1.5] * 2  # two ways each
     assert len({tuple(course_of(p).x) for p in plans}) == 8
-    again = asked(_begun(RandomSearch(), encounter([crossing()], delays=(0.0, 1.5))), 8)
+    again = first_proposals(_begun(RandomSearch(), encounter([crossing()], delays=(0.0, 1.5))), 8)
     assert all((course_of(a).x == course_of(b).x).all() for a, b in zip(plans, again, strict=True))
 
 
@@ -187,11 +187,11 @@ def test_cma_learns_from_its_attempts() -> None:
 
 
 def test_cma_is_the_same_for_a_seed() -> None:
-    first, again, other = (
-        [course_of(p).x.tolist() for p in asked(_begun(Cma(), encounter([leader()], seed=seed)), 8)]
+    first, again, other_seed = (
+        [course_of(p).x.tolist() for p in first_proposals(_begun(Cma(), encounter([leader()], seed=seed)), 8)]
         for seed in (5, 5, 6)
     )
-    assert first == again != other
+    assert first == again != other_seed
 
 
 # -- resampling
@@ -205,7 +205,7 @@ def beside() -> Target:
 def test_what_is_resampled_is_within_limits_and_reaches_the_ego_it_predicts() -> None:
     bv = beside()
     row = _begun(Resampling(), encounter([bv], model=REPLAY))
-    for plan in asked(row, 3):
+    for plan in first_proposals(row, 3):
         course = course_of(plan)
         assert gates(bv, course) == ()
         ego_x = 10.0 * DT * np.arange(1, len(course.x) + 1)
@@ -215,7 +215,7 @@ def test_what_is_resampled_is_within_limits_and_reaches_the_ego_it_predicts() ->
 
 def test_it_never_tries_the_same_twice() -> None:
     row = _begun(Resampling(), encounter([beside()]))
-    plans = asked(row, 30)
+    plans = first_proposals(row, 30)
     assert len({course_of(p).x.tobytes() + course_of(p).y.tobytes() for p in plans}) == 30
 
 
@@ -225,28 +225,28 @@ def test_futures_that_foretold_otherwise_lose_weight() -> None:
     before = row._weights([])
     assert before == pytest.approx(list(FUTURES.values()))
     i, k = row._places[0]
-    told = row._drawn[i].hits[:, k] > 0
-    assert told.any()  # some future of the best one collides
+    foretold = row._drawn[i].hits[:, k] > 0
+    assert foretold.any()  # some future of the best one collides
     missed = row._weights([attempt(plan)])
     hit = row._weights([attempt(plan, collided=True, min_distance=0.0)])
-    if told.all():
+    if foretold.all():
         assert missed == pytest.approx(before)
     else:
-        assert (missed[told] < before[told]).all() and (missed[~told] > before[~told]).all()
-        assert (hit[told] > before[told]).all() and (hit[~told] < before[~told]).all()
+        assert (missed[foretold] < before[foretold]).all() and (missed[~foretold] > before[~foretold]).all()
+        assert (hit[foretold] > before[foretold]).all() and (hit[~foretold] < before[~foretold]).all()
 
 
 def test_a_motion_into_a_third_vehicle_is_unlikely() -> None:
     """A wall of a car beside the ego all along: a vehicle that moves over hits it first."""
-    one = encounter([beside()])
+    open_road = encounter([beside()])
     time = 100.0 + DT * np.arange(121)
     n = len(time)
     wall = Track(
         "wall", Role.BACKGROUND, time, 12.0 + 10.0 * (time - 100.0), np.full(n, 1.2), np.zeros(n), np.full(n, 10.0),
         np.zeros(n), 60.0, 0.2,
     )  # fmt: skip
-    free = _begun(Resampling(), one)._drawn[0].prior.sum()
-    walled = replace(one, situations={0.0: changed(one.situations[0.0], others=(wall,))})
+    free = _begun(Resampling(), open_road)._drawn[0].prior.sum()
+    walled = replace(open_road, situations={0.0: changed(open_road.situations[0.0], others=(wall,))})
     assert _begun(Resampling(), walled)._drawn[0].prior.sum() < 0.8 * free
 
 
@@ -260,7 +260,7 @@ def test_predicted_motions_are_feasible_and_the_most_dangerous_comes_first() -> 
 
     bv, row = neighbour(), Transformer()
     row.begin(encounter([bv]))
-    proposals = asked(row, 100)
+    proposals = first_proposals(row, 100)
     assert len(proposals) == MODES * (1 + DRAWN)
     assert all(p.bv == "bv" and p.by == "transformer" for p in proposals)
     assert [gates(bv, course_of(p)) for p in proposals[:8]] == [()] * 8

@@ -31,8 +31,8 @@ ROWS = ("raw", "expert", "llm-f", "random")
 
 def cell(folder: Path, case: str, row: str) -> dict[str, Any]:
     file = folder / "cells" / "idm" / case / f"{row}.json"
-    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    return found
+    stored: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return stored
 
 
 def unhurried(cell: dict[str, Any]) -> dict[str, Any]:
@@ -195,8 +195,8 @@ def test_where_the_trigger_is_open_a_row_shifts_the_one_that_the_others_find(pro
         "--attempts", "1", "--set", "proposals=20", "--out", "out",
     )  # fmt: skip
     assert done.status == 0
-    found = {c["row"]: c for c in read_cells(program.folder / "out")}
-    when = {row: c["encounter"]["time"] for row, c in found.items()}
+    by_row = {c["row"]: c for c in read_cells(program.folder / "out")}
+    when = {row: c["encounter"]["time"] for row, c in by_row.items()}
     assert when["llm-f+shift=0.5"] == pytest.approx(when["random"] + 0.5)
     assert 0.0 <= when["llm-f+shift=-500"] < 0.5  # not before the beginning
 

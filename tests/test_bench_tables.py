@@ -87,17 +87,17 @@ def test_the_gates_and_the_papers_criterion() -> None:
 
 
 def test_cost_with_and_without_the_model() -> None:
-    asked = {"model": "m", "calls": 3, "prompt_tokens": 900, "completion_tokens": 100, "seconds": 1.5}
+    usage = {"model": "m", "calls": 3, "prompt_tokens": 900, "completion_tokens": 100, "seconds": 1.5}
     timing = {"total": 2.0, "waited": 0.6, "first_valid": 0.5}  # three questions of 0.5 s each, nearly all at once
     cells = [
-        cell("straight-1", "llm-a", attempt(valid=True), llm=asked, recall="hit", timing=timing),
+        cell("straight-1", "llm-a", attempt(valid=True), llm=usage, recall="hit", timing=timing),
         cell("straight-2", "llm-a", attempt(min_ttc=2.0), recall="generated"),
         cell("straight-3", "llm-a", attempt(min_ttc=2.0)),
     ]
     table = make_table(cells, title="Made")
-    found = {k: value(table, k, "llm-a") for k in ("seconds", "seconds_model", "seconds_valid", "calls", "memory_hit")}
-    assert found.pop("seconds") == pytest.approx(1.8)
-    assert found == {"seconds_model": 2, "seconds_valid": 0.5, "calls": 1, "memory_hit": 0.5}
+    values = {k: value(table, k, "llm-a") for k in ("seconds", "seconds_model", "seconds_valid", "calls", "memory_hit")}
+    assert values.pop("seconds") == pytest.approx(1.8)
+    assert values == {"seconds_model": 2, "seconds_valid": 0.5, "calls": 1, "memory_hit": 0.5}
     assert value(table, "tokens", "llm-a") == pytest.approx(1000 / 3)
 
 

@@ -26,10 +26,10 @@ def printed(program: Program, name: str, *arguments: str, statuses: tuple[int, .
 
 def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
     """Over its bound (status 1) is allowed: a window this short is mostly its verdict."""
-    said = printed(
+    output = printed(
         program, "step_overhead.py", "--vehicles", "12", "--pairs", "2", "--steps", "45", statuses=(0, 1)
     )  # fmt: skip
-    header, *rows = said.splitlines()
+    header, *rows = output.splitlines()
     assert header.startswith("vehicles") and len(rows) == 4
     assert [tuple(r.split()[1:4]) for r in rows] == [
         ("base", "idm", "local"), ("base", "idm", "sandbox"), ("base", "careful", "local"),
@@ -44,25 +44,25 @@ def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
 
 def test_environment_speed_has_a_row_for_an_environment(program: Program) -> None:
     """Below its bound (status 1) is allowed: one episode is too short to measure."""
-    said = printed(
+    output = printed(
         program, "environment_speed.py", "--vehicles", "6", "--episodes", "1", "--only", "Ego-v0, nothing attacks",
         statuses=(0, 1),
     )  # fmt: skip
-    found = re.search(r"^Ego-v0, nothing attacks +120 steps +(-?\d+) steps per CPU second$", said, re.MULTILINE)
-    assert found is not None, said
+    speed_line = re.search(r"^Ego-v0, nothing attacks +120 steps +(-?\d+) steps per CPU second$", output, re.MULTILINE)
+    assert speed_line is not None, output
 
 
 def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
-    said = printed(program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8")
-    assert "same states and verdict both ways: yes" in said
+    output = printed(program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8")
+    assert "same states and verdict both ways: yes" in output
     for name in ("attempt by fork", "attempt by load and repeat", "two by fork at once, each"):
-        found = re.search(rf"{name}{NUMBER * 3}  ms", said)
-        assert found is not None, said
-        low, middle, high = map(float, found.groups())
+        timing = re.search(rf"{name}{NUMBER * 3}  ms", output)
+        assert timing is not None, output
+        low, middle, high = map(float, timing.groups())
         assert 1.0 < low <= middle <= high < 60_000.0
-    search = re.search(r"prediction search, (\d+) proposals: ([\d.]+) s", said)
+    search = re.search(r"prediction search, (\d+) proposals: ([\d.]+) s", output)
     assert search is not None and int(search[1]) >= 8 and 0.0 < float(search[2]) < 60.0
-    call, batch = (re.search(rf"{re.escape(n)}{NUMBER * 3}", said) for n in ("sandbox: a call", "in a batch of 100"))
+    call, batch = (re.search(rf"{re.escape(n)}{NUMBER * 3}", output) for n in ("sandbox: a call", "in a batch of 100"))
     assert call is not None and batch is not None
     assert 1e-3 * float(batch[2]) < float(call[2])  # us a call in a batch, ms a call by itself
 
@@ -70,13 +70,13 @@ def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
 def test_batch_scaling_compares_ways_of_the_same_episodes(program: Program) -> None:
     """How the ways compare is not asked: four short episodes are mostly the start of processes."""
     options = ("--episodes", "4", "--pairs", "1", "--proposals", "8", "--ways", "warm,one,two,apart")
-    said = printed(program, "batch_scaling.py", "t_junction_left_into_stem", *options, statuses=(0, 1))
-    header, *rows = said.splitlines()
+    output = printed(program, "batch_scaling.py", "t_junction_left_into_stem", *options, statuses=(0, 1))
+    header, *rows = output.splitlines()
     assert header.startswith("4 episodes, 1 pairs; ms an episode")
     for name, row in zip(("warm", "one", "two", "apart"), rows[:4], strict=True):
-        found = re.fullmatch(rf"{name}{NUMBER * 3} \|{NUMBER} \| +([\d.]+)", row)
-        assert found is not None, row
-        low, middle, high, steady, cores = map(float, found.groups())
+        figures = re.fullmatch(rf"{name}{NUMBER * 3} \|{NUMBER} \| +([\d.]+)", row)
+        assert figures is not None, row
+        low, middle, high, steady, cores = map(float, figures.groups())
         assert 50.0 < low == middle == high < 60_000.0 and 10.0 < steady < 4 * high and 0.1 < cores < 1000.0
     assert re.fullmatch(r"two over one: [\d.]+ times as fast \(bound 1\.8\)", rows[4])
     assert re.fullmatch(r"apart over one: [\d.]+ times as fast \(what this machine gives\)", rows[5])
@@ -88,10 +88,10 @@ def test_womd_prints_totals_and_targets(program: Program) -> None:
     records = program.home / "records"
     records.mkdir()
     write(records / "two.tfrecord", four_way(), merge())
-    said = printed(program, "womd.py", str(records), "--no-traffic", statuses=(0, 1))
+    output = printed(program, "womd.py", str(records), "--no-traffic", statuses=(0, 1))
     for name, value in (("records", "2"), ("connectivity", "1"), ("broken", "0"), ("signals_mapped", "12")):
-        assert re.search(rf"^{name} +{value}$", said, re.MULTILINE), said
-    assert "met    connectivity: 1 >= 0.995" in said and "met    within_0.5" in said
+        assert re.search(rf"^{name} +{value}$", output, re.MULTILINE), output
+    assert "met    connectivity: 1 >= 0.995" in output and "met    within_0.5" in output
     assert "nothing to do" in printed(program, "womd.py")
 
 
@@ -100,8 +100,8 @@ def test_womd_ground_counts_vehicles_that_leave_the_area(program: Program) -> No
     records = program.home / "ground"
     records.mkdir()
     write(records / "one.tfrecord", straight())
-    said = printed(program, "womd_ground.py", str(records))
-    assert "on the road: 3 moving vehicles, outside the lanes 0 (0.0%), outside the area 0 (0.0%)" in said
+    output = printed(program, "womd_ground.py", str(records))
+    assert "on the road: 3 moving vehicles, outside the lanes 0 (0.0%), outside the area 0 (0.0%)" in output
     assert "nothing to do" in printed(program, "womd_ground.py")
 
 
@@ -110,13 +110,13 @@ def test_where_the_seconds_of_an_encounter_go(program: Program) -> None:
     assert re.fullmatch(r"1 encounters of smoke against idm:" + NUMBER + " s each", header)
     seconds = {row[:30].strip(): float(row[30:].split()[0]) for row in rows}
     assert len(seconds) == 9 and seconds["attempts in SUMO"] > 0.0
-    asked, whole = seconds["planners asked"], seconds["predictions, all"]
-    assert 0.0 < asked < whole
+    planners, predictions = seconds["planners asked"], seconds["predictions, all"]
+    assert 0.0 < planners < predictions
 
 
 def test_prediction_says_of_how_many_attacks_it_foresaw_what_came(program: Program) -> None:
-    said = printed(program, "prediction.py", "motorway_cut_in_left", "--attacks", "3", "--ego", "krauss")
-    header, row, whole = said.splitlines()
+    output = printed(program, "prediction.py", "motorway_cut_in_left", "--attacks", "3", "--ego", "krauss")
+    header, row, whole = output.splitlines()
     assert header.split() == ["krauss", "number", "touch", "valid", "s:", "min", "mean", "max"]
     assert row.split()[0] == "motorway_cut_in_left" and row.split()[1:] == whole.split()[1:]
     count, touch, valid, least, mean, most = map(float, whole.split()[1:])

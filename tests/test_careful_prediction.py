@@ -66,10 +66,10 @@ def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], 
     st.floats(-4.0, 2.0), st.floats(-0.03, 0.03),
 )  # fmt: skip
 def test_braking_for_a_vehicle_in_the_same_direction_is_predicted_as_the_controller_brakes(
-    speed: float, x: float, y: float, heading: float, other: float, acceleration: float, turn: float
+    speed: float, x: float, y: float, heading: float, adversary_speed: float, acceleration: float, turn: float
 ) -> None:
     """But for a step where rounding decides: full braking is 0.76 m/s a step."""
-    real, foreseen = braked(speed, (x, y, heading, other, acceleration, turn))
+    real, foreseen = braked(speed, (x, y, heading, adversary_speed, acceleration, turn))
     assert foreseen == pytest.approx(real, abs=0.8)
 
 

@@ -203,11 +203,11 @@ def refused(program: Program, *options: str) -> str:
 
 
 def test_unknown_intents_and_kinds_are_refused_before_anything_runs(program: Program) -> None:
-    said = refused(program, "run", "motorway_cut_in_left", "--intents", "Cut-in", "--out", "out")
-    assert "There is no intent 'Cut-in'" in said and "Aggressive Cut-in, Close Car-following" in said
+    refusal = refused(program, "run", "motorway_cut_in_left", "--intents", "Cut-in", "--out", "out")
+    assert "There is no intent 'Cut-in'" in refusal and "Aggressive Cut-in, Close Car-following" in refusal
     assert "known kinds are leader, follower" in refused(program, "run", "motorway_cut_in_left", "--kind", "left")
-    said = refused(program, "batch", "motorway_cut_in_left", "--exclude", "Cut-in", "--out", "out")
-    assert "There is no intent 'Cut-in'" in said
+    refusal = refused(program, "batch", "motorway_cut_in_left", "--exclude", "Cut-in", "--out", "out")
+    assert "There is no intent 'Cut-in'" in refusal
 
 
 def test_a_run_tries_what_was_chosen_records_it_and_replays(program: Program) -> None:

@@ -36,10 +36,10 @@ MANIFEST = {"schema", "versions", "network", "routes", "settings", "seed", "bank
 def quiet_success(done: Done) -> dict[str, Any]:
     """Exit 0, nothing on stderr, one JSON object on stdout that is the outcome; gives it back."""
     assert (done.status, done.err) == (0, "")
-    said = json.loads(done.out)
-    assert said.pop("folder") == "out"
-    assert said == done.outcome
-    return dict(said)
+    printed = json.loads(done.out)
+    assert printed.pop("folder") == "out"
+    assert printed == done.outcome
+    return dict(printed)
 
 
 # -- the files of the contract
@@ -157,17 +157,17 @@ def test_every_built_in_ego_runs(runs: Runs, ego: str) -> None:
 
 def test_the_same_again_in_another_new_home_is_the_same(runs: Runs) -> None:
     first, again = runs["first"], runs["again"]
-    one, two = files_of(first.folder), files_of(again.folder)
-    assert one.keys() == two.keys()
-    assert [name for name in one if name != "outcome.json" and one[name] != two[name]] == []
+    first_files, again_files = files_of(first.folder), files_of(again.folder)
+    assert first_files.keys() == again_files.keys()
+    assert [name for name in first_files if name != "outcome.json" and first_files[name] != again_files[name]] == []
     assert untimed(first.outcome) == untimed(again.outcome)
 
 
 def test_another_seed_is_another_run(runs: Runs) -> None:
-    first, other = runs["first"], runs["other seed"]
-    assert quiet_success(other)["seed"] == 1
-    assert first.outcome["attempts"] != other.outcome["attempts"]
-    assert (first.folder / "raw.csv.gz").read_bytes() != (other.folder / "raw.csv.gz").read_bytes()
+    first, other_seed = runs["first"], runs["other seed"]
+    assert quiet_success(other_seed)["seed"] == 1
+    assert first.outcome["attempts"] != other_seed.outcome["attempts"]
+    assert (first.folder / "raw.csv.gz").read_bytes() != (other_seed.folder / "raw.csv.gz").read_bytes()
 
 
 def test_a_fork_is_the_same_as_loading_and_repeating(runs: Runs) -> None:

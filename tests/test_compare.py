@@ -71,20 +71,20 @@ def test_two_regressions_are_paired_by_case(tmp_path: Path) -> None:
     new = regression(tmp_path / "new", "second", [case("c", "collision", 0.5), case("a"), case("b", "valid", 1.0)])
     done = compare(read_side(old), read_side(new))
     assert (done.names, len(done.pairs), done.alone) == (("first", "second"), 3, (1, 0))
-    found = figures(done)
-    assert found["case fails"] == pytest.approx((2 / 3, 2 / 3, 0.0))
-    assert found["collision"] == pytest.approx((2 / 3, 2 / 3, 0.0))
-    assert found["serious"] == pytest.approx((1 / 3, 0.0, -1 / 3))
-    assert found["delta-v, 0 without a collision"] == pytest.approx((5 / 3, 0.5, 0.5 - 5 / 3))
-    assert found["min TTC, at most 10"] == pytest.approx((2 / 3, 2 / 3, 0.0))
-    assert "attempts until valid" not in found  # there is one attempt in each
+    compared = figures(done)
+    assert compared["case fails"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert compared["collision"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert compared["serious"] == pytest.approx((1 / 3, 0.0, -1 / 3))
+    assert compared["delta-v, 0 without a collision"] == pytest.approx((5 / 3, 0.5, 0.5 - 5 / 3))
+    assert compared["min TTC, at most 10"] == pytest.approx((2 / 3, 2 / 3, 0.0))
+    assert "attempts until valid" not in compared  # there is one attempt in each
     assert [(c.key, c.worse) for c in done.changes] == [("c", True), ("a", False)]  # what got worse stands first
 
 
 def test_two_campaigns_have_attempts_until_the_first_valid_one(tmp_path: Path) -> None:
-    one = campaign(tmp_path / "one", [("bend", "idm", ["none", "valid"]), ("merge", "idm", ["serious"])])
-    two = campaign(tmp_path / "two", [("bend", "idm", ["none", "collision"]), ("merge", "idm", ["none", "valid"])])
-    done = compare(read_side(one), read_side(two))
+    first = campaign(tmp_path / "one", [("bend", "idm", ["none", "valid"]), ("merge", "idm", ["serious"])])
+    second = campaign(tmp_path / "two", [("bend", "idm", ["none", "collision"]), ("merge", "idm", ["none", "valid"])])
+    done = compare(read_side(first), read_side(second))
     assert done.names == ("one", "two")  # the same driver: two revisions
     assert figures(done)["attempts until valid"] == (1.5, 4.0, 2.5)  # 2 and 1; none of 5 counts as 6, and 2
     assert figures(done)["strict"] == (0.5, 0.0, -0.5)
@@ -111,15 +111,15 @@ def test_two_egos_of_one_campaign_are_chosen_by_name(tmp_path: Path) -> None:
     assert [a.key for a, _ in whole.pairs] == ["bend seed 0", "bend seed 0"] and not whole.changes
     with pytest.raises(UsageError, match="no ego 'krauss'; it has idm, careful"):
         compare(read_side(both), read_side(both), ("idm", "krauss"))
-    other = campaign(tmp_path / "d", [("bend", "eidm", ["valid"])])
+    eidm_only = campaign(tmp_path / "d", [("bend", "eidm", ["valid"])])
     with pytest.raises(UsageError, match="choose one of each with --egos"):
-        compare(read_side(both), read_side(other))
+        compare(read_side(both), read_side(eidm_only))
 
 
 def test_what_cannot_be_paired_is_said(tmp_path: Path) -> None:
-    one, two = (regression(tmp_path / name, name, [case(name)]) for name in "ab")
+    first, second = (regression(tmp_path / name, name, [case(name)]) for name in "ab")
     with pytest.raises(UsageError, match="no encounter in common"):
-        compare(read_side(one), read_side(two))
+        compare(read_side(first), read_side(second))
     with pytest.raises(UsageError, match="holds no run, campaign, bench or regression"):
         read_side(tmp_path)
 

@@ -47,13 +47,13 @@ def test_compositions_survive_export_import_and_build(tmp_path: Path) -> None:
     with filled(tmp_path / "bank.sqlite") as bank:
         export_bank(bank, out)
         export_bank(bank, out, force=True)
-        wanted = bank.content_hash()
+        expected_hash = bank.content_hash()
         assert all_compositions(bank) == [
             replace(SQUEEZE, succeeded=2, failed=1), replace(TRAP, succeeded=1, failed=FORGET),
         ]  # fmt: skip
     with MemoryBank.open(tmp_path / "back.sqlite") as back:
         added, refused = import_bank(back, out, parse, fine)
-        assert (added.compositions, refused, back.content_hash()) == (2, [], wanted)
+        assert (added.compositions, refused, back.content_hash()) == (2, [], expected_hash)
         back.record_composition(SQUEEZE, [True])
         assert import_bank(back, out, parse, fine)[0].compositions == 0
         assert compositions(back) == [replace(SQUEEZE, succeeded=3)]  # the import changed nothing
@@ -75,19 +75,19 @@ def test_a_part_of_a_bank_has_the_compositions_of_its_intents(tmp_path: Path) ->
 
 def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
     """The planner's mode is taken in the other intent, so it gets a number there."""
-    theirs = replace(BRAKE_PLANNER, label="Stop", source=BRAKE_PLANNER.source + "# theirs\n")
+    stop_planner = replace(BRAKE_PLANNER, label="Stop", source=BRAKE_PLANNER.source + "# theirs\n")
     with filled(tmp_path / "bank.sqlite") as bank:
-        bank.add(IntentRecord("Stop", "It stops.", ("leader",)), [theirs])
-        stop = replace(SQUEEZE, label="Stop Trap", parts=(Part(Duty.COLLIDER, "Stop", theirs.mode), BLOCK))
+        bank.add(IntentRecord("Stop", "It stops.", ("leader",)), [stop_planner])
+        stop = replace(SQUEEZE, label="Stop Trap", parts=(Part(Duty.COLLIDER, "Stop", stop_planner.mode), BLOCK))
         bank.record_composition(stop, [True])
         bank.merge("Stop", BRAKING.label)
         (after,) = (c for c in compositions(bank) if c.label == "Stop Trap")
-        assert after.parts == (Part(Duty.COLLIDER, BRAKING.label, f"{theirs.mode}-2"), BLOCK)
+        assert after.parts == (Part(Duty.COLLIDER, BRAKING.label, f"{stop_planner.mode}-2"), BLOCK)
         assert [c.parts for c in compositions(bank) if c.label == "Squeeze"] == [SQUEEZE.parts]
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "sentence"),
     [
         ('role = "block_left"', 'role = "ram"', "the role of a part"),
         ('role = "block_left"', 'role = "collider"', "a collider, then supports"),
@@ -100,19 +100,19 @@ def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
         ("[[compositions]]", f"x = {'[' * 5000}", "cannot be read"),
     ],
 )
-def test_a_wrong_file_of_compositions_is_one_sentence(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_a_wrong_file_of_compositions_is_one_sentence(tmp_path: Path, old: str, new: str, sentence: str) -> None:
     with filled(tmp_path / "bank.sqlite") as bank:
         export_bank(bank, tmp_path / "out")
     file = tmp_path / "out" / "compositions.toml"
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new, 1))
-    with MemoryBank.open(tmp_path / "mine.sqlite") as mine:
-        before = mine.content_hash()
-        with pytest.raises(BankError, match=said) as raised:
-            import_bank(mine, tmp_path / "out", parse, fine)
-        assert "\n" not in str(raised.value) and mine.content_hash() == before
-        added, refused = import_bank(mine, tmp_path / "out", parse, fine, skip_refused=True)
+    with MemoryBank.open(tmp_path / "mine.sqlite") as receiver:
+        before = receiver.content_hash()
+        with pytest.raises(BankError, match=sentence) as raised:
+            import_bank(receiver, tmp_path / "out", parse, fine)
+        assert "\n" not in str(raised.value) and receiver.content_hash() == before
+        added, refused = import_bank(receiver, tmp_path / "out", parse, fine, skip_refused=True)
         assert (added.intents, added.compositions) == (2, 0)
         assert refused == [Refused("compositions.toml", "everything", str(raised.value))]
 
@@ -123,8 +123,8 @@ def test_a_link_out_of_an_export_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "out" / "compositions.toml"
     file.rename(tmp_path / "secret.toml")
     file.symlink_to(tmp_path / "secret.toml")
-    with MemoryBank.open(tmp_path / "mine.sqlite") as mine, pytest.raises(BankError, match="not a plain file"):
-        import_bank(mine, tmp_path / "out", parse, fine)
+    with MemoryBank.open(tmp_path / "mine.sqlite") as receiver, pytest.raises(BankError, match="not a plain file"):
+        import_bank(receiver, tmp_path / "out", parse, fine)
 
 
 @pytest.mark.parametrize("value", [7, {"label": "Squeeze"}, {"label": "Other", "description": "Two.", "parts": []}])

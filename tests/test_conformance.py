@@ -37,8 +37,11 @@ def small() -> Iterator[Small]:
     """Two encounters of each situation, one with Krauss's driver and one with IDM where it is for both."""
     with Engine(conformance.body) as engine:
         jobs = {
-            kind: [(kind, what.drivers[0], what.small[0], PLANS), (kind, what.drivers[-1], what.small[1], PLANS)]
-            for kind, what in KINDS.items()
+            kind: [
+                (kind, situation.drivers[0], situation.small[0], PLANS),
+                (kind, situation.drivers[-1], situation.small[1], PLANS),
+            ]
+            for kind, situation in KINDS.items()
         }
         kinds = {kind: conformance.run(engine, some) for kind, some in jobs.items()}
         yield Small(kinds, {name: conformance.run(engine, [conformance.chosen_job(name)]) for name in CHOSEN})

@@ -44,8 +44,8 @@ def correcting(scorer: BySpeed, known_driver: bool = False) -> PredictionCorrect
     return PredictionCorrection(scorer, CorrectionSettings(), known_driver=known_driver)
 
 
-def scores(found: Sequence[Proposal]) -> list[float]:
-    return [p.score for p in found]
+def scores(proposals: Sequence[Proposal]) -> list[float]:
+    return [p.score for p in proposals]
 
 
 def test_what_was_seen_counts_for_a_half_and_then_for_three_quarters() -> None:

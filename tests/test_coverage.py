@@ -23,10 +23,10 @@ SEEN = Cell("Cut-in", "neighbour", "motorway", 3)
 def met(*attempts: tuple[str, str], ego: str = "idm", road: str | None = "motorway", speed: float = 25.0) -> Any:
     """An episode with attempts of these intents and levels by a vehicle beside the ego."""
     listed = [attempt(k, "a", intent=intent, level=level) for k, (intent, level) in enumerate(attempts)]
-    told = outcome(attempts=listed)
-    told["ego"]["controller"] = ego
-    told["encounter"] |= {"road": road, "ego_speed": speed}
-    return told
+    episode = outcome(attempts=listed)
+    episode["ego"]["controller"] = ego
+    episode["encounter"] |= {"road": road, "ego_speed": speed}
+    return episode
 
 
 def counts(documents: list[Any], ego: str = ALL) -> dict[Cell, tuple[int, int]]:
@@ -41,8 +41,8 @@ def test_the_band_of_a_speed(speed: float, band: int) -> None:
 
 
 def test_an_encounter_counts_once_in_a_cell_and_fails_by_its_best_attempt() -> None:
-    told = met(("Cut-in", "collision"), ("Cut-in", "valid"), ("Brake", "critical"))
-    assert cells_of(told) == {SEEN: True, Cell("Brake", "neighbour", "motorway", 3): False}
+    episode = met(("Cut-in", "collision"), ("Cut-in", "valid"), ("Brake", "critical"))
+    assert cells_of(episode) == {SEEN: True, Cell("Brake", "neighbour", "motorway", 3): False}
 
 
 def test_what_was_met_is_counted_for_all_egos_and_for_each() -> None:

@@ -43,9 +43,9 @@ def test_the_same_arguments_give_the_same_bytes_and_another_seed_others(tmp_path
     network = shipped("priority_crossing")
     first = generate(network, tmp_path / "1.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
     again = generate(network, tmp_path / "2.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
-    other = generate(network, tmp_path / "3.rou.xml", seed=8, density=20.0, begin=0.0, end=60.0).read_bytes()
+    other_seed = generate(network, tmp_path / "3.rou.xml", seed=8, density=20.0, begin=0.0, end=60.0).read_bytes()
     assert first == again
-    assert first != other
+    assert first != other_seed
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1.rou.xml", "2.rou.xml", "3.rou.xml"]
 
 
@@ -63,9 +63,9 @@ def test_routes_lead_from_fringe_to_fringe_over_edges_of_the_network(tmp_path: P
     network = shipped("t_junction")
     scan = scan_demand(generate(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=120.0))
     assert set(scan.edges) <= scan_network(network).drivable
-    found = {journey.edges for journey in journeys(network, random.Random(0))}
+    routes = {journey.edges for journey in journeys(network, random.Random(0))}
     arms = ("west", "east", "south")
-    assert found == {(f"{a}_in", f"{b}_out") for a in arms for b in arms if a != b}
+    assert routes == {(f"{a}_in", f"{b}_out") for a in arms for b in arms if a != b}
 
 
 def test_the_default_density_follows_lanes_and_yielding() -> None:
@@ -84,10 +84,10 @@ def test_generated_traffic_is_accepted_as_the_networks_own(tmp_path: Path) -> No
 
 def test_a_network_without_fringe_gets_routes_between_inner_edges(tmp_path: Path) -> None:
     """Edges of 100 m: any two in a row (200 m) and all three (300 m) are long enough, from each of three starts."""
-    found = journeys(ring(tmp_path / "ring.net.xml", 100.0), random.Random(0))
+    routes = journeys(ring(tmp_path / "ring.net.xml", 100.0), random.Random(0))
     expected = {("ab", "bc"), ("ab", "bc", "ca"), ("bc", "ca"), ("bc", "ca", "ab"), ("ca", "ab"), ("ca", "ab", "bc")}
-    assert {journey.edges for journey in found} == expected
-    assert default_density(found) == 12.0
+    assert {journey.edges for journey in routes} == expected
+    assert default_density(routes) == 12.0
 
 
 def test_a_network_without_any_route_of_use_is_refused(tmp_path: Path) -> None:

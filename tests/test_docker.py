@@ -75,8 +75,8 @@ def test_everything_that_the_wheel_wants_is_copied() -> None:
     """Hatchling's forced inclusions, beside the package itself."""
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     table = project.split("[tool.hatch.build.targets.wheel.force-include]")[1].split("[")[0]
-    wanted = set(re.findall(r'^"([^"]+)" =', table, re.MULTILINE))
-    assert wanted and wanted <= {name for rest in values("COPY", DOCKERFILE) for name in rest.split()}
+    included = set(re.findall(r'^"([^"]+)" =', table, re.MULTILINE))
+    assert included and included <= {name for rest in values("COPY", DOCKERFILE) for name in rest.split()}
 
 
 def test_bank_and_runs_are_in_volumes_and_a_server_has_a_health_check() -> None:
@@ -195,7 +195,7 @@ def test_a_tmpfs_without_exec_is_named_by_the_sandbox(tmp_path: Path) -> None:
         "    print(error)\n"
     )
     script = 'mount -t tmpfs -o "$2" tmpfs "$1" || exit 77; TMPDIR="$1" exec "$3" -c "$4"'
-    said = {}
+    printed = {}
     for options in ("exec", "noexec"):
         command = ["sh", "-c", script, "sh", str(tmpfs), options, sys.executable, program]
         if not shutil.which("unshare"):
@@ -203,9 +203,9 @@ def test_a_tmpfs_without_exec_is_named_by_the_sandbox(tmp_path: Path) -> None:
         done = subprocess.run(["unshare", "-rm", *command], cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode:
             pytest.skip(f"nothing can be mounted here ({done.stderr.strip()})")
-        said[options] = done.stdout
-    assert said["exec"] == ""
-    assert said["noexec"].startswith(f"No program can be started in {tmpfs}, which is mounted noexec: set TMPDIR")
+        printed[options] = done.stdout
+    assert printed["exec"] == ""
+    assert printed["noexec"].startswith(f"No program can be started in {tmpfs}, which is mounted noexec: set TMPDIR")
 
 
 def test_compose_lines_in_the_docs_name_services_profiles_and_commands_that_are_there() -> None:

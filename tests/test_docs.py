@@ -101,26 +101,26 @@ def check(command: str, *, whole: bool = True) -> None:
 
 def refusals(commands: Iterator[tuple[str, str]], *, whole: bool = True) -> list[str]:
     """Where a command is that would be refused, and why."""
-    found = []
-    for where, command in commands:
+    refused = []
+    for place, command in commands:
         try:
             check(command, whole=whole)
         except Refused as error:
-            found.append(f"{where}: {command}: {error}")
-    return found
+            refused.append(f"{place}: {command}: {error}")
+    return refused
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_command_lines_can_be_typed(page: Path) -> None:
-    assert refusals((b.where, command) for b in blocks(page) for command in b.commands) == []
+    assert refusals((b.location, command) for b in blocks(page) for command in b.commands) == []
     assert refusals(((page.name, command) for command in inline_commands(page)), whole=False) == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_every_block_says_whether_it_is_run(page: Path) -> None:
     held = list(blocks(page))
-    assert [b.where for b in held if (b.commands or b.is_python) and not b.mark] == []
-    assert [b.where for b in held if b.mark in ("not run", "file") and len(b.said) < 3] == []
+    assert [b.location for b in held if (b.commands or b.is_python) and not b.mark] == []
+    assert [b.location for b in held if b.mark in ("not run", "file") and len(b.detail) < 3] == []
 
 
 @pytest.mark.parametrize(
@@ -152,9 +152,10 @@ def test_blocks_are_found_however_they_are_written(tmp_path: Path) -> None:
     written = tmp_path / "page.md"
     indented = "Words\n\n<!-- run -->\n\n    make run\n\n    make test\n\n- item\n  more\n"
     written.write_text(f"{indented}\n<!-- file: a.py -->\n```python\nx = 1\n```\n")
-    one, other = (Block(page, b.line, b.language, b.text, b.mark, b.said) for b in blocks(written))
-    assert (one.mark, one.commands, one.is_python) == ("run", ["make run", "make test"], False)
-    assert (other.mark, other.said, other.text, other.is_python) == ("file", "a.py", "x = 1\n", True)
+    run_block, file_block = (Block(page, b.line, b.language, b.text, b.mark, b.detail) for b in blocks(written))
+    assert (run_block.mark, run_block.commands, run_block.is_python) == ("run", ["make run", "make test"], False)
+    assert (file_block.mark, file_block.detail) == ("file", "a.py")
+    assert (file_block.text, file_block.is_python) == ("x = 1\n", True)
 
 
 def test_scenarios_and_plans_in_the_docs_are_read(tmp_path: Path) -> None:
@@ -200,7 +201,7 @@ ENVIRONMENTS = {"sumo_adv/Ego-v0", "sumo_adv/Adversary-v0"}  # ids of gymnasium,
 
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_files_that_are_named_exist(page: Path) -> None:
-    named = {found.rstrip(".") for found in PATHS.findall(page.read_text(encoding="utf-8"))} - ENVIRONMENTS
+    named = {path.rstrip(".") for path in PATHS.findall(page.read_text(encoding="utf-8"))} - ENVIRONMENTS
     assert sorted(name for name in named if not list(ROOT.glob(name.rstrip("/")))) == []
 
 
@@ -225,22 +226,22 @@ SENTENCE = re.compile(r"^\| `([^`]+)`[^|]*\|", re.MULTILINE)
 ELSEWHERE = {"Connection closed by SUMO"}  # the words of traci
 
 
-def said_by_the_program() -> str:
+def texts_of_the_program() -> str:
     """All texts in the program's sources, constants and the constant parts of f-strings, a line each."""
-    found = []
+    texts = []
     for file in (ROOT / "sumo_adv").rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                found.append(node.value)
-    return "\n".join(found)
+                texts.append(node.value)
+    return "\n".join(texts)
 
 
 def test_troubleshooting_quotes_what_the_program_says() -> None:
-    page, said = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8"), said_by_the_program()
+    page, texts = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8"), texts_of_the_program()
     quoted = SENTENCE.findall(page.split("## Endings")[0])
     assert len(quoted) > 30
     parts = {q: [p.strip() for p in q.split("…")] for q in quoted if q not in ELSEWHERE}
-    assert [q for q, held in parts.items() if max(map(len, held)) < 10 or not all(p in said for p in held)] == []
+    assert [q for q, held in parts.items() if max(map(len, held)) < 10 or not all(p in texts for p in held)] == []
 
 
 def test_every_ending_has_its_line() -> None:

@@ -17,13 +17,13 @@ from cli_samples import PATIENCE, ROOT, Program
 from docs_blocks import Block, blocks, pages
 
 STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
-Told = Mapping[str, tuple[Path, Future[list[str]]]]
+Played = Mapping[str, tuple[Path, Future[list[str]]]]
 SAID = "said.txt"  # in a story's folder: what its blocks printed
 AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Told]:
+def played(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Played]:
     """The folder of each story, and what went wrong in it; as many are played at a time as there are processors."""
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         folders = {name: tmp_path_factory.mktemp(page.stem) for name, page in STORIES.items()}
@@ -40,7 +40,7 @@ def tell(page: Path, folder: Path, caches: Path) -> list[str]:
     environment["PATH"] = os.pathsep.join((str(Path(sys.executable).parent), environment["PATH"]))
     for block in blocks(page):
         if block.mark == "file":
-            (folder / block.said).write_text(block.text, encoding="utf-8")
+            (folder / block.detail).write_text(block.text, encoding="utf-8")
         elif block.mark == "run" and (wrong := run(block, folder, environment)) is not None:
             return [wrong]
     return []
@@ -53,46 +53,46 @@ def run(block: Block, folder: Path, environment: dict[str, str]) -> str | None:
         command, input=block.text, cwd=folder, env=environment, capture_output=True, text=True, check=False,
         timeout=PATIENCE,
     )  # fmt: skip
-    with (folder / SAID).open("a", encoding="utf-8") as said:
-        said.write(done.stdout)
-    return None if done.returncode == 0 else f"{block.where}: status {done.returncode}: {done.stderr[-600:]}"
+    with (folder / SAID).open("a", encoding="utf-8") as log:
+        log.write(done.stdout)
+    return None if done.returncode == 0 else f"{block.location}: status {done.returncode}: {done.stderr[-600:]}"
 
 
 @pytest.mark.parametrize("name", STORIES)
-def test_what_a_page_says_works(name: str, told: Told) -> None:
-    assert told[name][1].result() == []
+def test_what_a_page_says_works(name: str, played: Played) -> None:
+    assert played[name][1].result() == []
 
 
 @pytest.mark.parametrize(
     ("page", "run_folder"), [("docs/first_hour.md", "runs/first"), ("docs/planner.md", "runs/squeeze")]
 )
-def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, told: Told) -> None:
-    folder, wrong = told[page]
+def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, played: Played) -> None:
+    folder, wrong = played[page]
     assert wrong.result() == []
     outcome = json.loads((folder / run_folder / "outcome.json").read_text(encoding="utf-8"))
     assert (outcome["ending"], outcome["outcome"]["valid"]) == ("critical", True)
 
 
-def test_the_second_version_passes_what_the_first_one_fails(told: Told) -> None:
-    folder, wrong = told["docs/first_week.md"]
+def test_the_second_version_passes_what_the_first_one_fails(played: Played) -> None:
+    folder, wrong = played["docs/first_week.md"]
     assert wrong.result() == []
-    found = {}
+    counts = {}
     for version in ("First", "Second"):
         file = folder / "runs" / f"two_versions:{version}" / "regress.json"
-        found[version] = json.loads(file.read_text(encoding="utf-8"))["counts"]
-    assert found["First"]["pass"] == 0 and found["Second"]["pass"] == found["First"]["fail"] >= 2
+        counts[version] = json.loads(file.read_text(encoding="utf-8"))["counts"]
+    assert counts["First"]["pass"] == 0 and counts["Second"]["pass"] == counts["First"]["fail"] >= 2
     assert (folder / "runs" / "compared" / "compare.html").is_file()
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/first_hour.md"])
-def test_the_output_shown_is_the_output(page: str, told: Told) -> None:
-    folder, wrong = told["docs/first_hour.md"]
+def test_the_output_shown_is_the_output(page: str, played: Played) -> None:
+    folder, wrong = played["docs/first_hour.md"]
     assert wrong.result() == []
-    said = (folder / SAID).read_text(encoding="utf-8")
+    printed = (folder / SAID).read_text(encoding="utf-8")
     shown = next(b.text for b in blocks(ROOT / page) if b.text.startswith("Encounter at"))
     lines = [line.split(" (risk")[0] for line in shown.splitlines() if not line.startswith("Files:")]
     assert len(lines) >= 4  # the predictor's own figures may change
-    assert [line for line in lines if line not in said] == []
+    assert [line for line in lines if line not in printed] == []
 
 
 def test_a_block_that_fails_is_told(tmp_path: Path) -> None:

@@ -75,27 +75,27 @@ def _words(kind: Any, metadata: list[Any]) -> str:
         further = [m for m in kind.__metadata__ if not isinstance(m, FieldInfo)]
         inner = [m for f in kind.__metadata__ if isinstance(f, FieldInfo) for m in f.metadata]
         return _words(kind.__origin__, [*further, *inner, *metadata])
-    found = ((sign, getattr(m, sign, None)) for m in metadata for sign in SIGNS)
-    bounds = list(dict.fromkeys(SIGNS[sign].format(number(value)) for sign, value in found if value is not None))
+    bound_values = ((sign, getattr(m, sign, None)) for m in metadata for sign in SIGNS)
+    bounds = list(dict.fromkeys(SIGNS[sign].format(number(value)) for sign, value in bound_values if value is not None))
     bounds = ["not empty" if b == "1 or more characters" else b for b in bounds]
     origin, inside = get_origin(kind), get_args(kind)
     if origin is Literal:
-        said = ", ".join(sorted(str(value) for value in inside))  # equal ones share an order
+        words = ", ".join(sorted(str(value) for value in inside))  # equal ones share an order
     elif origin is tuple and inside[-1] is not Ellipsis:
-        said = " and ".join(_words(each, []) for each in inside)
+        words = " and ".join(_words(each, []) for each in inside)
     elif origin is tuple:
-        said = f"list: {_words(inside[0], [])}"
+        words = f"list: {_words(inside[0], [])}"
     elif origin is dict or kind is dict:
-        said = "table"
+        words = "table"
     elif inside:  # a union
-        said = " or ".join(dict.fromkeys(_words(each, []) for each in inside if each is not NoneType))
+        words = " or ".join(dict.fromkeys(_words(each, []) for each in inside if each is not NoneType))
     elif isinstance(kind, EnumType):
-        said = ", ".join(kind)
+        words = ", ".join(kind)
     elif isinstance(kind, type) and issubclass(kind, BaseModel):
         return "table"
     else:
-        said = WORDS[kind]
-    return ", ".join([said, *bounds])
+        words = WORDS[kind]
+    return ", ".join([words, *bounds])
 
 
 @pytest.mark.parametrize("heading", MODELS)

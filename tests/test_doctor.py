@@ -38,12 +38,12 @@ def settings(**given: object) -> Settings:
 
 def test_all_that_a_run_needs_is_here(program: Program) -> None:
     done = program("doctor", "--json")
-    said = json.loads(done.out)
-    levels = {c["name"]: c["level"] for c in said["checks"]}
-    assert (done.status, said["ok"], said["failed"], done.err) == (0, True, 0, "")
+    report = json.loads(done.out)
+    levels = {c["name"]: c["level"] for c in report["checks"]}
+    assert (done.status, report["ok"], report["failed"], done.err) == (0, True, 0, "")
     assert {levels[n] for n in ("program", "libraries", "simulator", "model", "memory bank", "output")} == {"ok"}
     assert levels["sandbox"] in ("ok", "warn")
-    assert all(c["mend"] for c in said["checks"] if c["level"] != "ok")
+    assert all(c["mend"] for c in report["checks"] if c["level"] != "ok")
     assert not (program.home / "data").exists()  # looking makes no bank
     assert program.leftovers() == []
 
@@ -71,8 +71,8 @@ def test_a_bad_setting_is_one_line(program: Program) -> None:
 
 def test_a_variable_that_is_no_setting_is_named() -> None:
     given = {"SUMO_ADV_ATTEMPT": "5", "SUMO_ADV_LIMITS__JERK": "9", "sumo_adv_seed": "1", "PATH": "x"}
-    (found,) = user.variables(Settings.model_fields, given)
-    assert (found.level, found.found.split(":")[0]) == (Level.WARN, "SUMO_ADV_ATTEMPT")
+    (finding,) = user.variables(Settings.model_fields, given)
+    assert (finding.level, finding.found.split(":")[0]) == (Level.WARN, "SUMO_ADV_ATTEMPT")
     assert list(user.variables(Settings.model_fields, {"SUMO_ADV_SEED": "1"})) == []
 
 
@@ -95,25 +95,25 @@ def test_the_version_stands_in_one_place() -> None:
 
 
 def test_a_library_that_is_not_there_is_named() -> None:
-    (found,) = checks.libraries(("numpy", "no_such_library"))
-    assert found.level is Level.FAIL
-    assert "no_such_library (ModuleNotFoundError" in found.found
-    assert "numpy" not in found.found
+    (finding,) = checks.libraries(("numpy", "no_such_library"))
+    assert finding.level is Level.FAIL
+    assert "no_such_library (ModuleNotFoundError" in finding.found
+    assert "numpy" not in finding.found
 
 
 def test_extras_are_told_apart() -> None:
-    found = named(checks.extras(lambda module: module != "google.protobuf"))
-    assert list(found) == ["extra womd"]
-    assert found["extra womd"].mend == "pip install 'sumo-adv[womd]'"
+    findings = named(checks.extras(lambda module: module != "google.protobuf"))
+    assert list(findings) == ["extra womd"]
+    assert findings["extra womd"].mend == "pip install 'sumo-adv[womd]'"
     assert named(checks.extras(lambda module: True))["extras"].level is Level.OK
 
 
 def test_programs_that_only_some_commands_start() -> None:
-    found = named(checks.programs(lambda name: None, developing=True))
-    assert found["ffmpeg"].level is found["chromium"].level is Level.WARN
-    assert found["ffmpeg"].mend == "on Debian: apt-get install ffmpeg"
+    findings = named(checks.programs(lambda name: None, developing=True))
+    assert findings["ffmpeg"].level is findings["chromium"].level is Level.WARN
+    assert findings["ffmpeg"].mend == "on Debian: apt-get install ffmpeg"
     assert "chromium" not in named(checks.programs(lambda name: None))
-    assert found["sumo"] == checks.Finding("sumo", Level.OK, "1.28.0")
+    assert findings["sumo"] == checks.Finding("sumo", Level.OK, "1.28.0")
 
 
 def test_without_bubblewrap_a_container_is_the_second_wall() -> None:
@@ -134,9 +134,9 @@ def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
 
 
 def test_a_server_that_listens_is_asked_nothing(server: str) -> None:
-    (found,) = user.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
-    assert found.level is Level.OK
-    assert found.found.endswith("takes connections; with a key. It was asked nothing")
+    (finding,) = user.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
+    assert finding.level is Level.OK
+    assert finding.found.endswith("takes connections; with a key. It was asked nothing")
 
 
 def test_a_model_without_a_key_or_a_recording() -> None:
@@ -150,8 +150,8 @@ def test_a_model_without_a_key_or_a_recording() -> None:
 
 
 def test_where_results_go_must_be_there(tmp_path: Path) -> None:
-    (found,) = user.output(tmp_path)
-    assert (found.level, found.name) == (Level.OK, "output")
+    (finding,) = user.output(tmp_path)
+    assert (finding.level, finding.name) == (Level.OK, "output")
     (lost,) = user.output(tmp_path / "nowhere")
     assert lost.level is Level.FAIL
     assert "no such file or directory" in lost.found

@@ -47,9 +47,9 @@ def test_a_driver_that_keeps_its_lane_and_its_distance_is_good() -> None:
 
 
 def test_a_collision_names_the_other_the_sides_and_the_speeds() -> None:
-    (found,) = judge(driven(track("ego", 10.0), track("leader", 4.0, x=35.0)), IDM)
-    assert (found.kind, found.time) == (Kind.COLLIDES, pytest.approx(5.0, abs=1e-6))  # 30 m at 6 m/s
-    assert found.words == "its front meets the rear of 'leader' (ego 10.0 m/s, other 4.0 m/s)"
+    (finding,) = judge(driven(track("ego", 10.0), track("leader", 4.0, x=35.0)), IDM)
+    assert (finding.kind, finding.time) == (Kind.COLLIDES, pytest.approx(5.0, abs=1e-6))  # 30 m at 6 m/s
+    assert finding.words == "its front meets the rear of 'leader' (ego 10.0 m/s, other 4.0 m/s)"
 
 
 def test_half_a_second_off_the_road_is_allowed_and_more_is_not() -> None:
@@ -59,21 +59,21 @@ def test_half_a_second_off_the_road_is_allowed_and_more_is_not() -> None:
         assert [f.kind for f in judge(replace(IDM, off_road=off), IDM)] == kinds
     off_lane = np.zeros(STEPS)
     off_lane[100:] = 1.5
-    (found,) = judge(replace(IDM, off_lane=off_lane), IDM)
-    assert (found.kind, found.time, found.words) == (Kind.LEAVES_LANE, 10.0, "its centre is up to 1.5 m outside")
+    (finding,) = judge(replace(IDM, off_lane=off_lane), IDM)
+    assert (finding.kind, finding.time, finding.words) == (Kind.LEAVES_LANE, 10.0, "its centre is up to 1.5 m outside")
 
 
 def test_standing_counts_from_ten_seconds_more_than_sumos_driver_on() -> None:
     assert judge(driven(track("ego", 10.0, stop=20.1)), IDM) == []  # 100 steps
-    (found,) = judge(driven(track("ego", 10.0, stop=10.0)), IDM)
-    assert (found.kind, found.time) == (Kind.STANDS, 10.0)
+    (finding,) = judge(driven(track("ego", 10.0, stop=10.0)), IDM)
+    assert (finding.kind, finding.time) == (Kind.STANDS, 10.0)
     assert judge(driven(track("ego", 10.0, stop=10.0)), driven(track("ego", 10.0, stop=18.0))) == []
 
 
 def test_less_than_half_the_way_is_slow() -> None:
     assert judge(driven(track("ego", 5.1)), IDM) == []
-    (found,) = judge(driven(track("ego", 4.9)), IDM)
-    assert (found.kind, found.words) == (Kind.SLOW, "it has come 147 m, SUMO's idm 300 m")
+    (finding,) = judge(driven(track("ego", 4.9)), IDM)
+    assert (finding.kind, finding.words) == (Kind.SLOW, "it has come 147 m, SUMO's idm 300 m")
 
 
 def test_a_pose_that_no_car_reaches_is_a_jump() -> None:
@@ -83,13 +83,13 @@ def test_a_pose_that_no_car_reaches_is_a_jump() -> None:
     assert ahead.kind is Kind.JUMPS
     assert ahead.words.endswith("at 10.0 m/s, half its length too far: is that its front bumper?")
     for pose in (Pose(1.0, 0.5, 0.0, 10.0), Pose(1.08, 0.0, 0.0, 11.5)):  # sideways; 15 m/s2
-        (found,) = judge(replace(IDM, poses=((before, pose),)), IDM)
-        assert (found.kind, "bumper" in found.words) == (Kind.JUMPS, False)
+        (finding,) = judge(replace(IDM, poses=((before, pose),)), IDM)
+        assert (finding.kind, "bumper" in finding.words) == (Kind.JUMPS, False)
 
 
 def test_a_line_that_it_had_to_wait_at() -> None:
-    (found,) = judge(replace(IDM, lines=(PassedLine(4.0, "red"),)), IDM)
-    assert (found.kind, found.words) == (Kind.LINE, "it passes a line of a light that is red")
+    (finding,) = judge(replace(IDM, lines=(PassedLine(4.0, "red"),)), IDM)
+    assert (finding.kind, finding.words) == (Kind.LINE, "it passes a line of a light that is red")
 
 
 def test_motions_are_apart_from_where_they_part() -> None:
@@ -170,9 +170,9 @@ def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> No
     good = program("doctor", "--ego", "ego_samples:CalmEgo", "--scenario", scenario)
     assert (good.status, good.out.splitlines()[-1]) == (0, "ego_samples:CalmEgo drives well in all 1 scenarios.")
     wrong = program("doctor", "--ego", "ego_samples:FailingEgo", "--scenario", scenario, "--json")
-    said = json.loads(wrong.out)
-    assert (wrong.status, said["ok"], list(said["findings"])) == (3, False, ["fails"])
-    assert "the driver fell asleep" in said["scenarios"][0]["findings"][0]["words"]
+    report = json.loads(wrong.out)
+    assert (wrong.status, report["ok"], list(report["findings"])) == (3, False, ["fails"])
+    assert "the driver fell asleep" in report["scenarios"][0]["findings"][0]["words"]
 
 
 def test_wrong_use_of_the_command(program: Program) -> None:

@@ -85,9 +85,9 @@ def test_a_brake_that_would_have_acted_without_an_attack_counts_against_the_driv
     south, still = np.minimum(-14.0 + 0.8 * np.arange(51), -6.0), np.zeros(51)
     heading = np.where(np.arange(51) < 10, np.pi / 2, 0.0)
     turns = Track("bv", Role.BACKGROUND, time, still + 22.0, south, heading, still + 8.0, still, 5.0, 2.0)
-    now = changed(situation([neighbour()], model=UNKNOWN), others=(turns,))
-    assert in_traffic(now, UNKNOWN).max() == pytest.approx(0.0, abs=0.01)
-    assert in_traffic(now, replace(UNKNOWN, guard=AUTOMATIC)).max() > 1.0
+    turning_away = changed(situation([neighbour()], model=UNKNOWN), others=(turns,))
+    assert in_traffic(turning_away, UNKNOWN).max() == pytest.approx(0.0, abs=0.01)
+    assert in_traffic(turning_away, replace(UNKNOWN, guard=AUTOMATIC)).max() > 1.0
 
 
 def test_what_earlier_encounters_showed_is_seven_tenths_of_the_first_weights() -> None:

@@ -59,8 +59,8 @@ def egos_of(sit: Situation) -> PredictedEgos:
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], AtJunction]:
     """A vehicle that drives over the junction at an even speed, and is never in the way yet."""
-    return lambda now: at_junction(
-        front_to_zone=before - 1.6 - speed * now, rear_to_exit=behind - speed * now, meets_at=10.0, speed=speed
+    return lambda time: at_junction(
+        front_to_zone=before - 1.6 - speed * time, rear_to_exit=behind - speed * time, meets_at=10.0, speed=speed
     )
 
 
@@ -195,7 +195,9 @@ def test_a_vehicle_that_drives_off_on_the_ego_s_path_is_followed() -> None:
         drive(
             egos,
             20.0,
-            lambda now, v=speed: at_junction(True, merging=True, rear_station=40.0 + v * now, meets_at=300.0, speed=v),
+            lambda time, v=speed: at_junction(
+                True, merging=True, rear_station=40.0 + v * time, meets_at=300.0, speed=v
+            ),
             speed,
         )  # type: ignore[misc]
         assert egos.disturbed[0] == disturbed
@@ -232,16 +234,16 @@ def test_beside_a_merging_vehicle_it_brakes_as_hard_as_it_can_until_it_is_past_t
         assert past.v == pytest.approx([v])
 
 
-@pytest.mark.parametrize(("theirs", "brakes"), [(9.9, False), (10.1, True)])
-def test_if_two_enter_a_junction_in_one_step_the_slower_one_yields(theirs: float, brakes: bool) -> None:
+@pytest.mark.parametrize(("rival_speed", "brakes"), [(9.9, False), (10.1, True)])
+def test_if_two_enter_a_junction_in_one_step_the_slower_one_yields(rival_speed: float, brakes: bool) -> None:
     """The ego's front (2.5 m, then 3.5 m at 10 m/s) is past its line (3 m) in the step in which the other one's is."""
     egos = egos_of(crossroads(3.0))
-    drive(egos, 0.1, lambda _: at_junction(merging=True, front_to_zone=2.0, speed=theirs), theirs)
+    drive(egos, 0.1, lambda _: at_junction(merging=True, front_to_zone=2.0, speed=rival_speed), rival_speed)
     drive(
         egos,
         0.1,
-        lambda _: at_junction(True, merging=True, rear_station=4.0, front_to_zone=1.0, speed=theirs),
-        theirs,
+        lambda _: at_junction(True, merging=True, rear_station=4.0, front_to_zone=1.0, speed=rival_speed),
+        rival_speed,
         begin=0.1,
     )
     assert (egos.v[0] < 10.0 - 1e-6) == brakes
@@ -397,7 +399,7 @@ LEFT = ((3.2, "same"),)  # a lane of the same direction
 
 
 @pytest.mark.parametrize(
-    ("ego", "other", "left", "brakes"),
+    ("ego", "left_speed", "left", "brakes"),
     [
         (20.0, 15.0, 3.2, True),
         (20.0, 15.0, -3.2, False),  # on the right: passing on the left is free
@@ -408,13 +410,13 @@ LEFT = ((3.2, "same"),)  # a lane of the same direction
     ],
 )
 def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
-    ego: float, other: float, left: float, brakes: bool
+    ego: float, left_speed: float, left: float, brakes: bool
 ) -> None:
     """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
     sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
     sit = changed(sit, ego=replace(sit.ego, speed=ego), s=np.arange(51) * 0.1 * ego, v=np.full(51, ego), sides=LEFT)
     egos = egos_of(sit)
-    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([other]), at_junction())
+    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([left_speed]), at_junction())
     assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
 
 

@@ -12,9 +12,9 @@ from sumo_adv.search.early_termination import EarlyTermination
 from sumo_adv.situation import Target
 
 
-def gone(one: Target, stations: list[float], egos: list[float], *, held_up: bool = False) -> list[bool]:
+def gone(vehicle: Target, stations: list[float], egos: list[float], *, held_up: bool = False) -> list[bool]:
     """Whether it has parted, asked at one moment after the other; centres, [m] along its way and the ego's path."""
-    ground = AdversaryBatch([situation([one])], ["bv"])
+    ground = AdversaryBatch([situation([vehicle])], ["bv"])
     parting, start = EarlyTermination(ground, held_up=held_up), ground.begin()
     return [
         bool(parting.gone(start._replace(s=np.array([s])), np.array([ego]))[0])

@@ -52,7 +52,7 @@ def test_defaults_are_written_out_and_parameters_override() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "said"),
+    ("name", "parameters", "sentence"),
     [
         ("idm", {"sigma": 0.5}, "no parameter 'sigma'; it knows tau, accel"),
         ("krauss", {"tau": 0}, "'tau' to be above zero"),
@@ -63,8 +63,8 @@ def test_defaults_are_written_out_and_parameters_override() -> None:
         ("wild", {}, "There is no ego 'wild'"),
     ],
 )
-def test_wrong_names_and_values_are_named(name: str, parameters: dict[str, object], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
+def test_wrong_names_and_values_are_named(name: str, parameters: dict[str, object], sentence: str) -> None:
+    with pytest.raises(UsageError, match=sentence):
         make_ego(name, parameters)
 
 
@@ -112,8 +112,8 @@ def test_drivers_that_sumo_moves_are_predicted_by_their_kind_and_keep_its_lane_r
 def test_the_lattice_driver_is_known_with_its_braking_and_keeps_no_lane_rules(
     parameters: dict[str, float], braking: float
 ) -> None:
-    known = replace(NUMBERS, kind="lattice", known=True, hardest_braking=braking)
-    assert model_of(make_ego("lattice", parameters), NUMBERS) == known
+    expected = replace(NUMBERS, kind="lattice", known=True, hardest_braking=braking)
+    assert model_of(make_ego("lattice", parameters), NUMBERS) == expected
 
 
 def test_a_users_class_is_unknown_unless_it_says_how_it_is_predicted(user_module: str) -> None:
@@ -306,7 +306,7 @@ def test_a_users_class_drives(user_module: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "said"),
+    ("name", "parameters", "sentence"),
     [
         ("Missing", {}, "has no class 'Missing'"),
         ("Number", {}, "has no class 'Number'"),
@@ -315,9 +315,9 @@ def test_a_users_class_drives(user_module: str) -> None:
     ],
 )
 def test_a_users_class_that_cannot_be_used(
-    user_module: str, name: str, parameters: dict[str, float], said: str
+    user_module: str, name: str, parameters: dict[str, float], sentence: str
 ) -> None:
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=sentence):
         make_ego(f"{user_module}:{name}", parameters)
 
 
@@ -341,7 +341,7 @@ def test_a_users_class_may_ask_for_the_road(user_module: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("attributes", "said"),
+    ("attributes", "sentence"),
     [
         ({"wheelbase": 0.0}, "has wheelbase = 0.0; it must be a finite number above zero"),
         ({"max_braking": math.inf}, "has max_braking = inf; it must be"),
@@ -349,9 +349,9 @@ def test_a_users_class_may_ask_for_the_road(user_module: str) -> None:
         ({"max_steering": 1.6}, "has max_steering = 1.6 rad; it must be below pi / 2"),
     ],
 )
-def test_a_bicycle_that_cannot_be(attributes: dict[str, object], said: str) -> None:
+def test_a_bicycle_that_cannot_be(attributes: dict[str, object], sentence: str) -> None:
     driver = type("Driver", (), attributes)()
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=sentence):
         read_wishes(driver, "mine:Driver")
 
 

@@ -60,10 +60,10 @@ def test_distances_are_one_minus_cosine_and_entries_are_embedded_once() -> None:
     metric.fit([("Braking", "It brakes."), ("Cut-in", "It cuts."), ("Braking", "It brakes.")])
     assert metric.name == "local:counting"
     assert embedder.asked == ["Braking. It brakes.", "Cut-in. It cuts."]
-    found = metric.distances("Brake", "")
-    one = (2.0 * 1.0 + 0.01) / np.sqrt(4.01 * 1.01)  # (2, 0, 0, .1) with (1, 0, 0, .1)
-    other = 0.01 / np.sqrt(4.01 * 1.01)  # (0, 2, 0, .1) with (1, 0, 0, .1)
-    assert found == pytest.approx([1 - one, 1 - other, 1 - one])
+    distances = metric.distances("Brake", "")
+    cosine_braking = (2.0 * 1.0 + 0.01) / np.sqrt(4.01 * 1.01)  # (2, 0, 0, .1) with (1, 0, 0, .1)
+    cosine_cut_in = 0.01 / np.sqrt(4.01 * 1.01)  # (0, 2, 0, .1) with (1, 0, 0, .1)
+    assert distances == pytest.approx([1 - cosine_braking, 1 - cosine_cut_in, 1 - cosine_braking])
     metric.fit([("Cut-in", "It cuts."), ("Left", "")])
     assert embedder.asked[3:] == ["Left"]
     metric.fit([])
@@ -125,12 +125,12 @@ def tiny_model(folder: Path, **changed: Any) -> Path:
 
     [CLS] = (1, 0, 0, 0), [SEP] = (0, 1, 0, 0), hard = (0, 0, 1, 0), [UNK] = (0, 0, 0, 1).
     """
-    one, none = np.eye(4), np.zeros((4, 4))
+    identity, zeros = np.eye(4), np.zeros((4, 4))
     words = np.zeros((len(PIECES), 4))
-    words[2:4] = one[:2]
-    words[6], words[1] = one[2], one[3]
-    dense = {"attention.self.query": none, "attention.self.key": none, "attention.self.value": one,
-             "attention.output.dense": one, "intermediate.dense": none, "output.dense": none}  # fmt: skip
+    words[2:4] = identity[:2]
+    words[6], words[1] = identity[2], identity[3]
+    dense = {"attention.self.query": zeros, "attention.self.key": zeros, "attention.self.value": identity,
+             "attention.output.dense": identity, "intermediate.dense": zeros, "output.dense": zeros}  # fmt: skip
     tensors: dict[str, Any] = {
         "embeddings.word_embeddings.weight": words,
         "embeddings.position_embeddings.weight": np.zeros((16, 4)),
@@ -191,13 +191,14 @@ def test_an_endpoint_is_calibrated_and_finds(program: Program) -> None:
     paraphrases = ROOT / "tests" / "data" / "intents_paraphrases.toml"
     with ModelServer(vectors=counts) as server:
         program.variables.update(server.environment())
-        asked = program("memory", "find", "It brakes", *use)
-        assert (asked.status, asked.out) == (2, "") and "no epsilon for the metric endpoint:test-embed" in asked.err
+        uncalibrated = program("memory", "find", "It brakes", *use)
+        assert (uncalibrated.status, uncalibrated.out) == (2, "")
+        assert "no epsilon for the metric endpoint:test-embed" in uncalibrated.err
         stored = json.loads(program("memory", "calibrate", paraphrases, *use, "--store", "--json").out)
         assert (stored["metric"], stored["before"], stored["stored"]) == ("endpoint:test-embed", None, True)
-        found = json.loads(program("memory", "find", "It brakes", *use, "--json").out)
-        assert found["epsilon"] == stored["epsilon"]
-        assert found["nearest"][0]["label"] == "Emergency Braking"
+        recalled = json.loads(program("memory", "find", "It brakes", *use, "--json").out)
+        assert recalled["epsilon"] == stored["epsilon"]
+        assert recalled["nearest"][0]["label"] == "Emergency Braking"
     down = program("memory", "find", "It brakes", *use)
     assert down.status == 1 and "start it, or correct SUMO_ADV_LLM_BASE_URL" in down.err
 

@@ -74,15 +74,15 @@ def test_a_conversation_that_fails_is_over(engine: Engine) -> None:
 
 @needs_fork
 def test_two_forks_ask_through_slots_of_their_own(engine: Engine) -> None:
-    asked: list[int] = []
+    askers: list[int] = []
 
     def answer(pid: int) -> int:
-        asked.append(pid)
+        askers.append(pid)
         return -pid
 
     answers = engine.request("ask_in_forks", answer=answer)
-    assert sorted(answers) == sorted(-pid for pid in asked)
-    assert len({*asked, engine.request("pid")}) == 3
+    assert sorted(answers) == sorted(-pid for pid in askers)
+    assert len({*askers, engine.request("pid")}) == 3
 
 
 def test_errors_of_ours_come_through_and_others_are_named(engine: Engine) -> None:
@@ -103,7 +103,7 @@ def test_forks_give_their_results_in_order(engine: Engine) -> None:
 
 @needs_fork
 @pytest.mark.parametrize(
-    ("what", "kind", "sentence"),
+    ("failure", "kind", "sentence"),
     [
         ("divides", SimulationError, r"An attempt failed \(ZeroDivisionError: .*\)\."),
         ("refuses", UsageError, "The input is wrong; give another."),
@@ -114,10 +114,10 @@ def test_forks_give_their_results_in_order(engine: Engine) -> None:
     ],
 )
 def test_a_fork_that_fails_is_an_error_and_the_engine_goes_on(
-    engine: Engine, what: str, kind: type[Exception], sentence: str
+    engine: Engine, failure: str, kind: type[Exception], sentence: str
 ) -> None:
     with pytest.raises(kind, match=sentence):
-        engine.request("fork_that", what)
+        engine.request("fork_that", failure)
     assert engine.request("add", 2, 2) == 4
 
 
@@ -131,8 +131,8 @@ def test_a_fork_that_dies_is_repeated_once_by_reload(engine: Engine) -> None:
 
 @needs_fork
 def test_a_fork_that_dies_twice_may_be_skipped(engine: Engine) -> None:
-    one, died, two = engine.request("fork_again", [1, 0, 2], True)
-    assert (one, two) == ("1", "2")
+    first, died, last = engine.request("fork_again", [1, 0, 2], True)
+    assert (first, last) == ("1", "2")
     assert died.startswith("SUMO OR THE EGO'S DRIVER CRASHED IN A FORKED ATTEMPT (SIGSEGV), ALSO WHEN")
 
 
@@ -189,10 +189,10 @@ def test_an_engine_that_cannot_be_set_up_says_why() -> None:
 
 @needs_fork
 def test_a_front_that_gives_up_leaves_neither_engine_nor_forks() -> None:
-    asked: list[int] = []
+    askers: list[int] = []
 
     def interrupted(pid: int) -> None:
-        asked.append(pid)
+        askers.append(pid)
         raise KeyboardInterrupt
 
     engine = Engine(body)
@@ -201,24 +201,24 @@ def test_a_front_that_gives_up_leaves_neither_engine_nor_forks() -> None:
         engine.request("ask_in_forks", answer=interrupted)
     engine.close()
     assert gone(pid, 0.1)
-    assert all(gone(child) for child in asked)
+    assert all(gone(child) for child in askers)
 
 
 @needs_fork
 def test_forks_of_a_killed_engine_do_not_take_its_place() -> None:
-    asked: list[int] = []
+    askers: list[int] = []
     with Engine(body) as engine:
         pid = engine.request("pid")
 
         def kill_the_engine(child: int) -> None:
-            asked.append(child)
+            askers.append(child)
             if alive(pid):
                 os.kill(pid, signal.SIGKILL)
 
         with pytest.raises(SimulationError, match="ended unexpectedly"):
             engine.request("ask_in_forks", answer=kill_the_engine)
     assert gone(pid, 0.1)
-    assert all(gone(child) for child in asked)
+    assert all(gone(child) for child in askers)
 
 
 def test_a_busy_engine_is_ended_too() -> None:

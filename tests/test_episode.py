@@ -29,16 +29,18 @@ def parties(done: Done) -> tuple[str, str]:
     return outcome["ego"]["id"], outcome["adversaries"][0]["id"]
 
 
-def differs_from(one: States, two: States, vehicle: str) -> float:
+def differs_from(first: States, second: States, vehicle: str) -> float:
     """The first common time [s] at which a vehicle is not the same in both; ``inf`` = never."""
-    common = sorted(one[vehicle].keys() & two.get(vehicle, {}).keys())
-    return next((t for t in common if moves(one[vehicle][t]) != moves(two[vehicle][t])), math.inf)
+    common = sorted(first[vehicle].keys() & second.get(vehicle, {}).keys())
+    return next((t for t in common if moves(first[vehicle][t]) != moves(second[vehicle][t])), math.inf)
 
 
-def apart(one: States, a: str, two: States, b: str) -> float:
+def apart(first: States, a: str, second: States, b: str) -> float:
     """Least distance [m] of vehicle a in one table and b in the other from the trigger on."""
-    common = one[a].keys() & two[b].keys()
-    return min((math.dist(position(one[a][t]), position(two[b][t])) for t in common if t >= TRIGGER), default=math.inf)
+    common = first[a].keys() & second[b].keys()
+    return min(
+        (math.dist(position(first[a][t]), position(second[b][t])) for t in common if t >= TRIGGER), default=math.inf
+    )
 
 
 # -- the adversary follows the ego

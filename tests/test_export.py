@@ -72,10 +72,10 @@ def test_asams_checker_finds_what_is_wrong(scenario: Path, tmp_path: Path) -> No
 
 
 def test_trajectories_read_back_are_the_states(piece: Piece, scenario: Path) -> None:
-    found = replayed(scenario)
-    assert set(found) == {track.id for track in piece.tracks}
+    replayed_tracks = replayed(scenario)
+    assert set(replayed_tracks) == {track.id for track in piece.tracks}
     for track in piece.tracks:
-        back = found[track.id]
+        back = replayed_tracks[track.id]
         assert len(back.time) == len(track.time)
         assert np.abs(back.time - track.time).max() < MILLISECOND
         assert np.hypot(back.x - track.x, back.y - track.y).max() < CENTIMETRE
@@ -130,7 +130,7 @@ def played(piece: Piece, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple
 
 
 def test_plain_sumo_reproduces_the_positions(piece: Piece, played: dict[tuple[int, str], Any]) -> None:
-    wanted = 0
+    expected = 0
     for track in piece.tracks:
         for k, time in enumerate(track.time):
             vehicle = played[round(time * 10), track.id]
@@ -141,8 +141,8 @@ def test_plain_sumo_reproduces_the_positions(piece: Piece, played: dict[tuple[in
             if k > 0:  # in its first step the device has not yet set speed and heading
                 assert turned < 1e-5
                 assert number(vehicle, "speed") == pytest.approx(track.speed[k], abs=0.01)
-            wanted += 1
-    early_or_late = len(played) - wanted
+            expected += 1
+    early_or_late = len(played) - expected
     assert 0 <= early_or_late <= 2 * len(piece.tracks)  # let in a step earlier, or taken out a step later
 
 
@@ -152,11 +152,11 @@ def test_fcd_is_what_sumo_would_write(piece: Piece, played: dict[tuple[int, str]
     assert len(rows) == sum(len(track.time) for track in piece.tracks)
     same_lane = 0
     for key, vehicle in rows.items():
-        theirs = played[key]
-        assert number(vehicle, "x") == pytest.approx(number(theirs, "x"), abs=0.001)
+        sumo_vehicle = played[key]
+        assert number(vehicle, "x") == pytest.approx(number(sumo_vehicle, "x"), abs=0.001)
         assert set(vehicle.attrib) >= {"id", "x", "y", "angle", "type", "speed", "pos", "lane", "slope"}
-        if vehicle.get("lane") == theirs.get("lane") and not vehicle.attrib["lane"].startswith(":"):
-            assert number(vehicle, "pos") == pytest.approx(number(theirs, "pos"), abs=0.02)
+        if vehicle.get("lane") == sumo_vehicle.get("lane") and not vehicle.attrib["lane"].startswith(":"):
+            assert number(vehicle, "pos") == pytest.approx(number(sumo_vehicle, "pos"), abs=0.02)
             same_lane += 1
     assert same_lane > len(rows) / 2
 

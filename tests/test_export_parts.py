@@ -155,8 +155,8 @@ def run(*arguments: str | Path) -> tuple[int, str, SumoAdvError | None]:
 def test_a_file_is_written_once(tmp_path: Path, ending: str) -> None:
     target = tmp_path / "deep" / f"table.{ending}"
     folder = run_folder("straight")
-    status, said, _ = run(folder, "--format", "csv", "--out", target)
-    assert status == 0 and said.endswith(f"{target}\n")
+    status, output, _ = run(folder, "--format", "csv", "--out", target)
+    assert status == 0 and output.endswith(f"{target}\n")
     data = target.read_bytes()
     text = (gzip.decompress(data) if ending.endswith("gz") else data).decode()
     assert text == table(read_piece(folder))

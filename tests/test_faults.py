@@ -37,7 +37,7 @@ def test_an_engine_without_memory_says_so(engine: Engine, command: str) -> None:
 def test_an_episode_ends_with_the_sentence(tmp_path: Path, error: Exception) -> None:
     """A listener of an episode runs within it."""
 
-    def tell(what: str, value: Any) -> None:
+    def tell(kind: str, value: Any) -> None:
         raise error
 
     settings = Settings(memory=tmp_path / "bank.sqlite")

@@ -103,12 +103,12 @@ def test_an_mp4_shows_every_step(tmp_path: Path) -> None:
     if shutil.which("ffmpeg") is None:
         pytest.skip("ffmpeg is not installed")
     write_film(STORY, tmp_path / "a.mp4", "mp4")
-    told = subprocess.run(
+    log = subprocess.run(
         ["ffmpeg", "-hide_banner", "-i", str(tmp_path / "a.mp4"), "-f", "null", "-"], capture_output=True, text=True,
         check=True,
     ).stderr  # fmt: skip
-    assert re.findall(r"frame=\s*(\d+)", told)[-1] == "36"
-    assert "yuv420p" in told
+    assert re.findall(r"frame=\s*(\d+)", log)[-1] == "36"
+    assert "yuv420p" in log
 
 
 def test_an_mp4_without_ffmpeg_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

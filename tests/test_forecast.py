@@ -23,7 +23,7 @@ from sumo_adv.situation import NO_ARRIVAL, Situation
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
 
 
-def one(*values: float) -> Floats:
+def array(*values: float) -> Floats:
     return np.array(values)
 
 
@@ -31,36 +31,36 @@ def one(*values: float) -> Floats:
 
 
 def test_the_profile_is_read_between_its_samples_and_goes_on_beyond_them() -> None:
-    s, v = profile_at(SIT, one(0.0, 2.05, 5.0, 7.0))
+    s, v = profile_at(SIT, array(0.0, 2.05, 5.0, 7.0))
     assert s == pytest.approx([0.0, 20.5, 50.0, 70.0])
     assert v == pytest.approx([10.0] * 4)
 
 
 def test_an_ego_on_its_profile_is_forecast_by_it_shifted_to_where_it_is() -> None:
     braking = changed(SIT, s=SIT.baseline.s, v=np.linspace(10.0, 5.0, 51))
-    s, v = stations(Scenes([braking]), 2.0, one(20.4), one(8.3), one(0.0), one(0.0, 1.0))
+    s, v = stations(Scenes([braking]), 2.0, array(20.4), array(8.3), array(0.0), array(0.0, 1.0))
     assert s[0] == pytest.approx([20.4, 30.4])  # 0.4 m ahead of its profile, and so it stays
     assert v[0] == pytest.approx([8.0, 7.0])
 
 
 def test_a_disturbed_ego_keeps_its_acceleration_for_half_a_second_and_then_its_speed() -> None:
-    s, v = stations(Scenes([SIT] * 2), 2.0, one(20.0, 17.0), one(5.0, 10.0), one(-4.0, 0.0), one(0.0, 0.5, 1.0))
+    s, v = stations(Scenes([SIT] * 2), 2.0, array(20.0, 17.0), array(5.0, 10.0), array(-4.0, 0.0), array(0.0, 0.5, 1.0))
     assert s[0] == pytest.approx([20.0, 22.0, 23.5])  # 5 -> 3 m/s on 2 m, then 1.5 m
     assert v[0] == pytest.approx([5.0, 3.0, 3.0])
     assert s[1] == pytest.approx([17.0, 22.0, 27.0])  # 3 m behind its profile: not on it
 
 
 def test_a_braking_ego_never_rolls_back() -> None:
-    s, v = stations(Scenes([SIT]), 2.0, one(5.0), one(1.0), one(-8.0), one(0.5, 3.0))
+    s, v = stations(Scenes([SIT]), 2.0, array(5.0), array(1.0), array(-8.0), array(0.5, 3.0))
     assert (v == 0.0).all()
     assert (np.diff(s[0]) == 0.0).all()
 
 
 def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a_standing_ego() -> None:
-    s = one(20.0, 20.0, 20.0, 20.0, 20.0)
-    v = one(10.0, 10.0, 0.0, 5.0, 10.0)
-    at = one(50.0, 17.0, 50.0, 30.0, math.inf)[:, None]
-    arrival = arrivals(Scenes([SIT] * 5), 2.0, s, v, one(0.0, 0.0, 0.0, 0.0, 0.0), at)
+    s = array(20.0, 20.0, 20.0, 20.0, 20.0)
+    v = array(10.0, 10.0, 0.0, 5.0, 10.0)
+    at = array(50.0, 17.0, 50.0, 30.0, math.inf)[:, None]
+    arrival = arrivals(Scenes([SIT] * 5), 2.0, s, v, array(0.0, 0.0, 0.0, 0.0, 0.0), at)
     assert arrival[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
 
 
@@ -79,9 +79,9 @@ def roll(sit: Situation, answers: Sequence[End | None], steps: int = 50) -> tupl
     """Rollouts of planners that always answer the same, in the ego's frame; and what row 0 was told."""
     observed: list[PlannerObservation] = []
 
-    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
-        observed.append(told[0])
-        given = [answers[k] if k in rows else None for k in range(len(told))]
+    def ask(rows: Sequence[int], observations: Sequence[PlannerObservation]) -> list[Answer | None]:
+        observed.append(observations[0])
+        given = [answers[k] if k in rows else None for k in range(len(observations))]
         return [None if a is None else Answer(world_endpoint(sit, a)) for a in given]
 
     fixed: Ask = ask
@@ -199,12 +199,12 @@ def test_an_adversary_that_has_touched_the_ego_keeps_its_last_plan() -> None:
     """Asked every half second; the first of two touches after 0.7 s. From 1.0 s on only the other one is asked."""
     batches: list[list[int]] = []
 
-    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
+    def ask(rows: Sequence[int], observations: Sequence[PlannerObservation]) -> list[Answer | None]:
         batches.append(list(rows))
         place = end(60.0, 3.2, 12.0, 3.0) if len(batches) <= 2 else end(60.0, 3.2, 4.0, 3.0)
-        return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(told))]
+        return [Answer(world_endpoint(SIT, place)) if k in rows else None for k in range(len(observations))]
 
-    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
+    def touch(ego: Floats, adversary: Floats, untouched: Bools) -> Bools:
         assert ego.shape == adversary.shape == (4, 2)
         return np.array([ego[0, 0] >= 7.0 - 1e-9, False])  # 0.7 s at 10 m/s
 
@@ -220,11 +220,11 @@ def test_once_all_have_touched_the_ego_goes_on_at_an_even_speed() -> None:
     adversary follows its last plan, and its planner is asked no more."""
     times: list[float] = []
 
-    def ask(rows: Sequence[int], told: Sequence[PlannerObservation]) -> list[Answer | None]:
-        times.append(told[0][0]["time"])
+    def ask(rows: Sequence[int], observations: Sequence[PlannerObservation]) -> list[Answer | None]:
+        times.append(observations[0][0]["time"])
         return [Answer(world_endpoint(SIT, end(60.0, 3.2, 12.0, 3.0)))]
 
-    def touch(ego: Floats, adversary: Floats, asked: Bools) -> Bools:
+    def touch(ego: Floats, adversary: Floats, untouched: Bools) -> Bools:
         return np.array([ego[0, 0] >= 7.0 - 1e-9])
 
     rollouts = predict({0.0: SIT}, proposals(1), ask, limits=Limits(), steps=30, replan=5, touch=touch)

@@ -38,12 +38,12 @@ def test_a_few_tries_break_nothing(attack: Callable[[random.Random, Path], str],
 
 def test_what_breaks_is_told_with_its_number() -> None:
     def attack(rng: random.Random, folder: Path) -> str:
-        what = rng.choice(("taken", "sentence", "no sentence", "crash"))
-        if what == "sentence":
+        fate = rng.choice(("taken", "sentence", "no sentence", "crash"))
+        if fate == "sentence":
             raise UsageError("The file is wrong; give another.")
-        if what == "no sentence":
+        if fate == "no sentence":
             raise UsageError("oops")
-        return what if what == "taken" else str(1 // 0)
+        return fate if fate == "taken" else str(1 // 0)
 
     tally = hold(attack, seed=0, count=200)
     assert set(tally.words) == {"taken", "refused"}

@@ -57,34 +57,35 @@ int main(int, char** arguments) {
 
 def test_a_client_of_version_21_reads_and_subscribes_to_stops(tmp_path: Path) -> None:
     """By the reader that stock ``traci`` has for the old form."""
-    with opened(tmp_path, older=True) as (gate, events), attached(gate, events, tmp_path) as one:
-        one.step()
+    with opened(tmp_path, older=True) as (gate, events), attached(gate, events, tmp_path) as simulation:
+        simulation.step()
         script = Script(
             gate.port, "import warnings; warnings.simplefilter('ignore')\nfrom traci import constants as tc\n"
             + connected(STOPS),
         )  # fmt: skip
         assert gate.wait_connected(10.0)
-        while script.process.poll() is None and one.time() < 60.0:
-            one.step()
-        version, asked, subscribed, stands, after = script.end().splitlines()
-        assert version == "21" and asked == subscribed and stands == "stands" and after == "[64, 81, 115]"
-        assert "('east_in_0', 180.0, '', 0, 5.0, -1073741824.0)" in asked and "'west_out_0', 50.0, '', 2, 7.0" in asked
-        one.end()
+        while script.process.poll() is None and simulation.time() < 60.0:
+            simulation.step()
+        version, queried, subscribed, stands, after = script.end().splitlines()
+        assert version == "21" and queried == subscribed and stands == "stands" and after == "[64, 81, 115]"
+        assert "('east_in_0', 180.0, '', 0, 5.0, -1073741824.0)" in queried
+        assert "'west_out_0', 50.0, '', 2, 7.0" in queried
+        simulation.end()
 
 
 def test_others_hear_the_version_of_sumo(tmp_path: Path) -> None:
-    with scene(tmp_path) as one:
-        script = Script(one.gate.port, connected("print(client.getVersion()[0])"))
-        one.step()
+    with scene(tmp_path) as simulation:
+        script = Script(simulation.gate.port, connected("print(client.getVersion()[0])"))
+        simulation.step()
         assert script.end() == "22\n"
-        one.end()
+        simulation.end()
 
 
 def sumo_folder() -> Path:
     """The wheel of SUMO's programs, which has the C++ library and its headers."""
-    found = importlib.util.find_spec("sumo")
-    assert found is not None and found.origin is not None
-    return Path(found.origin).parent
+    wheel = importlib.util.find_spec("sumo")
+    assert wheel is not None and wheel.origin is not None
+    return Path(wheel.origin).parent
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="there is no C++ compiler (g++)")
@@ -99,18 +100,18 @@ def test_a_cpp_program_drives_the_ego(tmp_path: Path) -> None:
         ["g++", str(source), "-o", str(program), f"-I{sumo_folder() / 'include'}", f"-L{library}", "-ltracicpp"],
         check=True,
     )
-    with scene(tmp_path) as one:
-        one.step()
+    with scene(tmp_path) as simulation:
+        simulation.step()
         with subprocess.Popen(
-            [str(program), str(one.gate.port)], env={**os.environ, "LD_LIBRARY_PATH": str(library)},
+            [str(program), str(simulation.gate.port)], env={**os.environ, "LD_LIBRARY_PATH": str(library)},
             stdout=subprocess.PIPE, text=True,
         ) as client:  # fmt: skip
-            assert one.gate.wait_connected(20.0)
-            one.step(21)  # it says the rest in the turn after its last step
-            said, _ = client.communicate(timeout=30.0)
-        speed, refusal = said.splitlines()
+            assert simulation.gate.wait_connected(20.0)
+            simulation.step(21)  # it says the rest in the turn after its last step
+            output, _ = client.communicate(timeout=30.0)
+        speed, refusal = output.splitlines()
         assert float(speed) == pytest.approx(3.0, abs=0.01)
         assert "'other' is not the client's" in refusal
-        assert one.gate.client_steps == 20
-        one.told(EventKind.CLOSED)
-        one.end()
+        assert simulation.gate.client_steps == 20
+        simulation.sentence_of(EventKind.CLOSED)
+        simulation.end()

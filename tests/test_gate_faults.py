@@ -34,52 +34,53 @@ while True:
 
 
 def test_without_a_client_the_gate_steps(tmp_path: Path) -> None:
-    with scene(tmp_path) as one:
-        one.step(20)
-        assert one.time() == 2.0
-        assert (one.gate.stepped_by, one.gate.client_steps, one.gate.connected) == (Stepper.GATE, 0, False)
-        one.end()
-        assert one.kinds() == [EventKind.RESTARTED]
+    with scene(tmp_path) as simulation:
+        simulation.step(20)
+        assert simulation.time() == 2.0
+        gate = simulation.gate
+        assert (gate.stepped_by, gate.client_steps, gate.connected) == (Stepper.GATE, 0, False)
+        simulation.end()
+        assert simulation.kinds() == [EventKind.RESTARTED]
 
 
 def test_a_late_client_gets_the_next_turn_and_its_close_ends_only_itself(tmp_path: Path) -> None:
-    with scene(tmp_path) as one:
-        one.step(10)
-        script = Script(one.gate.port, connected("for _ in range(5): client.simulationStep()\nclient.close()"))
-        assert one.gate.wait_connected(10.0)
-        one.step()
-        assert one.gate.stepped_by is Stepper.CLIENT
-        one.step(4)
-        assert one.told(EventKind.CLOSED).endswith("said close.")
-        one.step(5)
+    with scene(tmp_path) as simulation:
+        simulation.step(10)
+        script = Script(simulation.gate.port, connected("for _ in range(5): client.simulationStep()\nclient.close()"))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step()
+        assert simulation.gate.stepped_by is Stepper.CLIENT
+        simulation.step(4)
+        assert simulation.sentence_of(EventKind.CLOSED).endswith("said close.")
+        simulation.step(5)
         script.end()
-        assert (one.time(), one.gate.client_steps, one.gate.stepped_by) == (2.0, 5, Stepper.GATE)
-        one.end()
+        assert (simulation.time(), simulation.gate.client_steps, simulation.gate.stepped_by) == (2.0, 5, Stepper.GATE)
+        simulation.end()
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_killed_at_a_random_time(tmp_path: Path, seed: int) -> None:
-    with scene(tmp_path) as one:
-        script = Script(one.gate.port, connected(DRIVE))
+    with scene(tmp_path) as simulation:
+        script = Script(simulation.gate.port, connected(DRIVE))
         assert script.line() == "ready"
         until = time.monotonic() + random.Random(seed).uniform(0.0, 0.05)
         while time.monotonic() < until:
-            one.step()
+            simulation.step()
         script.process.kill()
-        now = one.time()
-        one.step(20)
-        assert one.time() == pytest.approx(now + 2.0)
-        assert one.gate.stepped_by is Stepper.GATE and "was lost" in one.told(EventKind.LOST)
+        killed_at = simulation.time()
+        simulation.step(20)
+        assert simulation.time() == pytest.approx(killed_at + 2.0)
+        assert simulation.gate.stepped_by is Stepper.GATE and "was lost" in simulation.sentence_of(EventKind.LOST)
         script.kill()
-        again = Script(one.gate.port, connected("client.simulationStep(); client.close()"))
-        assert one.gate.wait_connected(10.0)
-        one.step(2)
+        again = Script(simulation.gate.port, connected("client.simulationStep(); client.close()"))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(2)
         again.end()
-        one.end()
+        simulation.end()
 
 
 def test_a_client_that_hangs_is_late_and_hears_why(tmp_path: Path) -> None:
-    with scene(tmp_path, deadline=0.3) as one:
+    with scene(tmp_path, deadline=0.3) as simulation:
         hang = """
             client.simulationStep()
             print("stepped", flush=True)
@@ -89,15 +90,15 @@ def test_a_client_that_hangs_is_late_and_hears_why(tmp_path: Path) -> None:
             except traci.TraCIException as error:
                 print(error)
         """
-        script = Script(one.gate.port, connected(hang))
-        assert one.gate.wait_connected(10.0)
-        one.step()
+        script = Script(simulation.gate.port, connected(hang))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step()
         assert script.line() == "stepped"
-        one.step(3)
-        assert "more than 0.3 s" in one.told(EventKind.LATE)
-        assert not one.gate.connected and one.gate.stepped_by is Stepper.GATE
+        simulation.step(3)
+        assert "more than 0.3 s" in simulation.sentence_of(EventKind.LATE)
+        assert not simulation.gate.connected and simulation.gate.stepped_by is Stepper.GATE
         assert "went on without it" in script.process.communicate("\n", timeout=20.0)[0]
-        one.end()
+        simulation.end()
 
 
 def test_a_client_that_asks_for_ever_is_late_too(tmp_path: Path) -> None:
@@ -108,25 +109,25 @@ def test_a_client_that_asks_for_ever_is_late_too(tmp_path: Path) -> None:
         except traci.TraCIException as error:
             print(error)
     """
-    with scene(tmp_path, deadline=0.3) as one:
-        script = Script(one.gate.port, connected(ask))
-        assert one.gate.wait_connected(10.0)
-        one.step(3)
-        assert "more than 0.3 s" in one.told(EventKind.LATE)
+    with scene(tmp_path, deadline=0.3) as simulation:
+        script = Script(simulation.gate.port, connected(ask))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(3)
+        assert "more than 0.3 s" in simulation.sentence_of(EventKind.LATE)
         assert "went on without it" in script.end()
-        one.end()
+        simulation.end()
 
 
 def test_our_own_thinking_is_not_the_clients(tmp_path: Path) -> None:
-    with scene(tmp_path, deadline=0.3) as one:
-        script = Script(one.gate.port, connected("for _ in range(3): client.simulationStep()\nclient.close()"))
-        assert one.gate.wait_connected(10.0)
+    with scene(tmp_path, deadline=0.3) as simulation:
+        script = Script(simulation.gate.port, connected("for _ in range(3): client.simulationStep()\nclient.close()"))
+        assert simulation.gate.wait_connected(10.0)
         for _ in range(3):
             time.sleep(0.6)
-            one.step()
+            simulation.step()
         script.end()
-        assert EventKind.LATE not in one.kinds() and one.gate.client_steps == 3
-        one.end()
+        assert EventKind.LATE not in simulation.kinds() and simulation.gate.client_steps == 3
+        simulation.end()
 
 
 LIES = {
@@ -142,19 +143,19 @@ LIES = {
 @pytest.mark.parametrize("begin", ["", r'raw.sendall(b"\0\0\0\6\2\0"); raw.recv(100)' + "\n"], ids=["first", "later"])
 @pytest.mark.parametrize("lie", LIES)
 def test_what_is_no_message_is_cut(tmp_path: Path, lie: str, begin: str) -> None:
-    with scene(tmp_path, deadline=0.3) as one:
-        script = Script(one.gate.port, RAW + begin + LIES[lie] + '\nprint("sent", flush=True)\n' + HANG)
+    with scene(tmp_path, deadline=0.3) as simulation:
+        script = Script(simulation.gate.port, RAW + begin + LIES[lie] + '\nprint("sent", flush=True)\n' + HANG)
         assert script.line() == "sent"
         time.sleep(0.1)
-        one.step(10)
-        assert one.time() == 1.0
+        simulation.step(10)
+        assert simulation.time() == 1.0
         until = time.monotonic() + 5.0
-        while not {EventKind.LOST, EventKind.LATE, EventKind.REFUSED} & set(one.kinds()):
+        while not {EventKind.LOST, EventKind.LATE, EventKind.REFUSED} & set(simulation.kinds()):
             assert time.monotonic() < until
             time.sleep(0.02)
-        assert not one.gate.connected
+        assert not simulation.gate.connected
         script.kill()
-        one.end()
+        simulation.end()
 
 
 DRIP = """
@@ -167,32 +168,32 @@ while True:
 
 
 def test_a_client_that_drips_is_late_like_one_that_hangs(tmp_path: Path) -> None:
-    with scene(tmp_path, deadline=0.3) as one:
-        script = Script(one.gate.port, RAW + r'raw.sendall(b"\0\0\0\6\2\0"); raw.recv(100)' + DRIP)
+    with scene(tmp_path, deadline=0.3) as simulation:
+        script = Script(simulation.gate.port, RAW + r'raw.sendall(b"\0\0\0\6\2\0"); raw.recv(100)' + DRIP)
         assert script.line() == "sent"
         began = time.monotonic()
-        one.step(10)
+        simulation.step(10)
         assert time.monotonic() - began < 3.0
-        assert "took more than 0.3 s for a turn" in one.told(EventKind.LATE)
+        assert "took more than 0.3 s for a turn" in simulation.sentence_of(EventKind.LATE)
         script.kill()
-        one.end()
+        simulation.end()
 
 
 def test_strangers_that_drip_leave_room_for_an_honest_client(tmp_path: Path) -> None:
-    with scene(tmp_path, deadline=0.3) as one:
-        strangers = [Script(one.gate.port, RAW + DRIP) for _ in range(16)]
+    with scene(tmp_path, deadline=0.3) as simulation:
+        strangers = [Script(simulation.gate.port, RAW + DRIP) for _ in range(16)]
         assert [s.line() for s in strangers] == ["sent"] * 16
         until = time.monotonic() + 5.0
-        while one.kinds().count(EventKind.REFUSED) < 16:
+        while simulation.kinds().count(EventKind.REFUSED) < 16:
             assert time.monotonic() < until
             time.sleep(0.02)
-        honest = Script(one.gate.port, connected("client.simulationStep(); client.close()"))
-        assert one.gate.wait_connected(10.0)
-        one.step(2)
+        honest = Script(simulation.gate.port, connected("client.simulationStep(); client.close()"))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(2)
         honest.end()
         for stranger in strangers:
             stranger.kill()
-        one.end()
+        simulation.end()
 
 
 def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -> None:
@@ -213,15 +214,15 @@ def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -
             print(hex(number), answer[5] == number and answer[6] in (1, 0xff), flush=True)
         print(ask(0xa4, b"\x00" + struct.pack("!i", 0))[6], flush=True)
     """
-    with scene(tmp_path) as one:
-        one.step()
-        script = Script(one.gate.port, RAW + dedent(ask))
-        assert one.gate.wait_connected(10.0)
-        one.step()
+    with scene(tmp_path) as simulation:
+        simulation.step()
+        script = Script(simulation.gate.port, RAW + dedent(ask))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step()
         *answers, last = script.end().split("\n")[:-1]
         assert len(answers) == 18 and all(answer.endswith("True") for answer in answers), answers
         assert last == "0"
-        one.end()
+        simulation.end()
 
 
 def test_three_thousand_random_commands(tmp_path: Path) -> None:
@@ -243,14 +244,14 @@ def test_three_thousand_random_commands(tmp_path: Path) -> None:
                 answer += raw.recv(65536) or sys.exit("cut")
         print("all answered", flush=True)
     """
-    with scene(tmp_path, deadline=60.0) as one:
-        one.step()
-        script = Script(one.gate.port, RAW + dedent(ask))
-        assert one.gate.wait_connected(10.0)
-        one.step()
+    with scene(tmp_path, deadline=60.0) as simulation:
+        simulation.step()
+        script = Script(simulation.gate.port, RAW + dedent(ask))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step()
         assert script.end() == "all answered\n"
-        one.step(5)
-        one.end()
+        simulation.step(5)
+        simulation.end()
 
 
 def test_subscribing_to_what_is_not_there_yet(tmp_path: Path) -> None:
@@ -265,32 +266,32 @@ def test_subscribing_to_what_is_not_there_yet(tmp_path: Path) -> None:
         print(sorted(client.vehicle.getSubscriptionResults("ego")))
         client.close()
     """
-    with scene(tmp_path) as one:
-        one.step()
-        script = Script(one.gate.port, connected(early))
-        assert one.gate.wait_connected(10.0)
-        one.step(3)
+    with scene(tmp_path) as simulation:
+        simulation.step()
+        script = Script(simulation.gate.port, connected(early))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(3)
         assert "not_there_yet" in script.line()
         assert script.end() == "[64, 65, 66, 67]\n"
-        one.end()
+        simulation.end()
 
 
 def test_only_one_client_at_a_time_and_the_second_hears_why(tmp_path: Path) -> None:
-    with scene(tmp_path) as one:
-        first = Script(one.gate.port, connected(DRIVE))
+    with scene(tmp_path) as simulation:
+        first = Script(simulation.gate.port, connected(DRIVE))
         assert first.line() == "ready"
-        one.step(2)
+        simulation.step(2)
         second = Script(
-            one.gate.port,
+            simulation.gate.port,
             'try: traci.init(PORT, host="127.0.0.1")\nexcept traci.TraCIException as error: print(error)',
         )
         assert "Another client" in second.end()
-        assert "another client" in one.told(EventKind.REFUSED)
-        one.step(2)
-        assert one.gate.stepped_by is Stepper.CLIENT
+        assert "another client" in simulation.sentence_of(EventKind.REFUSED)
+        simulation.step(2)
+        assert simulation.gate.stepped_by is Stepper.CLIENT
         first.kill()
-        one.step()
-        one.end()
+        simulation.step()
+        simulation.end()
 
 
 def test_load_save_and_the_adversary_are_refused_by_an_error(tmp_path: Path) -> None:
@@ -318,18 +319,17 @@ def test_load_save_and_the_adversary_are_refused_by_an_error(tmp_path: Path) -> 
         client.simulationStep()
         client.close()
     """
-    with scene(tmp_path) as one:
-        one.step()
-        script = Script(one.gate.port, connected(trespass))
-        assert one.gate.wait_connected(10.0)
-        one.step(2)
+    with scene(tmp_path) as simulation:
+        simulation.step()
+        script = Script(simulation.gate.port, connected(trespass))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(2)
         lines = script.end().splitlines()
         assert [line.split(":")[0] for line in lines] == ["refused"] * 11 + ["done"] + ["refused"] * 2
         assert "'other' is not the client's" in lines[4]
-        assert (
-            one.kinds().count(EventKind.REFUSED) == 11
-        )  # SUMO's own refusal is none, and a call said twice is told once
-        one.end()
+        # SUMO's own refusal does not count, and a call made twice counts once.
+        assert simulation.kinds().count(EventKind.REFUSED) == 11
+        simulation.end()
 
 
 def test_what_the_client_adds_is_its_own_until_it_removes_it(tmp_path: Path) -> None:
@@ -347,42 +347,42 @@ def test_what_the_client_adds_is_its_own_until_it_removes_it(tmp_path: Path) -> 
         client.simulationStep()
         client.close()
     """
-    with scene(tmp_path) as one:
-        one.step()
-        script = Script(one.gate.port, connected(adds))
-        assert one.gate.wait_connected(10.0)
-        one.step()
-        assert script.line() == "added" and one.gate.own == {"ego", "friend"}
-        one.step(3)
+    with scene(tmp_path) as simulation:
+        simulation.step()
+        script = Script(simulation.gate.port, connected(adds))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step()
+        assert script.line() == "added" and simulation.gate.own == {"ego", "friend"}
+        simulation.step(3)
         assert script.end() == "mine\n"
-        assert one.gate.own == {"ego"}
-        one.gate.take("ego")
-        one.gate.give("other")
-        assert one.gate.own == {"other"}
-        one.end()
+        assert simulation.gate.own == {"ego"}
+        simulation.gate.take("ego")
+        simulation.gate.give("other")
+        assert simulation.gate.own == {"other"}
+        simulation.end()
 
 
 def test_a_domain_can_be_allowed(tmp_path: Path) -> None:
-    with scene(tmp_path, rules=Rules(frozenset({"trafficlight"}))) as one:
+    with scene(tmp_path, rules=Rules(frozenset({"trafficlight"}))) as simulation:
         script = Script(
-            one.gate.port, connected(
+            simulation.gate.port, connected(
                 'client.trafficlight.setRedYellowGreenState("centre", "r" * 16)\n'
                 'print("done", flush=True)\nclient.simulationStep(); client.close()'
             ),
         )  # fmt: skip
-        length = len(one.ours.trafficlight.getRedYellowGreenState("centre"))
+        length = len(simulation.ours.trafficlight.getRedYellowGreenState("centre"))
         script.kill() if length != 16 else None
-        assert one.gate.wait_connected(10.0)
-        one.step(2)
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(2)
         assert script.end() == "done\n"
-        assert one.ours.trafficlight.getRedYellowGreenState("centre") == "r" * 16
-        one.end()
+        assert simulation.ours.trafficlight.getRedYellowGreenState("centre") == "r" * 16
+        simulation.end()
 
 
 def test_subscriptions_of_a_lost_client_end_with_it_and_ours_stay_hidden(tmp_path: Path) -> None:
-    with opened(tmp_path) as (gate, events), attached(gate, events, tmp_path, hidden=("server",)) as one:
-        one.ours.poi.add("server", 0.0, 0.0, (0, 0, 0, 0))
-        one.ours.poi.subscribeContext("server", tc.CMD_GET_VEHICLE_VARIABLE, 1e6, [tc.VAR_SPEED])
+    with opened(tmp_path) as (gate, events), attached(gate, events, tmp_path, hidden=("server",)) as simulation:
+        simulation.ours.poi.add("server", 0.0, 0.0, (0, 0, 0, 0))
+        simulation.ours.poi.subscribeContext("server", tc.CMD_GET_VEHICLE_VARIABLE, 1e6, [tc.VAR_SPEED])
         subscribe = """
             client.simulationStep()
             client.vehicle.subscribe("ego", [0x40])
@@ -397,15 +397,15 @@ def test_subscriptions_of_a_lost_client_end_with_it_and_ours_stay_hidden(tmp_pat
         """
         script = Script(gate.port, connected(subscribe))
         assert gate.wait_connected(10.0)
-        one.step(3)
+        simulation.step(3)
         assert script.line() == "['ego'] {}"
         assert "sumo_adv" in script.line()
-        one.told(EventKind.LOST)
-        one.step(2)
-        assert one.ours.vehicle.getAllSubscriptionResults() == {}
-        assert set(one.ours.poi.getContextSubscriptionResults("server")) >= {"ego", "other", "crossing"}
+        simulation.sentence_of(EventKind.LOST)
+        simulation.step(2)
+        assert simulation.ours.vehicle.getAllSubscriptionResults() == {}
+        assert set(simulation.ours.poi.getContextSubscriptionResults("server")) >= {"ego", "other", "crossing"}
         script.kill()
-        one.end()
+        simulation.end()
 
 
 @pytest.mark.parametrize("keep", [False, True], ids=["sent away", "stays"])
@@ -425,44 +425,44 @@ def test_the_next_simulation(tmp_path: Path, keep: bool) -> None:
     with opened(tmp_path) as (gate, events):
         script = Script(gate.port, connected(leave))
         assert gate.wait_connected(10.0)
-        with attached(gate, events, tmp_path) as one:
-            one.step(3)
-            one.end(keep=keep)
-        with attached(gate, events, tmp_path) as one:
+        with attached(gate, events, tmp_path) as simulation:
+            simulation.step(3)
+            simulation.end(keep=keep)
+        with attached(gate, events, tmp_path) as simulation:
             assert keep or script.line() == "closed"
             assert gate.wait_connected(10.0)
-            while script.process.poll() is None and one.time() < 20.0:
-                one.step()
+            while script.process.poll() is None and simulation.time() < 20.0:
+                simulation.step()
             times = script.line()
             script.end()
             numbers = [float(x) for x in times.strip("[]").split(",")]
             restart = next(k for k in range(1, len(numbers)) if numbers[k] < numbers[k - 1])
             assert restart in (2, 3) and numbers[:restart] == [0.1, 0.2, 0.3][:restart]
             assert numbers[restart] <= 0.1 and numbers == sorted(numbers[:restart]) + sorted(numbers[restart:])
-            assert one.gate.client_steps >= 4
-            one.end()
+            assert simulation.gate.client_steps >= 4
+            simulation.end()
 
 
 def test_sumo_that_dies_is_told_and_the_next_simulation_runs(tmp_path: Path) -> None:
     with opened(tmp_path) as (gate, events):
         script = Script(gate.port, connected(DRIVE))
-        with attached(gate, events, tmp_path) as one:
+        with attached(gate, events, tmp_path) as simulation:
             assert gate.wait_connected(10.0)
-            one.step(3)
-            os.kill(one.sumo.pid, signal.SIGKILL)
+            simulation.step(3)
+            os.kill(simulation.sumo.pid, signal.SIGKILL)
             with pytest.raises(traci.FatalTraCIError):
-                one.step(1)
-            assert "ended by itself" in one.told(EventKind.ENDED)
+                simulation.step(1)
+            assert "ended by itself" in simulation.sentence_of(EventKind.ENDED)
             assert gate.wait_detached(5.0)
         script.kill()
-        with attached(gate, events, tmp_path) as one:
-            one.step(3)
-            one.end()
+        with attached(gate, events, tmp_path) as simulation:
+            simulation.step(3)
+            simulation.end()
 
 
 def test_a_sumo_that_does_not_start_says_why() -> None:
-    wanted = pytest.raises(SimulationError, match=r"did not start \(.*no-such-option")
-    with Gate() as gate, SumoProcess(["--no-such-option", "1"]) as sumo, wanted:
+    refused = pytest.raises(SimulationError, match=r"did not start \(.*no-such-option")
+    with Gate() as gate, SumoProcess(["--no-such-option", "1"]) as sumo, refused:
         gate.attach(sumo)
 
 

@@ -31,30 +31,27 @@ def quiet() -> None:
 
 def line() -> tuple[Line, socket.socket]:
     """Ours and the other end."""
-    ours, theirs = socket.socketpair()
-    ours.close()
     listener = socket.create_server(("127.0.0.1", 0))
-    theirs.close()
-    other = socket.create_connection(listener.getsockname())
+    far_end = socket.create_connection(listener.getsockname())
     accepted, _ = listener.accept()
     listener.close()
-    return Line(accepted, framing.LONGEST), other
+    return Line(accepted, framing.LONGEST), far_end
 
 
 @given(commands)
 def test_what_is_made_is_split_again(made: list[tuple[int, bytes]]) -> None:
-    found = split(make_message(*(make_command(*one) for one in made)))
-    assert [(one.number, one.payload) for one in found] == made
-    assert b"".join(one.raw for one in found) == b"".join(make_command(*one) for one in made)
+    parsed = split(make_message(*(make_command(*command) for command in made)))
+    assert [(command.number, command.payload) for command in parsed] == made
+    assert b"".join(command.raw for command in parsed) == b"".join(make_command(*command) for command in made)
 
 
 @given(st.binary(max_size=60))
 def test_any_bytes_are_split_whole_or_refused(body: bytes) -> None:
     try:
-        found = split(make_message(body))
+        parsed = split(make_message(body))
     except FramingError:
         return
-    assert b"".join(one.raw for one in found) == body
+    assert b"".join(command.raw for command in parsed) == body
 
 
 @given(st.binary(max_size=60), st.sampled_from(sorted(shapes.SET)), st.binary(min_size=1, max_size=1))
@@ -84,8 +81,8 @@ def test_lengths_that_do_not_add_up(body: bytes) -> None:
 
 
 def test_a_refusal_answers_every_command_and_lets_close_be() -> None:
-    said = split(errors(make_message(make_command(0xA4, b"x"), make_command(framing.CLOSE)), "No."))
-    assert [(one.number, one.payload[0]) for one in said] == [(0xA4, 0xFF), (framing.CLOSE, 0)]
+    answers = split(errors(make_message(make_command(0xA4, b"x"), make_command(framing.CLOSE)), "No."))
+    assert [(answer.number, answer.payload[0]) for answer in answers] == [(0xA4, 0xFF), (framing.CLOSE, 0)]
 
 
 def test_subscription_results_of_hidden_objects_are_taken_out() -> None:
@@ -93,9 +90,9 @@ def test_subscription_results_of_hidden_objects_are_taken_out() -> None:
         body = b"\xe4" + struct.pack("!i", len(name)) + name + bytes(size)
         return b"\0" + struct.pack("!i", len(body) + 5) + body
 
-    mine, server, more = entry(b"ego", 300), entry(b"server", 20), entry(b"other", 3)
-    answer = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 3), mine, server, more)
-    left = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 2), mine, more)
+    ego_entry, server, more = entry(b"ego", 300), entry(b"server", 20), entry(b"other", 3)
+    answer = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 3), ego_entry, server, more)
+    left = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 2), ego_entry, more)
     assert framing.without(answer, {b"server"}) == left
     assert framing.without(left, {b"server"}) == left
     failed = make_message(make_status(framing.SIMSTEP, framing.ERROR, "no"))
@@ -106,27 +103,27 @@ def test_subscription_results_of_hidden_objects_are_taken_out() -> None:
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=12), st.integers(1, 4))
 def test_messages_come_whole_however_they_are_cut(cuts: list[int], count: int) -> None:
-    ours, other = line()
+    ours, far_end = line()
     messages = [make_message(make_command(k, bytes([k]) * 17)) for k in range(count)]
     stream, at = b"".join(messages), 0
     for cut in [*cuts, len(stream)]:
-        other.sendall(stream[at : at + cut])
+        far_end.sendall(stream[at : at + cut])
         at += cut
     assert [ours.receive(quiet) for _ in messages] == messages
     ours.close()
-    other.close()
+    far_end.close()
 
 
 def test_half_a_message_is_kept_until_the_rest_comes() -> None:
-    ours, other = line()
-    other.sendall(b"\0\0\0\x08\x04\2")
+    ours, far_end = line()
+    far_end.sendall(b"\0\0\0\x08\x04\2")
     with pytest.raises(Quiet):
         ours.receive(quiet)
-    other.sendall(b"ab")
+    far_end.sendall(b"ab")
     assert ours.receive(quiet) == b"\0\0\0\x08\x04\2ab"
     assert not ours.cut
-    other.sendall(b"\0\0")
-    other.close()
+    far_end.sendall(b"\0\0")
+    far_end.close()
     with pytest.raises(Gone, match="middle of a message"):
         ours.receive(quiet)
     assert ours.cut
@@ -135,11 +132,11 @@ def test_half_a_message_is_kept_until_the_rest_comes() -> None:
 
 @pytest.mark.parametrize("length", [-(2**31), -1, 0, 5, framing.LONGEST + 1, 2**31 - 1])
 def test_lengths_are_bounded(length: int) -> None:
-    ours, other = line()
-    other.sendall(struct.pack("!i", length))
+    ours, far_end = line()
+    far_end.sendall(struct.pack("!i", length))
     with pytest.raises(FramingError, match=str(length)):
         ours.receive(quiet)
-    other.close()
+    far_end.close()
     ours.close()
 
 
@@ -168,17 +165,17 @@ def refused(policy: Policy, number: int, payload: bytes) -> bool:
 
 def test_rules_by_hand() -> None:
     policy = Policy(Rules(), ["ego"], ["server"])
-    other = struct.pack("!i", 5) + b"other"
-    assert not refused(policy, 0xA4, b"\x40" + other)
-    assert not refused(policy, 0xC4, b"\x40" + NAME + SPEED) and refused(policy, 0xC4, b"\x40" + other + SPEED)
+    other_name = struct.pack("!i", 5) + b"other"
+    assert not refused(policy, 0xA4, b"\x40" + other_name)
+    assert not refused(policy, 0xC4, b"\x40" + NAME + SPEED) and refused(policy, 0xC4, b"\x40" + other_name + SPEED)
     assert refused(policy, 0xC4, b"\xfe" + NAME + SPEED)
     assert refused(policy, 0xCB, b"\x95" + bytes(4) + b"\x0c" + NAME) and refused(policy, framing.LOAD, b"")
     assert refused(policy, framing.EXECUTEMOVE, b"")
     assert refused(policy, 0xD7, bytes(16) + struct.pack("!i", 6) + b"server" + b"\1\x40")
-    add = split(make_message(make_command(0xC6, b"\x80" + other + b"\x0e\0\0\0\1" + NAME)))[0]
-    assert policy.refusal(add) is None and refused(policy, 0xC6, b"\x81" + other)
+    add = split(make_message(make_command(0xC6, b"\x80" + other_name + b"\x0e\0\0\0\1" + NAME)))[0]
+    assert policy.refusal(add) is None and refused(policy, 0xC6, b"\x81" + other_name)
     policy.took(add)
-    assert not refused(policy, 0xC6, b"\x81" + other)
+    assert not refused(policy, 0xC6, b"\x81" + other_name)
 
 
 def named(name: bytes) -> bytes:

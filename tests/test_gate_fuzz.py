@@ -11,9 +11,9 @@ from soak.fuzz_gate import fuzz
 
 
 def test_a_seed_says_what_is_sent() -> None:
-    first, again, other = messages(1), messages(1), messages(2)
+    first, again, other_seed = messages(1), messages(1), messages(2)
     sent = [next(first) for _ in range(50)]
-    assert sent == [next(again) for _ in range(50)] != [next(other) for _ in range(50)]
+    assert sent == [next(again) for _ in range(50)] != [next(other_seed) for _ in range(50)]
     assert 5 < sum(not whole for _, whole in sent) < 25  # one in four is mutated
 
 

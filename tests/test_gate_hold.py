@@ -14,39 +14,39 @@ pytestmark = needs_sumo
 RAW = r"""
 raw = socket.create_connection(("127.0.0.1", PORT))
 def message(*commands): return struct.pack("!i", 4 + sum(map(len, commands))) + b"".join(commands)
-def heard():
+def receive():
     size = struct.unpack("!i", raw.recv(4, socket.MSG_WAITALL))[0]
     return raw.recv(size - 4, socket.MSG_WAITALL)
 VERSION, LOAD, STEP = b"\2\0", b"\x0a\1" + bytes(8), b"\x0a\2" + bytes(8)
 GETTER = struct.pack("!BBBi", 10, 0xa4, 0x40, 3) + b"ego"
-raw.sendall(message(VERSION)); heard()
+raw.sendall(message(VERSION)); receive()
 """
 FAREWELL = """
-print(heard()[7:], flush=True)
+print(receive()[7:], flush=True)
 """
 
 
 def test_a_message_of_very_many_commands_is_cut(tmp_path: Path) -> None:
     """1.2 million getters, 12 MB, which SUMO would need half a minute for."""
-    with scene(tmp_path) as one:
-        script = Script(one.gate.port, RAW + "raw.sendall(message(GETTER * 1_200_000))\ntime.sleep(600)")
-        assert one.gate.wait_connected(10.0)
-        one.step(3)  # the first of them waits for the message
-        assert "more than 50000 commands" in one.told(EventKind.LOST)
-        assert one.gate.stepped_by is Stepper.GATE
+    with scene(tmp_path) as simulation:
+        script = Script(simulation.gate.port, RAW + "raw.sendall(message(GETTER * 1_200_000))\ntime.sleep(600)")
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(3)  # the first of them waits for the message
+        assert "more than 50000 commands" in simulation.sentence_of(EventKind.LOST)
+        assert simulation.gate.stepped_by is Stepper.GATE
         script.kill()
-        one.end()
+        simulation.end()
 
 
 def test_a_long_message_ends_at_the_deadline(tmp_path: Path) -> None:
     """As many getters as a message may have: SUMO needs about a second for them."""
-    with scene(tmp_path, deadline=0.2) as one:
-        script = Script(one.gate.port, RAW + "raw.sendall(message(GETTER * 50_000))" + FAREWELL)
-        assert one.gate.wait_connected(10.0)
-        one.step(3)
-        assert "more than 0.2 s" in one.told(EventKind.LATE)
+    with scene(tmp_path, deadline=0.2) as simulation:
+        script = Script(simulation.gate.port, RAW + "raw.sendall(message(GETTER * 50_000))" + FAREWELL)
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(3)
+        assert "more than 0.2 s" in simulation.sentence_of(EventKind.LATE)
         assert "went on without it" in script.end()
-        one.end()
+        simulation.end()
 
 
 @pytest.mark.parametrize("call", ["LOAD", "VERSION"], ids=["that is refused", "that needs no SUMO"])
@@ -60,13 +60,13 @@ try:
 except OSError:
     pass
 """
-    with scene(tmp_path, deadline=0.2) as one:
-        script = Script(one.gate.port, RAW + flood)
-        assert script.line() == "flood" and one.gate.wait_connected(10.0)
-        one.step(3)
-        assert "more than 0.2 s" in one.told(EventKind.LATE)
+    with scene(tmp_path, deadline=0.2) as simulation:
+        script = Script(simulation.gate.port, RAW + flood)
+        assert script.line() == "flood" and simulation.gate.wait_connected(10.0)
+        simulation.step(3)
+        assert "more than 0.2 s" in simulation.sentence_of(EventKind.LATE)
         script.kill()
-        one.end()
+        simulation.end()
 
 
 ASKED = {
@@ -78,20 +78,20 @@ ASKED = {
 
 @pytest.mark.parametrize("way", ASKED)
 def test_a_client_that_asks_for_3000_steps_and_vanishes_drives_no_further(tmp_path: Path, way: str) -> None:
-    with scene(tmp_path) as one:
-        script = Script(one.gate.port, RAW + ASKED[way] + "\nprint('sent', flush=True)\ntime.sleep(600)")
-        assert one.gate.wait_connected(10.0)
+    with scene(tmp_path) as simulation:
+        script = Script(simulation.gate.port, RAW + ASKED[way] + "\nprint('sent', flush=True)\ntime.sleep(600)")
+        assert simulation.gate.wait_connected(10.0)
         assert script.line() == "sent"
-        one.step(10)
-        assert one.gate.stepped_by is Stepper.CLIENT
+        simulation.step(10)
+        assert simulation.gate.stepped_by is Stepper.CLIENT
         script.kill()
-        one.step(3)  # the first of them it may have made before
-        assert one.gate.stepped_by is Stepper.GATE and not one.gate.connected
-        assert "was lost" in one.told(EventKind.LOST)
-        assert one.gate.client_steps <= 11
-        one.step(5)
-        assert one.time() == pytest.approx(1.8)
-        one.end()
+        simulation.step(3)  # the first of them it may have made before
+        assert simulation.gate.stepped_by is Stepper.GATE and not simulation.gate.connected
+        assert "was lost" in simulation.sentence_of(EventKind.LOST)
+        assert simulation.gate.client_steps <= 11
+        simulation.step(5)
+        assert simulation.time() == pytest.approx(1.8)
+        simulation.end()
 
 
 def test_a_long_step_brings_its_client_where_it_wanted(tmp_path: Path) -> None:
@@ -106,25 +106,25 @@ def test_a_long_step_brings_its_client_where_it_wanted(tmp_path: Path) -> None:
         print(client.simulation.getTime())
         client.close()
     """
-    with scene(tmp_path) as one:
-        script = Script(one.gate.port, connected(walk))
-        assert one.gate.wait_connected(10.0)
-        one.step(16)
+    with scene(tmp_path) as simulation:
+        script = Script(simulation.gate.port, connected(walk))
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(16)
         assert script.end().split("\n")[:3] == ["1.3 1", "1.3", "1.4"]
-        assert one.gate.client_steps == 14
-        one.end()
+        assert simulation.gate.client_steps == 14
+        simulation.end()
 
 
 @pytest.mark.parametrize("keep", [False, True], ids=["sent away", "stays"])
 def test_a_simulation_can_end_in_the_middle_of_a_long_step(tmp_path: Path, keep: bool) -> None:
     """Its client is answered at once, not after the hour that it asked for."""
-    with scene(tmp_path) as one:
+    with scene(tmp_path) as simulation:
         script = Script(
-            one.gate.port, connected('client.simulationStep(3600.0); print("back", flush=True); time.sleep(600)')
+            simulation.gate.port, connected('client.simulationStep(3600.0); print("back", flush=True); time.sleep(600)')
         )
-        assert one.gate.wait_connected(10.0)
-        one.step(5)
-        one.end(keep=keep)
+        assert simulation.gate.wait_connected(10.0)
+        simulation.step(5)
+        simulation.end(keep=keep)
         began = time.monotonic()
         assert script.line() == "back" and time.monotonic() - began < 20.0
         script.kill()

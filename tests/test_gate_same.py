@@ -29,21 +29,21 @@ def native(folder: Path) -> list[list[str]]:
         ours.setOrder(1)
         for _ in range(STEPS + 3):
             ours.simulationStep()
-        said: list[list[str]] = json.loads(script.end())
+        answers: list[list[str]] = json.loads(script.end())
         ours.close()
-        return said
+        return answers
 
 
 def test_the_same_answers(tmp_path: Path) -> None:
-    with opened(tmp_path, deadline=30.0) as (gate, events), attached(gate, events, tmp_path) as one:
+    with opened(tmp_path, deadline=30.0) as (gate, events), attached(gate, events, tmp_path) as simulation:
         script = Script(gate.port, READER)
         assert gate.wait_connected(20.0)
-        one.step(STEPS + 3)
+        simulation.step(STEPS + 3)
         through = json.loads(script.end())
         assert gate.stepped_by is Stepper.GATE and gate.own == {"ego"}
-        assert one.kinds() == [EventKind.CONNECTED, EventKind.CLOSED]
-        one.end()
+        assert simulation.kinds() == [EventKind.CONNECTED, EventKind.CLOSED]
+        simulation.end()
     straight = native(tmp_path)
     assert len(through) > 900
-    assert [what for what, _ in through] == [what for what, _ in straight]
+    assert [label for label, _ in through] == [label for label, _ in straight]
     assert [(a, b) for a, b in zip(through, straight, strict=True) if a != b] == []

@@ -188,8 +188,8 @@ def test_quintic_moves_of_many_go_as_each_alone() -> None:
     a, b, c = (np.array([[s[k]] for s in starts]) for k in range(3))
     together = quintics((a, b, c), np.stack([aims, aims]), np.stack([spans, spans]), times)
     for row, start in enumerate(starts):
-        for many, one in zip(together, quintics(start, aims, spans, times), strict=True):
-            assert np.array_equal(many[row], one)
+        for many, alone in zip(together, quintics(start, aims, spans, times), strict=True):
+            assert np.array_equal(many[row], alone)
 
 
 def test_metres_along_a_polyline_are_those_of_the_nearest_place_on_it() -> None:

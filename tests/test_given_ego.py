@@ -43,8 +43,8 @@ def test_a_class_defined_here_drives_and_the_run_says_what_it_answered(tmp_path:
     actions = result.outcome.document["ego_actions"]
     assert set(actions) == {"LaneSpeed", "SUMO", "limited"}
     assert abs(actions["LaneSpeed"] - actions["SUMO"]) <= 1 and 0 < actions["limited"] <= actions["LaneSpeed"]
-    said = f"limited what the ego's driver asked for in {actions['limited']} of {actions['LaneSpeed']} steps."
-    assert f"SUMO's safe speed {said}" in summary(result.outcome.document, out)
+    limited = f"limited what the ego's driver asked for in {actions['limited']} of {actions['LaneSpeed']} steps."
+    assert f"SUMO's safe speed {limited}" in summary(result.outcome.document, out)
     with pytest.raises(UsageError, match=r"was driven by an object from Python, 'Hurried', which no file holds"):
         trusted_driver(None, "object:Hurried", out)
 
@@ -67,9 +67,9 @@ SEEN = Observation(0.0, 0.1, None, ())  # type: ignore[arg-type]
 
 
 def test_an_object_is_copied_and_a_class_gets_the_parameters() -> None:
-    mine = Slow(3.0)
-    packed = pack(mine)
-    mine.speed = 4.0
+    driver = Slow(3.0)
+    packed = pack(driver)
+    driver.speed = 4.0
     assert make_ego(packed.name, {}, packed).act(SEEN) == LaneSpeed(None, 3.0)
     assert make_ego("object:Slow", {"speed": 7.0}, pack(Slow)).act(SEEN) == LaneSpeed(None, 7.0)
 

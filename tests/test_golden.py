@@ -38,6 +38,6 @@ def test_the_golden_runs_are_the_same(golden: Any) -> None:
 
 def test_a_difference_is_named_by_run_and_part(golden: Any) -> None:
     before = {"a idm": {"attempts": "1", "verdicts": "2", "states": "3"}}
-    now = {"a idm": {"attempts": "1", "verdicts": "9", "states": "8"}}
-    assert golden.differences(before, now) == ["a idm: verdicts, states differ"]
+    after = {"a idm": {"attempts": "1", "verdicts": "9", "states": "8"}}
+    assert golden.differences(before, after) == ["a idm: verdicts, states differ"]
     assert golden.differences(before, before) == []

@@ -177,9 +177,9 @@ def test_a_seed_repeats_its_episodes_bit_for_bit(fork: bool) -> None:
     first = [episode(env, soft, seed=5), episode(env, soft)]
     again = [episode(env, soft, seed=5), episode(env, soft)]
     env.close()
-    for (one, _, info), (other, _, info_again) in zip(first, again, strict=True):
+    for (seen, _, info), (seen_again, _, info_again) in zip(first, again, strict=True):
         assert info["scenario"] == info_again["scenario"]
-        assert np.array_equal(np.array(one), np.array(other))
+        assert np.array_equal(np.array(seen), np.array(seen_again))
 
 
 def test_an_expert_that_adapts_tries_other_attacks_until_a_seed_makes_it_forget() -> None:
@@ -193,21 +193,20 @@ def test_an_expert_that_adapts_tries_other_attacks_until_a_seed_makes_it_forget(
 
 
 def test_the_reward_is_the_users_own_function() -> None:
-    told: list[Transition] = []
+    transitions: list[Transition] = []
 
     def reward(t: Transition) -> float:
-        told.append(t)
+        transitions.append(t)
         return t.seconds
 
     env = made("Adversary-v0", reward=reward)
     env.reset(seed=0)
     assert env.step(np.zeros(4, np.float32))[1] == pytest.approx(0.5)
     env.close()
-    assert told[0].ego is not None
-    assert told[0].adversary is not None
-    assert told[0].apart == pytest.approx(
-        float(np.hypot(told[0].ego.x - told[0].adversary.x, told[0].ego.y - told[0].adversary.y))
-    )
+    ego, adversary = transitions[0].ego, transitions[0].adversary
+    assert ego is not None
+    assert adversary is not None
+    assert transitions[0].apart == pytest.approx(float(np.hypot(ego.x - adversary.x, ego.y - adversary.y)))
 
 
 # ---- processes and pictures
@@ -231,11 +230,11 @@ def test_environments_run_side_by_side_in_processes() -> None:
 def test_two_in_one_process_do_not_disturb_each_other() -> None:
     alone, beside = made("Ego-v0", attacker=None), made("Ego-v0", "motorway_cut_in_left", attacker=None)
     alone.reset(seed=0)
-    wanted = copy.deepcopy(alone.step(STILL)[0])
+    undisturbed = copy.deepcopy(alone.step(STILL)[0])
     alone.reset(seed=0)
     beside.reset(seed=0)
     beside.step(STILL)
-    assert np.array_equal(alone.step(STILL)[0], wanted)
+    assert np.array_equal(alone.step(STILL)[0], undisturbed)
     alone.close()
     beside.close()
 

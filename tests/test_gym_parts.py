@@ -23,7 +23,7 @@ SEEN = Observation(3.0, 0.1, ME, (), math.pi / 2 - 0.1, 0.5, [(100.5, 40.0), (10
 ROAD = line((0.0, 0.0), (500.0, 0.0))
 
 
-def other(name: str, x: float, y: float, heading: float) -> VehicleState:
+def vehicle(name: str, x: float, y: float, heading: float) -> VehicleState:
     return VehicleState(name, x, y, heading, 12.0, 0.0, 4.0, 1.8, "")
 
 
@@ -32,7 +32,7 @@ def other(name: str, x: float, y: float, heading: float) -> VehicleState:
 
 def test_the_ego_sees_all_in_its_own_frame() -> None:
     """East of it is to its right; a vehicle that goes west is turned left by 90 degrees."""
-    seen = replace(SEEN, others=(other("far", 100.0, 90.0, math.pi / 2), other("near", 110.0, 70.0, math.pi)))
+    seen = replace(SEEN, others=(vehicle("far", 100.0, 90.0, math.pi / 2), vehicle("near", 110.0, 70.0, math.pi)))
     view = view_of_ego(seen, 3)
     own = [20.0, 1.0, 0.5, math.sin(0.1), math.cos(0.1), 60.0, 0.0, 0.0, 120.0]
     assert view["own"] == pytest.approx(own, abs=1e-6)
@@ -51,7 +51,7 @@ def test_without_a_path_the_way_is_straight_on() -> None:
 
 @pytest.mark.parametrize("adversary", [False, True])
 def test_a_vector_is_the_dictionary_by_its_largest_values(adversary: bool) -> None:
-    view = view_of_ego(replace(SEEN, others=(other("fast", 100.0, 450.0, 0.0),)), 2)
+    view = view_of_ego(replace(SEEN, others=(vehicle("fast", 100.0, 450.0, 0.0),)), 2)
     if adversary:
         view = {"own": view["own"], "path": view["path"], "ego": view["vehicles"][0], "vehicles": view["vehicles"]}
     as_dict, as_vector = Viewing(2, vector=False), Viewing(2, vector=True)
@@ -68,7 +68,7 @@ def test_a_vector_is_the_dictionary_by_its_largest_values(adversary: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("speed", "numbers", "wanted"),
+    ("speed", "numbers", "expected"),
     [
         (20.0, (1.0, 0.0), (4.0, 0.0)),
         (20.0, (-0.5, 1.0), (-4.5, math.atan(6.0 * 2.8 / 400.0))),  # 6 m/s2 sideways
@@ -76,14 +76,14 @@ def test_a_vector_is_the_dictionary_by_its_largest_values(adversary: bool) -> No
         (20.0, (7.0, 0.0), (4.0, 0.0)),
     ],
 )
-def test_controls_are_shares_of_what_a_car_can_do(speed: float, numbers: tuple[float, float], wanted: object) -> None:
+def test_controls_are_shares_of_what_a_car_can_do(speed: float, numbers: tuple[float, float], expected: object) -> None:
     action = ego_action("controls", np.array(numbers), replace(ME, speed=speed), 30.0, 0.1)
     assert isinstance(action, Steer)
-    assert (action.acceleration, action.steering) == pytest.approx(wanted)
+    assert (action.acceleration, action.steering) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
-    ("numbers", "lane", "wanted"),
+    ("numbers", "lane", "expected"),
     [
         ((1.0, 0.0), "north_1", LaneSpeed(None, 20.3)),  # towards 39 m/s with 3 m/s2
         ((-1.0, 0.9), "north_1", LaneSpeed(2, 19.2)),  # towards 0 with 8 m/s2, and to the left
@@ -92,10 +92,10 @@ def test_controls_are_shares_of_what_a_car_can_do(speed: float, numbers: tuple[f
         ((20.0 / 19.5 - 1.0, 0.9), ":junction_3_0", LaneSpeed(None, 20.0)),
     ],
 )
-def test_speed_and_lane(numbers: tuple[float, float], lane: str, wanted: LaneSpeed) -> None:
+def test_speed_and_lane(numbers: tuple[float, float], lane: str, expected: LaneSpeed) -> None:
     action = ego_action("lane", np.array(numbers), replace(ME, lane=lane), 30.0, 0.1)
     assert isinstance(action, LaneSpeed)
-    assert (action.lane, action.speed) == (wanted.lane, pytest.approx(wanted.speed))
+    assert (action.lane, action.speed) == (expected.lane, pytest.approx(expected.speed))
 
 
 def test_an_endpoint_is_along_the_way_of_the_adversary() -> None:
@@ -148,10 +148,10 @@ def test_the_adversary_is_rewarded_for_the_level_it_reaches() -> None:
 
 
 def test_a_policy_decides_every_so_often_and_its_action_holds_until_then() -> None:
-    asked: list[float] = []
+    speeds_seen: list[float] = []
 
     def policy(vector: np.ndarray) -> np.ndarray:
-        asked.append(float(vector[0]) * 60.0)
+        speeds_seen.append(float(vector[0]) * 60.0)
         return np.array([1.0, 0.0])
 
     driver = PolicyDriver(policy, vehicles=2, interval=0.2)
@@ -159,10 +159,10 @@ def test_a_policy_decides_every_so_often_and_its_action_holds_until_then() -> No
     for k in range(5):
         action = driver.act(replace(SEEN, time=3.0 + 0.1 * k, ego=replace(ME, speed=20.0 + k)))
         assert action == Steer(4.0, 0.0)
-    assert asked == pytest.approx([20.0, 22.0, 24.0])
+    assert speeds_seen == pytest.approx([20.0, 22.0, 24.0])
     driver.reset(0)
     driver.act(SEEN)
-    assert len(asked) == 4
+    assert len(speeds_seen) == 4
 
 
 def test_the_lines_of_a_lane_lie_beside_its_middle() -> None:

@@ -19,10 +19,10 @@ PANELS = {"Input", "Ego", "Attack", "Search", "Language model", "Output"}
 
 def options_of(command: str) -> dict[str, tuple[str, str]]:
     """Of each option of ``run`` its panel and its help."""
-    found = get_command(app).commands[command]  # type: ignore[attr-defined]
+    entry = get_command(app).commands[command]  # type: ignore[attr-defined]
     return {
         p.opts[0]: (str(p.rich_help_panel), str(p.help))
-        for p in found.params
+        for p in entry.params
         if p.opts[0].startswith("--") and p.name != "help"
     }
 
@@ -52,10 +52,10 @@ def test_the_help_fits_a_terminal(program: Program) -> None:
 
 
 def test_the_shipped_scenarios_are_listed(program: Program) -> None:
-    found = json.loads(program("scenarios", "--json").out)
+    listing = json.loads(program("scenarios", "--json").out)
     names = {p.stem for p in (ROOT / "scenarios").glob("*.toml")}
-    assert {s["name"] for s in found["scenarios"]} == names and "motorway" in found["networks"]
-    assert all(s["description"] and s["road"] in found["networks"] and s["intents"] for s in found["scenarios"])
+    assert {s["name"] for s in listing["scenarios"]} == names and "motorway" in listing["networks"]
+    assert all(s["description"] and s["road"] in listing["networks"] and s["intents"] for s in listing["scenarios"])
     text = program("scenarios").out
     assert all(name in text for name in names)
 

@@ -48,10 +48,10 @@ def refusal(path: Path) -> str:
 
 def test_a_network_alone_has_no_demand_and_no_ego(tmp_path: Path) -> None:
     path = network(tmp_path)
-    found = load_input(path)
-    assert (found.name, found.network, found.routes, found.ego) == ("small", path, (), None)
-    assert (found.begin, found.density, found.trigger) == (None, None, "auto")
-    assert found.files == (path,)
+    loaded = load_input(path)
+    assert (loaded.name, loaded.network, loaded.routes, loaded.ego) == ("small", path, (), None)
+    assert (loaded.begin, loaded.density, loaded.trigger) == (None, None, "auto")
+    assert loaded.files == (path,)
 
 
 def test_a_packed_network_is_read(tmp_path: Path) -> None:
@@ -69,11 +69,11 @@ def test_a_configuration_keeps_its_files_begin_and_end(tmp_path: Path) -> None:
         <net-file value="small.net.xml"/><route-files value="one.rou.xml, two three.rou.xml"/>
         <additional-files value="x.add.xml"/></input>
         <time><begin value="0:01:40"/><end value="200"/><step-length value="0.5"/></time></configuration>"""
-    found = load_input(write(tmp_path / "case.sumocfg", text))
-    assert [path.name for path in found.routes] == ["one.rou.xml", "two three.rou.xml"]
-    assert [path.name for path in found.additional] == ["x.add.xml"]
-    assert (found.begin, found.end) == (100.0, 200.0)
-    assert len(found.files) == 5
+    loaded = load_input(write(tmp_path / "case.sumocfg", text))
+    assert [path.name for path in loaded.routes] == ["one.rou.xml", "two three.rou.xml"]
+    assert [path.name for path in loaded.additional] == ["x.add.xml"]
+    assert (loaded.begin, loaded.end) == (100.0, 200.0)
+    assert len(loaded.files) == 5
 
 
 def test_an_end_of_minus_one_is_no_end(tmp_path: Path) -> None:
@@ -109,20 +109,20 @@ def test_a_scenario_gives_everything(tmp_path: Path) -> None:
         '[adversary]\ncandidates = ["t", "f.2"]\nintents = ["Aggressive Cut-in"]\n'
         '[label]\nintents = ["Aggressive Cut-in"]\n'
     )
-    found = load_input(write(tmp_path / "case.toml", text))
-    assert (found.ego, found.ego_controller, found.ego_parameters) == ("ego", "krauss", {"tau": 1.5})
-    assert (found.trigger, found.horizon, found.end, found.warm_up) == (4.0, 9.0, 30.0, 3.0)
-    assert (found.candidates, found.intents) == (("t", "f.2"), ("Aggressive Cut-in",))
-    assert found.label is not None
-    assert found.label.source == "annotated"
-    assert {path.name for path in found.files} == {"case.toml", "small.net.xml", "one.rou.xml"}
+    loaded = load_input(write(tmp_path / "case.toml", text))
+    assert (loaded.ego, loaded.ego_controller, loaded.ego_parameters) == ("ego", "krauss", {"tau": 1.5})
+    assert (loaded.trigger, loaded.horizon, loaded.end, loaded.warm_up) == (4.0, 9.0, 30.0, 3.0)
+    assert (loaded.candidates, loaded.intents) == (("t", "f.2"), ("Aggressive Cut-in",))
+    assert loaded.label is not None
+    assert loaded.label.source == "annotated"
+    assert {path.name for path in loaded.files} == {"case.toml", "small.net.xml", "one.rou.xml"}
 
 
 def test_a_scenarios_own_ego_has_sumos_defaults_filled_in(tmp_path: Path) -> None:
     network(tmp_path)
     text = 'schema = 1\nnetwork = "small.net.xml"\n[ego]\nroute = ["a", "b"]\ndepart = 2\nlane = 0\n'
-    found = load_input(write(tmp_path / "case.toml", text))
-    assert found.ego == EgoRoute(edges=("a", "b"), depart=2.0, lane=0, position="base", speed="max")
+    loaded = load_input(write(tmp_path / "case.toml", text))
+    assert loaded.ego == EgoRoute(edges=("a", "b"), depart=2.0, lane=0, position="base", speed="max")
 
 
 @pytest.mark.parametrize(
@@ -197,14 +197,14 @@ def test_what_is_no_input_is_refused(tmp_path: Path) -> None:
 def test_a_shipped_network_is_found_from_anywhere(name: str, tmp_path: Path) -> None:
     if not (data_folder("networks") / "two_way.net.xml").is_file():
         pytest.skip("the networks are not built")
-    found = load_input(Path(name))
-    assert found.name == "two_way"
-    assert found.network.resolve() == (data_folder("networks") / "two_way.net.xml").resolve()
+    loaded = load_input(Path(name))
+    assert loaded.name == "two_way"
+    assert loaded.network.resolve() == (data_folder("networks") / "two_way.net.xml").resolve()
 
 
 def test_a_file_at_hand_goes_before_a_shipped_name(tmp_path: Path) -> None:
-    mine = write(tmp_path / "two_way.net.xml", NET.format(lane=""))
-    assert load_input(mine).source == mine
+    own_network = write(tmp_path / "two_way.net.xml", NET.format(lane=""))
+    assert load_input(own_network).source == own_network
 
 
 def test_every_shipped_name_loads() -> None:

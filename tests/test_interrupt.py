@@ -17,7 +17,7 @@ GONE_WITHIN = 5.0  # s
 
 def processes_of(session: int) -> set[int]:
     """Living processes of a session (``setsid``), zombies not counted."""
-    found = set()
+    pids = set()
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
             continue
@@ -26,17 +26,17 @@ def processes_of(session: int) -> set[int]:
         except OSError:
             continue  # it ended meanwhile
         if fields[0] != "Z" and int(fields[3]) == session:
-            found.add(int(entry.name))
-    return found
+            pids.add(int(entry.name))
+    return pids
 
 
 def children_of(root: int) -> set[int]:
     """The process and all below it, also those that made a session of their own."""
-    found, new = set[int](), {root}
+    family, new = set[int](), {root}
     while new:
-        found |= new
-        new = {child for parent in new for child in _children(parent)} - found
-    return found
+        family |= new
+        new = {child for parent in new for child in _children(parent)} - family
+    return family
 
 
 def _children(parent: int) -> set[int]:

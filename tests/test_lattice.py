@@ -100,8 +100,8 @@ def touching(a: VehicleState, b: VehicleState) -> bool:
     return bool(overlaps(first, second))
 
 
-def touched(states: Sequence[VehicleState], other: VehicleState) -> bool:
-    return any(touching(s, other) for s in states)
+def touched(states: Sequence[VehicleState], obstacle: VehicleState) -> bool:
+    return any(touching(s, obstacle) for s in states)
 
 
 def test_it_swerves_where_braking_cannot_do() -> None:
@@ -333,9 +333,9 @@ def test_an_adversary_the_same_way_is_met_as_the_ego_meets_it(
     st.floats(-0.3, 0.3),
 )  # fmt: skip
 def test_a_crossing_adversary_is_met_as_the_ego_meets_it(
-    speed: float, x: float, y: float, heading: float, other: float, turn: float
+    speed: float, x: float, y: float, heading: float, adversary_speed: float, turn: float
 ) -> None:
-    simulated, predicted = driven(speed, (x, y, heading, other, 0.0, turn), steps=20)
+    simulated, predicted = driven(speed, (x, y, heading, adversary_speed, 0.0, turn), steps=20)
     assert np.abs(simulated[:, :2] - predicted[:, :2]).max() < 1.0
 
 

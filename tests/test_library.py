@@ -12,18 +12,18 @@ LACKS = "libX11.so.6: cannot open shared object file: No such file or directory"
 
 
 @pytest.mark.parametrize(
-    ("said", "mend"), [(LACKS, "apt-get install libx11-6 libxext6"), ("half of it is gone", "pip install")]
+    ("reason", "remedy"), [(LACKS, "apt-get install libx11-6 libxext6"), ("half of it is gone", "pip install")]
 )
-def test_a_libsumo_that_does_not_load_says_what_to_install(tmp_path: Path, said: str, mend: str) -> None:
-    (tmp_path / "libsumo.py").write_text(f"raise ImportError({said!r})\n")
+def test_a_libsumo_that_does_not_load_says_what_to_install(tmp_path: Path, reason: str, remedy: str) -> None:
+    (tmp_path / "libsumo.py").write_text(f"raise ImportError({reason!r})\n")
     done = subprocess.run(
         [sys.executable, "-m", "sumo_adv", "run", "motorway_cut_in_left", "--memory", "bank.sqlite"],
         cwd=tmp_path, env={**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}"}, capture_output=True, text=True,
         check=False,
     )  # fmt: skip
     assert done.returncode == 1
-    assert f"does not load ({said})" in done.stderr
-    assert mend in done.stderr
+    assert f"does not load ({reason})" in done.stderr
+    assert remedy in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -120,7 +120,7 @@ def test_temporary_faults_are_retried(fault: Answer) -> None:
 
 
 def test_the_last_retry_fails_with_its_reason() -> None:
-    message, ledger, clock, server = failure(lambda asked: status(503, f"busy, {KEY}"))
+    message, ledger, clock, server = failure(lambda request: status(503, f"busy, {KEY}"))
     assert "status 503: busy, ***, also after 3 retries" in message
     assert len(server.asked) == 4 and ledger.as_dict()["calls"] == 1 and ledger.as_dict()["retries"] == 3
     assert ledger.as_dict()["seconds"] == pytest.approx(sum(clock.slept), abs=0.001)
@@ -193,11 +193,11 @@ SPELLINGS = {
 def test_a_key_in_an_answer_is_blanked_however_it_is_spelt(spelling: str, coding: str) -> None:
     """Also where its halves are parts that the client puts together."""
     parts = [f'{{"text": "{text}"}}' for text in ("Key: sk-tests", "-0123456789.")]
-    said = (
+    body = (
         f'{{"choices": [{{"message": {{"content": "{SPELLINGS[spelling]}", "reasoning": "{SPELLINGS[spelling]}"}}}}]}}'
     )
     halves = f'{{"choices": [{{"message": {{"content": [{", ".join(parts)}]}}}}]}}'
-    with ModelServer([Raw(200, said.encode(coding)), Raw(200, halves.encode(coding))]) as server:
+    with ModelServer([Raw(200, body.encode(coding)), Raw(200, halves.encode(coding))]) as server:
         reply, _, _ = answer(server)
         assert (reply.text, reply.reasoning) == ("***", "***")
         assert answer(server)[0].text == "Key: ***."
@@ -210,8 +210,8 @@ def test_a_key_in_an_error_is_blanked_too(spelling: str, coding: str) -> None:
     shown = "x" * 185 + SPELLINGS[spelling]
     for body in (shown, f'{{"error": {{"message": "{shown}"}}}}', f'{{"error": {{"code": "{shown}"}}}}'):
         message, *_ = failure([Raw(401, body.encode(coding))])
-        said = message.partition("status 401")[2]
-        assert KEY[:4] not in said and "73" not in said and "***" in said
+        detail = message.partition("status 401")[2]
+        assert KEY[:4] not in detail and "73" not in detail and "***" in detail
 
 
 def test_a_key_in_a_header_is_blanked() -> None:
@@ -240,7 +240,7 @@ def test_a_missing_server_is_reported_at_once() -> None:
 def test_no_more_questions_at_once_than_allowed() -> None:
     gate = threading.Barrier(2, timeout=20)
 
-    def script(asked: Asked) -> Answer:
+    def script(request: Asked) -> Answer:
         gate.wait()
         return "Yes."
 
@@ -265,7 +265,7 @@ def test_no_more_questions_at_once_than_allowed() -> None:
 def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answered: int, says: str) -> None:
     long = ChatRequest("analyzer", (("user", "x" * 396),))  # 99 tokens
     ledger = Ledger(budget)
-    with ModelServer(lambda asked: "Yes.") as server:
+    with ModelServer(lambda request: "Yes.") as server:
         model = connect("test-model", server.settings(), ledger, clock=StepClock())
         for _ in range(answered):
             model.complete(long)

@@ -29,13 +29,13 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def done(case: Path, tmp_path_factory: pytest.TempPathFactory, caches: Path) -> dict[str, Done]:
     """Runs that forked, that did not, and a replay of the first."""
-    found = {}
+    runs = {}
     for name, more in {"forked": (), "loaded": ("--no-fork",)}.items():
         program = Program(tmp_path_factory.mktemp(name), caches)
-        found[name] = program("run", case, "--ego", "idm", "--attempts", "3", "--json", "--out", "out", *more)
+        runs[name] = program("run", case, "--ego", "idm", "--attempts", "3", "--json", "--out", "out", *more)
     program = Program(tmp_path_factory.mktemp("replayed"), caches)
-    found["replayed"] = program("run", "--replay", found["forked"].folder, "--json", "--out", "out")
-    return found
+    runs["replayed"] = program("run", "--replay", runs["forked"].folder, "--json", "--out", "out")
+    return runs
 
 
 def test_it_leaves_all_files_with_the_log_among_its_inputs(done: dict[str, Done]) -> None:

@@ -25,9 +25,9 @@ def succeeded(done: Done) -> str:
 
 
 def test_a_new_home_gets_the_seven_intents_of_the_paper(program: Program) -> None:
-    said = json.loads(succeeded(program("memory", "list", "--json")))
-    assert {row["label"] for row in said["intents"]} == SEVEN
-    assert all(row["modes"] and row["evidence"] == 0 and row["status"] == "active" for row in said["intents"])
+    listing = json.loads(succeeded(program("memory", "list", "--json")))
+    assert {row["label"] for row in listing["intents"]} == SEVEN
+    assert all(row["modes"] and row["evidence"] == 0 and row["status"] == "active" for row in listing["intents"])
     assert (program.home / "data" / "sumo_adv" / "memory_bank.sqlite").is_file()
     lines = succeeded(program("memory", "list")).splitlines()
     assert len(lines) == 7 and any(line.startswith("Straight Lane Shift: modes ") for line in lines)
@@ -63,8 +63,8 @@ def test_find_says_how_near(program: Program) -> None:
 
 def test_a_bank_of_ones_own(program: Program) -> None:
     bank = bank_with(program.folder / "bank.sqlite", TRAIL)
-    said = json.loads(succeeded(program("memory", "list", "--json", "--memory", bank)))
-    assert said["intents"] == [
+    listing = json.loads(succeeded(program("memory", "list", "--json", "--memory", bank)))
+    assert listing["intents"] == [
         {
             "label": "Odd Driving",
             "applies": ["neighbour", "leader"],
@@ -84,8 +84,8 @@ def test_build_gives_the_shipped_bank(program: Program) -> None:
     succeeded(program("memory", "build", ROOT / "memory_bank", target))
     assert verify_same(ROOT / "memory_bank", target, parse_parameters) == []
     shipped = ROOT / "memory_bank.sqlite"
-    with MemoryBank.open(target, read_only=True) as one, MemoryBank.open(shipped, read_only=True) as other:
-        assert one.content_hash() == other.content_hash()
+    with MemoryBank.open(target, read_only=True) as built, MemoryBank.open(shipped, read_only=True) as expected:
+        assert built.content_hash() == expected.content_hash()
     assert program.leftovers() == ["built.sqlite"]
 
 
@@ -119,8 +119,8 @@ def test_an_intent_that_was_composed_is_kept_with_all_its_modes(program: Program
     for another movement. All its modes are kept, since the next time nothing is composed."""
     merge = ROOT / "suites" / "suite81" / "intersection-30.toml"
     succeeded(program("run", merge, "--seed", "2", "--out", "out", "--json"))
-    said = json.loads(succeeded(program("memory", "list", "--json")))
-    modes = {intent["label"]: intent["modes"] for intent in said["intents"]}
+    listing = json.loads(succeeded(program("memory", "list", "--json")))
+    modes = {intent["label"]: intent["modes"] for intent in listing["intents"]}
     pattern = next(v for k, v in modes.items() if k == "Intersection Rush-through Go-straight")
     assert sorted(modes["Ramp Merge Rush"]) == sorted(pattern)
     assert len(pattern) > 1

@@ -57,9 +57,9 @@ def test_merging_moves_planners_and_evidence_and_the_old_label_finds_the_other(t
         assert bank.planners(BRAKING.label) == [BRAKE_PLANNER, moved]
         assert sorted(e.seed for e in bank.evidence(BRAKING.label)) == [1, 2, 7]
         assert bank.evidence(HARD_STOP.label) == []
-        found = bank.retrieve("Hard Stop", "xylophone")
-        assert (found.hit, found.distance) == (BRAKING.label, 0.0)
-        assert [label for label, _ in found.nearest] == [BRAKING.label]
+        recalled = bank.retrieve("Hard Stop", "xylophone")
+        assert (recalled.hit, recalled.distance) == (BRAKING.label, 0.0)
+        assert [label for label, _ in recalled.nearest] == [BRAKING.label]
     with MemoryBank.open(path) as bank:  # a bank without the merger does not bring the old intent back
         bank.record(evidence(label=HARD_STOP.label, planner_hash=LATE.hash, seed=3), intent=HARD_STOP, planner=LATE)
         assert bank.intent(HARD_STOP.label) == replace(HARD_STOP, status="retired")
@@ -81,11 +81,11 @@ def test_a_writer_that_opened_before_a_merger_writes_to_the_right_intent(tmp_pat
     with MemoryBank.open(path) as bank:
         bank.add(BRAKING, [BRAKE_PLANNER])
         bank.add(HARD_STOP, [STOP_PLANNER])
-    with MemoryBank.open(path) as early, MemoryBank.open(path) as other:
-        other.merge(HARD_STOP.label, BRAKING.label)
+    with MemoryBank.open(path) as early, MemoryBank.open(path) as merging:
+        merging.merge(HARD_STOP.label, BRAKING.label)
         early.record(evidence(label=HARD_STOP.label, planner_hash=STOP_PLANNER.hash))
-        other.refresh()
-        assert [e.label for e in other.evidence()] == [BRAKING.label]
+        merging.refresh()
+        assert [e.label for e in merging.evidence()] == [BRAKING.label]
 
 
 def test_what_only_failed_begins_as_retired_and_success_brings_it_in(tmp_path: Path) -> None:
@@ -116,8 +116,8 @@ def test_duplicates_and_the_hopeless_are_proposed_and_nothing_is_changed(tmp_pat
         bank.add(replace(HARD_STOP, label="Hard Stop Behind", applies=("follower",)), [LATE])
         bank.add(IntentRecord("Copied", "Something with a zebra.", ("oncoming",)), [replace(CUT_PLANNER, mode="m")])
         before = bank.content_hash()
-        found = [(p.label, p.into) for p in near_duplicates(bank)]
-        assert found == [("Copied", "Aggressive Cut-in"), ("Hard Stop", "Emergency Braking")]
+        proposed = [(p.label, p.into) for p in near_duplicates(bank)]
+        assert proposed == [("Copied", "Aggressive Cut-in"), ("Hard Stop", "Emergency Braking")]
         for seed in range(3):
             bank.record(evidence(**FAILED, seed=seed))
         assert [(p.label, p.failures) for p in hopeless(bank, 3)] == [("Emergency Braking", 3)]
@@ -137,8 +137,8 @@ def test_the_band_around_epsilon(tmp_path: Path) -> None:
         for factor, hit, band in ((1 / 1.12, False, False), (1 / 1.09, False, True), (1 / 0.91, True, True),
                                   (1 / 0.88, True, False)):  # fmt: skip
             bank.set_epsilon(distance * factor, "by hand")
-            found = bank.retrieve("sudden stop in front", "of the zebra")
-            assert (found.hit is not None, found.band) == (hit, band)
+            recalled = bank.retrieve("sudden stop in front", "of the zebra")
+            assert (recalled.hit is not None, recalled.band) == (hit, band)
 
 
 def test_a_part_of_a_bank(tmp_path: Path) -> None:

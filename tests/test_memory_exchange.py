@@ -47,22 +47,22 @@ def texts(folder: Path) -> dict[str, bytes]:
 def test_there_and_back_again(tmp_path: Path) -> None:
     with MemoryBank.open(fill(tmp_path / "one.sqlite", [0, 1, 2])) as bank:
         assert export_bank(bank, tmp_path / "out" / "one") == 4
-        wanted = bank.content_hash()
+        expected_hash = bank.content_hash()
     with MemoryBank.open(fill(tmp_path / "two.sqlite", [2, 1, 0])) as bank:
         export_bank(bank, tmp_path / "out" / "two")
-    one = texts(tmp_path / "out" / "one")
-    assert one == texts(tmp_path / "out" / "two")
-    folders = {name.partition("/")[0] for name in one}
+    exported = texts(tmp_path / "out" / "one")
+    assert exported == texts(tmp_path / "out" / "two")
+    folders = {name.partition("/")[0] for name in exported}
     assert {"aggressive_cut_in", "emergency_braking", "old_braking"} < folders
-    assert sum(name.endswith(".py") for name in one) == 4
-    assert one["emergency_braking/evidence.csv"].count(b"\n") == 4
+    assert sum(name.endswith(".py") for name in exported) == 4
+    assert exported["emergency_braking/evidence.csv"].count(b"\n") == 4
     with MemoryBank.open(tmp_path / "back.sqlite") as bank:
         added, refused = import_bank(bank, tmp_path / "out" / "one", parse, fine)
         assert (added.intents, added.planners, added.evidence, refused) == (4, 4, 3, [])
-        assert bank.content_hash() == wanted
+        assert bank.content_hash() == expected_hash
         again, _ = import_bank(bank, tmp_path / "out" / "one", parse, fine)
         assert (again.intents, again.planners, again.evidence) == (0, 0, 0)
-        assert bank.content_hash() == wanted
+        assert bank.content_hash() == expected_hash
         assert bank.retrieve("old braking").hit == BRAKING.label
     build(tmp_path / "out" / "one", tmp_path / "built.sqlite", parse)
     with MemoryBank.open(tmp_path / "built.sqlite") as built, MemoryBank.open(tmp_path / "back.sqlite") as back:
@@ -87,10 +87,10 @@ def test_an_export_replaces_only_an_export(tmp_path: Path) -> None:
 
 
 def test_an_import_keeps_what_is_there_and_renames_a_mode_that_is_taken(tmp_path: Path) -> None:
-    other = replace(BRAKE_PLANNER, source=BRAKE_PLANNER.source + "# theirs\n")
+    their_planner = replace(BRAKE_PLANNER, source=BRAKE_PLANNER.source + "# theirs\n")
     with MemoryBank.open(tmp_path / "theirs.sqlite") as bank:
-        bank.add(replace(BRAKING, label="emergency-braking", description="Theirs."), [other])
-        bank.record(evidence(planner_hash=other.hash))
+        bank.add(replace(BRAKING, label="emergency-braking", description="Theirs."), [their_planner])
+        bank.record(evidence(planner_hash=their_planner.hash))
         export_bank(bank, tmp_path / "theirs")
     with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
         bank.add(BRAKING, [BRAKE_PLANNER])
@@ -98,7 +98,7 @@ def test_an_import_keeps_what_is_there_and_renames_a_mode_that_is_taken(tmp_path
         assert (added.intents, added.planners, added.evidence) == (0, 1, 1)
         assert bank.intents() == [BRAKING]
         assert [p.mode for p in bank.planners(BRAKING.label)] == ["plain", "plain-2"]
-        assert bank.evidence()[0].planner_hash == other.hash
+        assert bank.evidence()[0].planner_hash == their_planner.hash
 
 
 def test_what_fails_in_the_sandbox_is_refused_by_name(tmp_path: Path) -> None:

@@ -33,11 +33,11 @@ def test_distances_by_hand() -> None:
     assert signature_distance(moved(speed=10.0), SCENE) == pytest.approx(2.0)
     # from 3.1 rad to -3.1 rad the shorter way is 2 pi - 6.2 = 0.0832 rad, of 0.2
     assert signature_distance(moved(heading=3.1), moved(heading=-3.1)) == pytest.approx(0.4159, abs=1e-4)
-    for other in (
+    for unlike in (
         replace(SCENE, geometry="crossing"), replace(SCENE, relation="leader"), replace(SCENE, controller="krauss"),
         moved(speed=math.nan), replace(SCENE, relative={"ahead": 12.0}),
     ):  # fmt: skip
-        assert signature_distance(SCENE, other) == math.inf
+        assert signature_distance(SCENE, unlike) == math.inf
 
 
 def test_the_nearest_success_is_recalled_a_valid_one_first(tmp_path: Path) -> None:
@@ -101,31 +101,31 @@ def test_evidence_of_other_scenes_counts_for_less() -> None:
 
 
 def test_arms_by_hand_and_the_same_in_any_order() -> None:
-    known = [
+    history = [
         evidence(planner_hash=SIDE.hash, scene=SCENE),
         evidence(planner_hash=SIDE.hash, scene=replace(SCENE, controller="krauss")),
         evidence(planner_hash=SIDE.hash, scene=replace(SCENE, geometry="crossing"), **FAILED),
         evidence(planner_hash="of nobody here", scene=SCENE),
     ]
-    arms = draw([SIDE, BACK], known, SCENE, random.Random(1))
+    arms = draw([SIDE, BACK], history, SCENE, random.Random(1))
     by_mode = {arm.planner.mode: arm for arm in arms}
     side, back = by_mode["side"], by_mode["back"]
     assert (side.successes, side.failures, side.rows) == (1.5, 0.3, 3)
     assert side.mean == pytest.approx(2.5 / 3.8)
     assert (back.successes, back.failures, back.mean) == (0.0, 0.0, 0.5)
-    assert draw([BACK, SIDE], known[::-1], SCENE, random.Random(1)) == arms
-    told = explain(arms)
-    assert [row["draw"] for row in told] == sorted((row["draw"] for row in told), reverse=True)
-    assert {row["mode"]: row["planner"] for row in told} == {"side": SIDE.hash, "back": BACK.hash}
+    assert draw([BACK, SIDE], history[::-1], SCENE, random.Random(1)) == arms
+    explained = explain(arms)
+    assert [row["draw"] for row in explained] == sorted((row["draw"] for row in explained), reverse=True)
+    assert {row["mode"]: row["planner"] for row in explained} == {"side": SIDE.hash, "back": BACK.hash}
 
 
 def test_what_succeeded_is_tried_first_mostly_and_new_ones_sometimes() -> None:
-    known = [evidence(planner_hash=SIDE.hash, scene=SCENE, seed=seed) for seed in range(4)]
+    history = [evidence(planner_hash=SIDE.hash, scene=SCENE, seed=seed) for seed in range(4)]
     rng = random.Random(0)
-    first = [choose([BACK, SIDE], known, SCENE, rng)[0].mode for _ in range(300)]
+    first = [choose([BACK, SIDE], history, SCENE, rng)[0].mode for _ in range(300)]
     # P(Beta(5, 1) > U) = 5/6
     assert 0.77 < first.count("side") / 300 < 0.90
-    failed = [replace(each, critical=False) for each in known]
+    failed = [replace(each, critical=False) for each in history]
     first = [choose([BACK, SIDE], failed, SCENE, rng)[0].mode for _ in range(300)]
     assert first.count("side") / 300 < 0.23
-    assert choose([], known, SCENE, rng) == []
+    assert choose([], history, SCENE, rng) == []

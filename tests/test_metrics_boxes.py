@@ -31,12 +31,12 @@ def clouds(seed: int, n: int, steps: int) -> tuple[Boxes, Boxes]:
     """Two sets of boxes that wander near one another."""
     r = np.random.default_rng(seed)
 
-    def one() -> Boxes:
+    def wandering() -> Boxes:
         x, y = (r.uniform(-12, 12, (n, 1)) + np.cumsum(r.uniform(-2, 2, (n, steps)), 1) for _ in "xy")
         heading = r.uniform(-3, 3, (n, 1)) + np.cumsum(r.uniform(-0.2, 0.2, (n, steps)), 1)
         return Boxes(x, y, heading, np.zeros((n, steps)), r.uniform(0.6, 12, (n, 1)), r.uniform(0.4, 3, (n, 1)))
 
-    return one(), one()
+    return wandering(), wandering()
 
 
 def between(b: Boxes, part: Floats) -> Boxes:
@@ -109,8 +109,8 @@ def test_crossing_cars_that_pass_through_one_another_between_two_steps_are_caugh
 def test_first_contact_of_a_head_on_at_twice_ten_metres_a_second() -> None:
     a, b = cruise("ego", 0, 0, 10), cruise("adversary", 65, 0, 10, np.pi)
     assert first_contact(a.boxes(), b.boxes(), TIME) == pytest.approx(3.0)  # 60 m between bumpers, 20 m/s
-    one = Boxes(a.x[:1], a.y[:1], a.heading[:1], a.speed[:1], 5.0, 2.0)
-    assert first_contact(one, one, TIME[:1]) == 0.0
+    single_step = Boxes(a.x[:1], a.y[:1], a.heading[:1], a.speed[:1], 5.0, 2.0)
+    assert first_contact(single_step, single_step, TIME[:1]) == 0.0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -118,14 +118,14 @@ def test_the_sweep_finds_what_one_millisecond_sampling_finds_and_nothing_else(se
     a, b = clouds(seed, 800, 6)
     part = np.linspace(0, 1, 101)  # 1 ms of a 0.1 s step
     sampled = overlaps(between(a, part), between(b, part))
-    found = sweep(a, b)
-    hit = np.isfinite(found)
+    contact = sweep(a, b)
+    hit = np.isfinite(contact)
     assert 300 < hit.sum() < 3700
     assert not (sampled.any(-1) & ~hit).any()
     first = np.where(sampled.any(-1), sampled.argmax(-1) / 100, np.inf)
-    assert (found[hit] <= first[hit] + 1e-3).all()
+    assert (contact[hit] <= first[hit] + 1e-3).all()
     rows, columns = np.nonzero(hit)
-    at = found[rows, columns]
+    at = contact[rows, columns]
     poses = [between(v, np.array([0.0])) for v in (a, b)]
     turned = []
     for v, p in zip((a, b), poses, strict=True):

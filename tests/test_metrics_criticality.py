@@ -119,10 +119,10 @@ def test_turning_ttc_sees_a_curve_that_the_straight_one_does_not() -> None:
 
 def test_pet_of_two_cars_that_cross_one_after_the_other() -> None:
     """The ego's rear leaves x = 51 at 5.35 s; the other's front reaches y = -1 at (80 - 3.5) / 12 = 6.375 s."""
-    ego, other = cruise("ego", 0, 0, 10), cruise("b", 50, -80, 12, NORTH)
-    result = pet(ego, other)
+    ego, crossing_car = cruise("ego", 0, 0, 10), cruise("b", 50, -80, 12, NORTH)
+    result = pet(ego, crossing_car)
     assert result.pet == pytest.approx(6.375 - 5.35, abs=0.005)
-    assert result.first == "a" and pet(other, ego).first == "b"
+    assert result.first == "a" and pet(crossing_car, ego).first == "b"
     assert result.point is not None and np.hypot(result.point[0] - 50, result.point[1]) < 5
     assert pet(ego, cruise("far", 0, 50, 10)).pet == np.inf
     assert pet(ego, cruise("hit", 50, -50, 10, NORTH)).pet == 0.0
@@ -173,8 +173,8 @@ def test_headway_counts_only_the_part_of_a_slanted_box_that_is_in_the_path() -> 
     """Nose 20 degrees to the left across our right edge: only the front corner's part lies within 0.9 m of our line."""
     turn = np.radians(20.0)
     ego = Boxes(np.array(0.0), np.array(0.0), np.array(0.0), np.array(10.0), 4.8, 1.8)
-    other = Boxes(np.array(6.0), np.array(-2.0), np.array(turn), np.array(10.0), 4.8, 1.8)
+    slanted = Boxes(np.array(6.0), np.array(-2.0), np.array(turn), np.array(10.0), 4.8, 1.8)
     # front left corner: (6 + 2.4 cos - 0.9 sin, -2 + 2.4 sin + 0.9 cos) = (7.947, -0.333); the left side runs back from
     # it along (-cos, -sin) and leaves the path at y = -0.9, 0.567 / sin 20 = 1.657 m back: x = 7.947 - 1.557 = 6.390
-    assert headway(ego, other) == pytest.approx((6.390 - 2.4) / 10.0, abs=2e-3)
+    assert headway(ego, slanted) == pytest.approx((6.390 - 2.4) / 10.0, abs=2e-3)
     assert headway(ego, Boxes(np.array(6.0), np.array(-3.5), np.array(turn), np.array(10.0), 4.8, 1.8)) == np.inf

@@ -147,11 +147,11 @@ def test_a_third_party_that_is_touched_between_two_steps_counts_up_to_the_end_of
 
 def test_pairs_that_cannot_touch_are_left_out() -> None:
     """The first of the others stands in the way 50 m ahead and is reached within 6 s; the second is 30 m aside."""
-    mine, others = (
+    adversaries, others = (
         stacked([cruise("a", 0, 0, 10), cruise("b", 0, 100, 10)]),
         [cruise("c", 55, 0, 0), cruise("d", 55, 30, 0)],
     )
-    rows, columns = near_pairs(mine, stacked(others), TIME, np.array([6.0, 6.0]))
+    rows, columns = near_pairs(adversaries, stacked(others), TIME, np.array([6.0, 6.0]))
     assert (rows.tolist(), columns.tolist()) == ([0], [0])
-    rows, columns = near_pairs(mine, stacked(others), TIME, np.array([3.0, 6.0]))
+    rows, columns = near_pairs(adversaries, stacked(others), TIME, np.array([3.0, 6.0]))
     assert (rows.tolist(), columns.tolist()) == ([], [])

@@ -98,14 +98,14 @@ def test_wosac_features_of_a_circle() -> None:
     def edge(x: Floats, y: Floats) -> Floats:
         return 60.0 - np.abs(y)
 
-    found = wosac_features(track, [cruise("b", 0, 100, 10)], edge)
-    assert set(found) == set(WOSAC_BINS)
+    wosac = wosac_features(track, [cruise("b", 0, 100, 10)], edge)
+    assert set(wosac) == set(WOSAC_BINS)
     inner = slice(2, -2)
-    assert found["linear_speed"][inner] == pytest.approx(np.full(len(TIME) - 4, 10.0), abs=0.01)
-    assert found["angular_speed"][inner] == pytest.approx(np.full(len(TIME) - 4, 0.4))
-    assert found["angular_acceleration"][inner] == pytest.approx(np.zeros(len(TIME) - 4), abs=1e-9)
-    assert found["distance_to_road_edge"].min() > 5 and found["time_to_collision"].max() == 5.0
-    assert distances(found, found, WOSAC_BINS)["angular_speed_js"] == 0.0
+    assert wosac["linear_speed"][inner] == pytest.approx(np.full(len(TIME) - 4, 10.0), abs=0.01)
+    assert wosac["angular_speed"][inner] == pytest.approx(np.full(len(TIME) - 4, 0.4))
+    assert wosac["angular_acceleration"][inner] == pytest.approx(np.zeros(len(TIME) - 4), abs=1e-9)
+    assert wosac["distance_to_road_edge"].min() > 5 and wosac["time_to_collision"].max() == 5.0
+    assert distances(wosac, wosac, WOSAC_BINS)["angular_speed_js"] == 0.0
 
 
 def test_features_pool_vehicles_and_ignore_those_seen_once() -> None:

@@ -255,11 +255,11 @@ def test_rss_blames_the_follower_who_does_not_brake_and_frees_the_one_who_does()
 
 def test_series_has_every_measure_for_every_pair_and_step() -> None:
     late = cruise("late", 40, 0, 5).between(2.0, 6.0)
-    found = series(EGO, [ONCOMING, late])
-    assert all(found[name].shape == (2, len(TIME)) for name in COLUMNS)
-    assert found["ttc"][0, 0] == pytest.approx(95 / 25) and found["ttc"][1, 0] == np.inf
-    assert found["gap"][1, 20] == pytest.approx(40 + 10 - 30 - 5)
-    assert not np.isnan(np.concatenate([found[n].ravel() for n in COLUMNS])).any()
+    measures = series(EGO, [ONCOMING, late])
+    assert all(measures[name].shape == (2, len(TIME)) for name in COLUMNS)
+    assert measures["ttc"][0, 0] == pytest.approx(95 / 25) and measures["ttc"][1, 0] == np.inf
+    assert measures["gap"][1, 20] == pytest.approx(40 + 10 - 30 - 5)
+    assert not np.isnan(np.concatenate([measures[n].ravel() for n in COLUMNS])).any()
 
 
 def test_a_gate_verdict_is_quick_enough_for_the_search() -> None:

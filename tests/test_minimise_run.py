@@ -26,15 +26,15 @@ def outcome(folder: Path) -> dict[str, object]:
 
 
 def test_each_kind_has_its_files_and_its_place_on_the_page(run: Path) -> None:
-    found = outcome(run)
-    successes = found["successes"]
+    document = outcome(run)
+    successes = document["successes"]
     assert len(successes) == 2 and len({s["kind"] for s in successes}) == 2
-    best, (other,) = found["best"], [s for s in successes if s["folder"] is not None]
+    best, (alternative,) = document["best"], [s for s in successes if s["folder"] is not None]
     assert [s["attempt"] for s in successes if s["folder"] is None] == [best]
-    inner = outcome(run / other["folder"])
-    assert inner["best"] == other["attempt"] and LEVELS.index(inner["outcome"]["level"]) >= LEVELS.index("valid")
+    inner = outcome(run / alternative["folder"])
+    assert inner["best"] == alternative["attempt"] and LEVELS.index(inner["outcome"]["level"]) >= LEVELS.index("valid")
     page = sumo_adv.load(run).show()._repr_html_()
-    assert f"attack {other['attempt'] + 1}: {other['kind']}" in page
+    assert f"attack {alternative['attempt'] + 1}: {alternative['kind']}" in page
 
 
 def test_the_mildest_variant_keeps_the_level_and_is_no_harder(run: Path, program: Program) -> None:

@@ -125,14 +125,14 @@ def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], 
 
 
 @pytest.mark.parametrize(
-    ("action", "asked"),
+    ("action", "questions"),
     [
         ({"action": "stop"}, 1),  # nothing can work here
         ({"action": "numbers", "parameters": {"rate": 0.25}}, 2),  # and these numbers again are refused
     ],
 )
 def test_the_modifier_is_asked_no_more_where_it_brings_nothing(
-    play: Play, tmp_path: Path, action: Mapping[str, Any], asked: int
+    play: Play, tmp_path: Path, action: Mapping[str, Any], questions: int
 ) -> None:
     author = Author("Close Car-following")
 
@@ -141,7 +141,7 @@ def test_the_modifier_is_asked_no_more_where_it_brings_nothing(
 
     (tmp_path / "many.toml").write_text("questions_familiar = 8\nmodifications = 9\n")
     run = play(script, "follower_with_free_lane", "--tuner", "off", "--settings", tmp_path / "many.toml")
-    assert run.outcome["agents"]["calls"]["modifier"] == asked
+    assert run.outcome["agents"]["calls"]["modifier"] == questions
 
 
 def test_a_novel_behaviour_is_written_repaired_and_kept(play: Play) -> None:
@@ -191,7 +191,7 @@ def test_disagreement_of_samples_is_measured_and_both_favourites_are_tried(play:
     labels = ("Straight Lane Shift", "Aggressive Cut-in")
     count = iter(range(100))
 
-    def script(asked: Asked) -> dict[str, Any]:
+    def script(request: Asked) -> dict[str, Any]:
         first = labels[next(count) % 2]
         rest = labels[1 - labels.index(first)]
         return {"analysis": "", "intents": [intent("BV1", first), intent("BV1", rest, risk="low")]}

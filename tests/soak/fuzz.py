@@ -118,12 +118,12 @@ def wrong_bytes(rng: random.Random, data: bytes) -> bytes:
         if not made:
             return b""
         at = rng.randrange(len(made))
-        what = rng.randrange(5)
-        if what <= 1:
+        damage = rng.randrange(5)
+        if damage <= 1:
             made[at] ^= 1 << rng.randrange(8)
-        elif what == 2:
+        elif damage == 2:
             del made[at : at + rng.choice((1, 10, 1000))]
-        elif what == 3:
+        elif damage == 3:
             made[at:at] = made[at : at + rng.choice((1, 10, 1000))]
         else:
             made[at : at + 4] = rng.randbytes(4)
@@ -144,16 +144,16 @@ def places(value: Any) -> Iterator[tuple[Any, Any]]:
 def wrong_values(rng: random.Random, value: Any, most: int = 3) -> None:
     """Replace, remove or double up to ``most`` values below one of lists and dictionaries, in place."""
     for _ in range(rng.randint(1, most)):
-        found = list(places(value))
-        if not found:
+        all_places = list(places(value))
+        if not all_places:
             return
-        container, key = one_of(rng, found)
-        what = rng.randrange(6)
-        if what == 0:
+        container, key = one_of(rng, all_places)
+        change = rng.randrange(6)
+        if change == 0:
             del container[key]
-        elif what == 1 and isinstance(container, list):
+        elif change == 1 and isinstance(container, list):
             container.extend([container[key]] * rng.choice((1, 3, 1000)))
-        elif what == 2:
+        elif change == 2:
             container[key] = [container[key]]
         else:
             container[key] = one_of(rng, NASTY)

@@ -48,12 +48,12 @@ def sample() -> bytes:
 def attack(rng: random.Random, folder: Path) -> str:
     """Spoil a bank and do with it what the commands do."""
     path = folder / "bank.sqlite"
-    what = rng.randrange(4)
-    path.write_bytes(wrong_bytes(rng, sample()) if what == 0 else sample())
-    if what == 1:
+    damage = rng.randrange(4)
+    path.write_bytes(wrong_bytes(rng, sample()) if damage == 0 else sample())
+    if damage == 1:
         for name in rng.sample(list(WRONG), rng.randint(1, 2)):
             _quietly(path, WRONG[name])
-    if what >= 2:
+    if damage >= 2:
         for _ in range(rng.randint(1, 3)):
             _change(rng, path)
     with MemoryBank.open(path) as bank:

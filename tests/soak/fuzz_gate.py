@@ -31,7 +31,7 @@ def fuzz(folder: Path, seed: int, seconds: float, most: int = sys.maxsize) -> Co
         AssertionError: something broke; the last messages are in it.
     """
     failures: list[str] = []
-    with scene(folder, deadline=2.0) as one, closing(Fuzzer(one.gate.port, seed)) as fuzzer:
+    with scene(folder, deadline=2.0) as simulation, closing(Fuzzer(simulation.gate.port, seed)) as fuzzer:
 
         def attack() -> None:
             until = time.monotonic() + seconds
@@ -47,21 +47,24 @@ def fuzz(folder: Path, seed: int, seconds: float, most: int = sys.maxsize) -> Co
         attacker.start()
         try:
             while attacker.is_alive():
-                one.step(10)
-                if "ego" not in one.ours.vehicle.getIDList():  # it arrived, or was sent away: there is always one
+                simulation.step(10)
+                # Where it arrived, or was sent away: there is always one.
+                if "ego" not in simulation.ours.vehicle.getIDList():
                     with contextlib.suppress(traci.TraCIException):  # it is about to depart
-                        one.ours.vehicle.add("ego", "through", departPos="100")
-                assert not OTHERS & one.gate.own, one.gate.own
-            before = one.time()
-            one.step(3)
-            assert one.time() > before and not failures, failures
+                        simulation.ours.vehicle.add("ego", "through", departPos="100")
+                assert not OTHERS & simulation.gate.own, simulation.gate.own
+            before = simulation.time()
+            simulation.step(3)
+            assert simulation.time() > before and not failures, failures
         except Exception as error:
             last = "\n".join(message.hex() for message in fuzzer.sent[-5:])
             count = sum(fuzzer.counts.values())
-            said = one.sumo.last_error
-            raise AssertionError(f"seed {seed}, message {count}: {error} {said}\nthe last messages:\n{last}") from error
+            last_error = simulation.sumo.last_error
+            raise AssertionError(
+                f"seed {seed}, message {count}: {error} {last_error}\nthe last messages:\n{last}"
+            ) from error
         fuzzer.close()
-        one.end()
+        simulation.end()
     return fuzzer.counts
 
 

@@ -55,23 +55,23 @@ def attack(rng: random.Random, folder: Path) -> str:
     except SandboxError as error:
         assert str(error).endswith("."), error
         return "no planner"
-    said = trial(sandbox(), planner, rng.sample(RELATIONS, 2))
-    assert said is None or ("\n" not in said and len(said) < 2000), said
-    return "passes the trial" if said is None else "fails the trial"
+    fault = trial(sandbox(), planner, rng.sample(RELATIONS, 2))
+    assert fault is None or ("\n" not in fault and len(fault) < 2000), fault
+    return "passes the trial" if fault is None else "fails the trial"
 
 
 def _wrong(rng: random.Random, text: str) -> str:
     lines = text.splitlines()
     inside = [k for k, line in enumerate(lines) if line.startswith("    ") and "def " not in line] or [0]
     k = one_of(rng, inside)
-    what = rng.randrange(6)
-    if what == 0:
+    change = rng.randrange(6)
+    if change == 0:
         lines[k] = f"    {one_of(rng, STATEMENTS)}"
-    elif what == 1:
+    elif change == 1:
         lines.insert(k, f"    {one_of(rng, STATEMENTS)}")
-    elif what <= 3:
+    elif change <= 3:
         return _replaced(rng, text, r"-?\b\d+(\.\d+)?\b", NUMBERS)
-    elif what == 4:
+    elif change == 4:
         return _replaced(rng, text, r"\b[a-z]+\b", ("x", "road", "len", "__import__", "lambda", "ego", "\0", "\u00e9"))
     else:
         return wrong_bytes(rng, text.encode()).decode("utf-8", errors="replace")
@@ -79,10 +79,10 @@ def _wrong(rng: random.Random, text: str) -> str:
 
 
 def _replaced(rng: random.Random, text: str, pattern: str, by: tuple[str, ...]) -> str:
-    found = list(re.finditer(pattern, text))
-    if not found:
+    matches = list(re.finditer(pattern, text))
+    if not matches:
         return text
-    at = one_of(rng, found)
+    at = one_of(rng, matches)
     return text[: at.start()] + one_of(rng, by) + text[at.end() :]
 
 

@@ -41,9 +41,9 @@ def attack(rng: random.Random, folder: Path) -> str:
     framed = frame(data)
     path = folder / "a.tfrecord"
     path.write_bytes(wrong_bytes(rng, framed) if rng.random() < 0.1 else framed)
-    found = list(read_records(path))
-    if found and rng.random() < CONVERTED:
-        convert_record(found[0], folder, traffic=False)
+    records = list(read_records(path))
+    if records and rng.random() < CONVERTED:
+        convert_record(records[0], folder, traffic=False)
         return "converted"
     return "read"
 

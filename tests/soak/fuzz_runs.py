@@ -66,13 +66,13 @@ def _damage(rng: random.Random, run: Path) -> None:
         file = one_of(rng, (run / "outcome.json", run / "manifest.json", run / "states.csv.gz"))
     if not file.is_file():
         return
-    what = rng.random()
-    if what < 0.05:
+    chance = rng.random()
+    if chance < 0.05:
         file.unlink()
-    elif what < 0.1:
+    elif chance < 0.1:
         file.unlink()
         file.mkdir()
-    elif file.suffix == ".json" and what < 0.8:
+    elif file.suffix == ".json" and chance < 0.8:
         table = json.loads(file.read_text(encoding="utf-8"))
         wrong_values(rng, table)
         file.write_text(json.dumps(table), encoding="utf-8")

@@ -105,12 +105,12 @@ def _wrong(rng: random.Random, text: str) -> bytes:
     lines = text.splitlines()
     for _ in range(rng.randint(1, 3)):
         k = rng.randrange(len(lines))
-        what = rng.randrange(6)
-        if what == 0:
+        change = rng.randrange(6)
+        if change == 0:
             lines[k : k + 1] = []
-        elif what == 1:
+        elif change == 1:
             lines.insert(rng.randrange(len(lines)), lines[k])
-        elif what == 2:
+        elif change == 2:
             lines[k] = re.sub(r"^\w+", one_of(rng, ("x", "schema", '""', "ego", "[[a]]\nb")), lines[k])
         elif "=" in lines[k]:
             lines[k] = f"{lines[k].split('=')[0]}= {one_of(rng, VALUES)}"

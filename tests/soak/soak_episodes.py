@@ -48,14 +48,14 @@ def episode(k: int) -> dict[str, Any]:
     """The ``k``-th episode: its ending and what it leaves."""
     scenarios = sorted(data_folder("scenarios").glob("*.toml"))
     scenario, ego = scenarios[k % len(scenarios)], EGOS[k % len(EGOS)]
-    said = io.StringIO()
+    output = io.StringIO()
     arguments = ["run", str(scenario), "--seed", str(k), "--ego", ego, "--attempts", str(ATTEMPTS), "--json"]
-    with contextlib.redirect_stdout(said):
+    with contextlib.redirect_stdout(output):
         status = app([*arguments, "--out", str(OUT), "--force"], standalone_mode=False)
     files = sorted(p.name for p in OUT.iterdir())
     shutil.rmtree(OUT)
     row = {"scenario": scenario.stem, "ego": ego, "seed": k, "status": status or 0}
-    return row | {"ending": json.loads(said.getvalue())["ending"], "files": files} | left()
+    return row | {"ending": json.loads(output.getvalue())["ending"], "files": files} | left()
 
 
 def main() -> None:
