@@ -36,8 +36,8 @@ ROWS = 5000
 
 def script_seconds(visit: Visit, session: Any) -> float:
     """Seconds that Chromium has spent in the page's script."""
-    found = session.send("Performance.getMetrics")["metrics"]
-    return float(next(m["value"] for m in found if m["name"] == "ScriptDuration"))
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return float(next(m["value"] for m in metrics if m["name"] == "ScriptDuration"))
 
 
 def play(browser: Any, file: Path, follow: bool) -> None:
@@ -108,9 +108,9 @@ def main() -> None:
     """All of it."""
     vehicles, frames = (int(a) for a in (sys.argv[1:3] or ("100", "900")))
     with tempfile.TemporaryDirectory() as scratch, chromium() as browser:
-        told = outcome(trigger_time=frames / 10 - 5.0, encounter=None)
-        told["trigger_time"] = 60.0
-        run = make_run(Path(scratch) / "run", vehicles=vehicles, frames=frames, told=told)
+        document = outcome(trigger_time=frames / 10 - 5.0, encounter=None)
+        document["trigger_time"] = 60.0
+        run = make_run(Path(scratch) / "run", vehicles=vehicles, frames=frames, told=document)
         file = run / "report.html"
         began = perf_counter()
         file.write_text(make_page(run), encoding="utf-8")
