@@ -65,6 +65,9 @@ def rows(count: int) -> list[dict[str, Any]]:
         {
             "id": f"{k:016x}", "network": f"network{k % 25}", "ego": ("idm", "careful")[k % 2], "seed": k % 100,
             "intent": f"intent {k % 7}", "ending": "critical", "failure": "" if k % 50 else "It failed.",
+            "level": ("serious" if k % 2 == 0 else "collision") if k % 37 == 0 else "none",
+            "severity": "" if k % 37 else "minor", "relation": "neighbour", "road": "motorway",
+            "preventable_by": "" if k % 74 else "cc_human", "delta_v": None if k % 37 else 2.5,
             "raw_min_ttc": None if k % 3 else k % 11 / 1.7, "min_ttc": k % 37 / 9, "collided": k % 37 == 0,
             "valid": (k % 2 == 0) if k % 37 == 0 else None, "critical": k % 37 < 10, "attempts": k % 25,
             "seconds": k % 13 / 3,
