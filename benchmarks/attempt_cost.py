@@ -66,19 +66,21 @@ def library() -> list[LibraryEntry]:
 def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
     """Bring an engine to the scenario's trigger."""
     engine.request("open", make_task(source, settings, folder))
-    found = engine.request("seek")
-    if not isinstance(found, FoundEncounter):
-        raise SystemExit(f"{source.name}: {found.reason}")
-    return found
+    outcome = engine.request("seek")
+    if not isinstance(outcome, FoundEncounter):
+        raise SystemExit(f"{source.name}: {outcome.reason}")
+    return outcome
 
 
 def search(
-    sandbox: Sandbox, settings: Settings, found: FoundEncounter, entries: Sequence[LibraryEntry]
+    sandbox: Sandbox, settings: Settings, encounter: FoundEncounter, entries: Sequence[LibraryEntry]
 ) -> tuple[Proposal, int, float]:
     """The best proposal of a prediction search, how many were predicted, seconds."""
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+    predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
     weights, made = SearchSettings(proposals=settings.proposals, share=settings.per_planner), list[AttackSearch]()
-    took = seconds(lambda: made.append(AttackSearch(predictor, found.situations, entries, weights, seed=settings.seed)))
+    took = seconds(
+        lambda: made.append(AttackSearch(predictor, encounter.situations, entries, weights, seed=settings.seed))
+    )
     return min(made[0].pool, key=lambda p: p.score), predictor.count, took
 
 
@@ -87,9 +89,9 @@ def states(result: AttemptResult) -> list[tuple[float, dict[str, Any]]]:
     return [(s.time, dict(s.raw)) for s in result.snapshots]
 
 
-def calls(sandbox: Sandbox, found: FoundEncounter, proposal: Proposal, runs: int) -> list[str]:
+def calls(sandbox: Sandbox, encounter: FoundEncounter, proposal: Proposal, runs: int) -> list[str]:
     """Lines on a session, a call, and a call in a batch."""
-    situation = found.situations[proposal.delay]
+    situation = encounter.situations[proposal.delay]
     adversary = AdversaryBatch([situation], [proposal.bv])
     start = adversary.begin()
     nothing = start.s * 0.0
@@ -98,7 +100,7 @@ def calls(sandbox: Sandbox, found: FoundEncounter, proposal: Proposal, runs: int
     opened, single, batched = [], [], []
     for _ in range(runs):
         began = time.perf_counter()
-        with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
+        with Sessions(sandbox, Roads(encounter.situations), [proposal], 0) as sessions:
             opened.append(time.perf_counter() - began)
             single.append(seconds(lambda: sessions.answer(proposal, observation)))
             many = [proposal] * BATCH
@@ -119,21 +121,22 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox = stack.enter_context(Sandbox())
         engines = [stack.enter_context(Engine(body)) for _ in ways]
-        found = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
-        best, count, searched = search(sandbox, ways[0], found[0], entries)
-        runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, found, strict=True)]
+        encounters = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
+        best, count, searched = search(sandbox, ways[0], encounters[0], entries)
+        runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, encounters, strict=True)]
         results = [runner.attempt([best])[0] for runner in runners]
         took: list[list[float]] = [[], []]
         twice = []
         for _ in range(pairs):
-            for mine, runner in zip(took, runners, strict=True):
-                mine.append(seconds(lambda: runner.attempt([best])))  # noqa: B023 - called at once
+            for times, runner in zip(took, runners, strict=True):
+                times.append(seconds(lambda: runner.attempt([best])))  # noqa: B023 - called at once
             twice.append(seconds(lambda: runners[0].attempt([best, best])) / 2)
-        lines = calls(sandbox, found[0], best, max(3, pairs))
+        lines = calls(sandbox, encounters[0], best, max(3, pairs))
     same = states(results[0]) == states(results[1]) and results[0].verdict == results[1].verdict
     shares = [b / a for a, b in zip(*took, strict=True)]
-    fork, load = ([1e3 * t for t in mine] for mine in took)
-    start, attempt = f"{found[0].time:.1f} s", f"{best.label}/{best.planner.mode}, {len(results[0].snapshots)} steps"
+    fork, load = ([1e3 * t for t in times] for times in took)
+    start = f"{encounters[0].time:.1f} s"
+    attempt = f"{best.label}/{best.planner.mode}, {len(results[0].snapshots)} steps"
     print(f"{source.name}, trigger {start}, {len(results[0].sizes)} vehicles so far: {attempt}")
     print(f"  same states and verdict both ways: {'yes' if same else 'NO'}")
     print(spread("attempt by fork", fork, "ms"))

@@ -129,21 +129,21 @@ def main() -> int:
     settings = {"attempts": 1, "proposals": args.proposals}
     table = {"inputs": list(args.scenarios), "seeds": -(-args.episodes // len(args.scenarios)), "settings": settings}
     plan = make_plan(table, Path(), "The plan", batch_parts())
-    known: list[Callable[[Plan, Path], Took]] = [plain, warm, one, two, apart]
-    ways = [way for way in known if way.__name__ in args.ways.split(",")]
-    found: dict[str, list[Took]] = {way.__name__: [] for way in ways}
+    all_ways: list[Callable[[Plan, Path], Took]] = [plain, warm, one, two, apart]
+    ways = [way for way in all_ways if way.__name__ in args.ways.split(",")]
+    results: dict[str, list[Took]] = {way.__name__: [] for way in ways}
     for k in range(args.pairs):
         for way in ways[k % len(ways) :] + ways[: k % len(ways)]:
             with tempfile.TemporaryDirectory() as folder:
-                found[way.__name__].append(way(plan, Path(folder)))
-    show(found, len(plan.jobs), args.pairs)
-    return judge(found)
+                results[way.__name__].append(way(plan, Path(folder)))
+    show(results, len(plan.jobs), args.pairs)
+    return judge(results)
 
 
-def show(found: Mapping[str, Sequence[Took]], episodes: int, pairs: int) -> None:
+def show(results: Mapping[str, Sequence[Took]], episodes: int, pairs: int) -> None:
     """A row for each way."""
     print(f"{episodes} episodes, {pairs} pairs; ms an episode: low, median, high of the whole | steady median | cores")
-    for name, took in found.items():
+    for name, took in results.items():
         whole = sorted(1e3 * each.whole / episodes for each in took)
         steady = statistics.median(1e3 * each.steady for each in took)
         cores = statistics.median(each.cores for each in took)
@@ -152,20 +152,20 @@ def show(found: Mapping[str, Sequence[Took]], episodes: int, pairs: int) -> None
         )
 
 
-def judge(found: Mapping[str, Sequence[Took]]) -> int:
+def judge(results: Mapping[str, Sequence[Took]]) -> int:
     """Print how the ways compare; 1 if a bound is missed."""
     missed = False
     for name, words in (("two", f"(bound {SCALING})"), ("apart", "(what this machine gives)")):
-        if {"one", name} <= set(found):
-            faster = statistics.median(speed(a, b) for a, b in zip(found["one"], found[name], strict=True))
+        if {"one", name} <= set(results):
+            faster = statistics.median(speed(a, b) for a, b in zip(results["one"], results[name], strict=True))
             print(f"{name} over one: {faster:.2f} times as fast {words}")
             missed |= name == "two" and faster < SCALING
-    if {"one", "warm"} <= set(found):
-        overhead = statistics.median(a.steady / b.steady for a, b in zip(found["one"], found["warm"], strict=True))
+    if {"one", "warm"} <= set(results):
+        overhead = statistics.median(a.steady / b.steady for a, b in zip(results["one"], results["warm"], strict=True))
         print(f"one over the warm loop: {100 * (overhead - 1):+.1f} % an episode (bound {100 * (OVERHEAD - 1):.0f} %)")
         missed |= overhead > OVERHEAD
-    if {"one", "plain"} <= set(found):
-        against = statistics.median(a.whole / b.whole for a, b in zip(found["one"], found["plain"], strict=True))
+    if {"one", "plain"} <= set(results):
+        against = statistics.median(a.whole / b.whole for a, b in zip(results["one"], results["plain"], strict=True))
         print(f"one over the plain loop, start included: {100 * (against - 1):+.1f} %")
     return int(missed)
 

@@ -74,7 +74,7 @@ class Attacks:
         self._width = np.full(n, target.state.width)
         time = np.arange(round(SECONDS / dt) + 1) * dt
         v = np.stack([p.speeds(target.state.speed, time) for p in plans])
-        d = np.stack([p.offsets(target.offset, one, time) for p, one in zip(plans, v, strict=True)])
+        d = np.stack([p.offsets(target.offset, speeds, time) for p, speeds in zip(plans, v, strict=True)])
         s, slope, a = (np.full(n, q) for q in (target.station, np.sin(target.turn), target.state.acceleration))
         self._motions: list[Motion] = [start(Batch, s, d[:, 0], slope, v[:, 0], a)]
         for k in range(1, len(time)):
@@ -91,12 +91,12 @@ class Attacks:
 
     def predicted(self) -> Floats:
         """Station, offset, speed of the predicted egos by step, ``(3, n, steps)``."""
-        ground, found = self._ground, []
+        ground, states = self._ground, []
         egos = PredictedEgos(ground.scenes, ground.names, ground.length, self._width)
         for k, motion in enumerate(self._motions):
-            found.append((egos.s, egos.d, egos.v))
+            states.append((egos.s, egos.d, egos.v))
             egos.step(k * ground.scenes.dt, ground.relative(motion), motion.v, ground.at_junction(motion))
-        return np.array(found).transpose(1, 2, 0)
+        return np.array(states).transpose(1, 2, 0)
 
 
 Job = tuple[str, str, int, Sequence[int]]
@@ -107,24 +107,24 @@ Scenes = Mapping[str, Sequence[Driven]]
 
 def drive(slots: Sequence[Connection], kind: str, driver: str, seed: int, numbers: Sequence[int]) -> Driven | None:
     """One encounter in SUMO, in a process that holds no simulation; None if it failed."""
-    what, draw = KINDS[kind], np.random.default_rng([seed, *kind.encode()])
+    definition, draw = KINDS[kind], np.random.default_rng([seed, *kind.encode()])
     settings = load_settings(
         None, ego=driver, seed=seed, duration=SECONDS, delays=(0.0, PROFILE), critical_ttc=0.01, fork=False
     )  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as name:
         worker = Worker(slots)
-        worker.open(make_task(what.start(draw).source(Path(name)), settings, Path(name)))
-        found = worker.seek()
-        if not isinstance(found, FoundEncounter):
+        worker.open(make_task(definition.start(draw).source(Path(name)), settings, Path(name)))
+        encounter = worker.seek()
+        if not isinstance(encounter, FoundEncounter):
             return None
-        delay = min(found.situations)
-        situation = found.situations[delay]
+        delay = min(encounter.situations)
+        situation = encounter.situations[delay]
         target = situation.targets[ADVERSARY]
-        drawn = [what.plan(draw, situation, target) for _ in range(max(numbers) + 1)]
+        drawn = [definition.plan(draw, situation, target) for _ in range(max(numbers) + 1)]
         plans = [drawn[k] for k in numbers]
         courses = Attacks(situation, plans).courses()
         results = worker.attempts([course_proposal("conformance", ADVERSARY, delay, c) for c in courses])
-    seen = [observed_motion(r, found, delay, settings) for r in results]
+    seen = [observed_motion(r, encounter, delay, settings) for r in results]
     kept = [(k, p, s) for k, p, s in zip(numbers, plans, seen, strict=True) if s is not None and not _changes_lane(s)]
     return Driven(situation, *zip(*kept, strict=True)) if kept else None
 
@@ -144,36 +144,36 @@ def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
 
 def run(engine: Engine, jobs: Sequence[Job]) -> list[Driven]:
     """The encounters of the jobs that came to something."""
-    found: list[Driven | None] = []
+    driven: list[Driven | None] = []
     for first in range(0, len(jobs), AT_ONCE):
-        found += engine.request("scenes", jobs[first : first + AT_ONCE])
-    return [one for one in found if one is not None]
+        driven += engine.request("scenes", jobs[first : first + AT_ONCE])
+    return [encounter for encounter in driven if encounter is not None]
 
 
 def errors(driven: Sequence[Driven]) -> Floats:
     """Each scene's largest error along the path [m], sideways [m] and of the speed [m/s], ``(3, scenes)``."""
-    found = [np.empty((3, 0))]
-    for one in driven:
-        predicted = Attacks(one.situation, one.plans).predicted()
-        for k, seen in enumerate(one.seen):
+    largest = [np.empty((3, 0))]
+    for encounter in driven:
+        predicted = Attacks(encounter.situation, encounter.plans).predicted()
+        for k, seen in enumerate(encounter.seen):
             count = min(seen.seen, predicted.shape[2])
             real = np.stack([seen.s, seen.d, seen.v])[:, :count]
-            found.append(np.abs(predicted[:, k, :count] - real).max(axis=1, keepdims=True))
-    return np.concatenate(found, axis=1)
+            largest.append(np.abs(predicted[:, k, :count] - real).max(axis=1, keepdims=True))
+    return np.concatenate(largest, axis=1)
 
 
 def waits(driven: Sequence[Driven]) -> Bools:
     """Whether the predicted ego and SUMO's wait before the junction, ``(2, scenes)``."""
-    found = [np.empty((2, 0), bool)]
-    for one in driven:
-        predicted, road = Attacks(one.situation, one.plans).predicted(), one.situation.road
-        half = one.situation.ego.length / 2
+    waiting = [np.empty((2, 0), bool)]
+    for encounter in driven:
+        predicted, road = Attacks(encounter.situation, encounter.plans).predicted(), encounter.situation.road
+        half = encounter.situation.ego.length / 2
         line = road.bay if np.isfinite(road.bay) else road.junction
-        for k, seen in enumerate(one.seen):
+        for k, seen in enumerate(encounter.seen):
             count = min(seen.seen, predicted.shape[2])
             s, v = (np.stack([predicted[q, k, :count], real[:count]]) for q, real in ((0, seen.s), (2, seen.v)))
-            found.append((np.where(s + half < line + BEFORE, v, np.inf).min(axis=1) < WAITS)[:, None])
-    return np.concatenate(found, axis=1)
+            waiting.append((np.where(s + half < line + BEFORE, v, np.inf).min(axis=1) < WAITS)[:, None])
+    return np.concatenate(waiting, axis=1)
 
 
 def quantiles(of: Floats) -> Floats:
@@ -186,26 +186,28 @@ UNITS = ("m along the path", "m sideways", "m/s")
 
 def broken(kind: str, of: Floats) -> list[str]:
     """What is wrong with the errors of a situation; each sentence names the rules that it exercises."""
-    found = []
+    sentences = []
     for name, measured, bounds in zip(UNITS, quantiles(of), KINDS[kind].bounds, strict=True):
-        for quantile, one, bound in zip(("median", "90 %", "maximum"), measured, bounds, strict=True):
-            if one > bound:
-                found.append(
-                    f"{kind}: the {quantile} of the error is {one:.3f} {name}, more than {bound:g}. SUMO and the "
+        for quantile, error, bound in zip(("median", "90 %", "maximum"), measured, bounds, strict=True):
+            if error > bound:
+                sentences.append(
+                    f"{kind}: the {quantile} of the error is {error:.3f} {name}, more than {bound:g}. SUMO and the "
                     f"prediction differ in {KINDS[kind].rules}."
                 )
-    return found
+    return sentences
 
 
 def undecided(kind: str, predicted: Bools, real: Bools) -> list[str]:
     """What is wrong with the decisions to wait of a situation, ``(scenes,)`` each."""
-    what, found = KINDS[kind], []
+    definition, differences = KINDS[kind], []
     agree, missed = float(np.mean(predicted == real)), float(np.mean(real & ~predicted))
-    if agree < what.agree:
-        found.append(f"in {agree:.0%} of the scenes, less than {what.agree:.0%}, both egos wait or both go")
-    if missed > what.missed:
-        found.append(f"in {missed:.0%} of the scenes, more than {what.missed:.0%}, only SUMO's ego waits")
-    return [f"{kind}: {one}. SUMO and the prediction differ in {what.rules}." for one in found]
+    if agree < definition.agree:
+        differences.append(f"in {agree:.0%} of the scenes, less than {definition.agree:.0%}, both egos wait or both go")
+    if missed > definition.missed:
+        differences.append(f"in {missed:.0%} of the scenes, more than {definition.missed:.0%}, only SUMO's ego waits")
+    return [
+        f"{kind}: {difference}. SUMO and the prediction differ in {definition.rules}." for difference in differences
+    ]
 
 
 def faults(kind: str, driven: Sequence[Driven]) -> list[str]:
@@ -219,19 +221,19 @@ def faults(kind: str, driven: Sequence[Driven]) -> list[str]:
 
 def chosen_job(name: str) -> Job:
     """The job of a single scene."""
-    one = CHOSEN[name]
-    return one.kind, one.driver, one.seed, (one.plan,)
+    scene = CHOSEN[name]
+    return scene.kind, scene.driver, scene.seed, (scene.plan,)
 
 
 def chosen_faults(name: str, driven: Sequence[Driven]) -> list[str]:
     """What is wrong with the prediction in a single scene."""
-    one = CHOSEN[name]
+    scene = CHOSEN[name]
     if not driven:
         return [f"{name}: SUMO gave no comparable run of this scene."]
     return [
         f"{name}: the error is {error:.3f} {unit}, more than {bound:g}. SUMO and the prediction differ in "
-        f"{', '.join(one.constants)}, {KINDS[one.kind].rules}."
-        for unit, error, bound in zip(UNITS, errors(driven)[:, 0], one.bounds, strict=True)
+        f"{', '.join(scene.constants)}, {KINDS[scene.kind].rules}."
+        for unit, error, bound in zip(UNITS, errors(driven)[:, 0], scene.bounds, strict=True)
         if error > bound
     ]
 
@@ -288,12 +290,12 @@ def changed(home: str, name: str, factor: float) -> Iterator[None]:
 
 def with_model(driven: Sequence[Driven], name: str, factor: float) -> list[Driven]:
     """The same scenes, predicted with a number of the driver model times a factor."""
-    found = []
-    for one in driven:
-        model = one.situation.baseline.model
+    rescaled = []
+    for encounter in driven:
+        model = encounter.situation.baseline.model
         wrong = replace(model, **{name: factor * getattr(model, name)})
-        found.append(replace(one, situation=one.situation.driven_by(wrong)))
-    return found
+        rescaled.append(replace(encounter, situation=encounter.situation.driven_by(wrong)))
+    return rescaled
 
 
 def noticed(home: str, name: str, factor: float, kinds: Scenes, chosen: Scenes) -> Iterator[str]:
@@ -329,7 +331,7 @@ def perturbed(kinds: Scenes, chosen: Scenes) -> Iterator[str]:
 
 
 def _row(name: str, file: str, by: Sequence[Sequence[str]]) -> str:
-    return f"| {name} | {file} | {' | '.join(', '.join(one) or '-' for one in by)} |"
+    return f"| {name} | {file} | {' | '.join(', '.join(names) or '-' for names in by)} |"
 
 
 # -- the table ----------------------------------------------------------------------------------------------------
@@ -351,26 +353,26 @@ def main() -> int:
     given = parser.parse_args()
     heads = "  ".join(f"{name + ': median':>7s}   90 %    max" for name in ("m", "aside", "m/s"))
     print(f"{'situation':20s} {'driver':8s} scenes  {heads}")
-    found: dict[str, list[Driven]] = {}
+    encounters: dict[str, list[Driven]] = {}
     wrong: list[str] = []
     with Engine(body) as engine:
         for kind in given.kind or KINDS:
-            found[kind] = []
+            encounters[kind] = []
             for driver in (*KINDS[kind].drivers, "careful") if kind in CAREFUL else KINDS[kind].drivers:
                 some = run(engine, [(kind, driver, seed, range(given.plans)) for seed in range(given.encounters)])
                 if not some:
                     continue
                 print(line(kind, driver, errors(some)), flush=True)
-                found[kind] += some if driver in KINDS[kind].drivers else []
-            wrong += faults(kind, found[kind])
+                encounters[kind] += some if driver in KINDS[kind].drivers else []
+            wrong += faults(kind, encounters[kind])
         chosen = {name: run(engine, [chosen_job(name)]) for name in CHOSEN}
     for name, some in chosen.items():
         wrong += chosen_faults(name, some)
     if wrong:
         print("\n".join(wrong))
     if given.perturb:
-        for one in perturbed(found, chosen):
-            print(one, flush=True)
+        for row in perturbed(encounters, chosen):
+            print(row, flush=True)
     return 1 if wrong else 0
 
 

@@ -80,27 +80,27 @@ class Plan:
         step = time[1] - time[0]
         pulls = (a * ((time >= begin) & (time < begin + span)) for begin, span, a in self.pulls)
         pulled = sum(pulls, start=np.zeros(len(time)))
-        found, now = np.empty(len(time)), speed
+        profile, current = np.empty(len(time)), speed
         for k in range(len(time)):
-            found[k] = now
-            now = max(now + float(pulled[k]) * step, 0.0)
-        return found
+            profile[k] = current
+            current = max(current + float(pulled[k]) * step, 0.0)
+        return profile
 
     def offsets(self, offset: float, speed: Floats, time: Floats) -> Floats:
         """Offsets [m] at the times [s], ``(k,)``; the angle to the way stays below ``STEEPEST``."""
-        step, wanted, last = time[1] - time[0], np.full(len(time), offset), offset
+        step, planned, last = time[1] - time[0], np.full(len(time), offset), offset
         for begin, span, end in self.moves:
             u = np.clip((time - begin) / span, 0.0, 1.0)
-            wanted += (end - last) * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
+            planned += (end - last) * u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
             last = end
-        found = np.empty(len(time))
-        now = offset
+        limited = np.empty(len(time))
+        current = offset
         for k in range(len(time)):
-            found[k] = now
+            limited[k] = current
             if k + 1 < len(time):
                 most = STEEPEST * speed[k + 1] * step
-                now += float(np.clip(wanted[k + 1] - now, -most, most))
-        return found
+                current += float(np.clip(planned[k + 1] - current, -most, most))
+        return limited
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +162,10 @@ def _along(
     side = int(draw.choice((-1, 1))) if side == 2 else side
     lane = int(draw.integers(max(0, -side), min(lanes, lanes - side)))
     speed = draw.uniform(speeds[0], min(speeds[1], limit))
-    other = min(max(speed - draw.uniform(*slower), 2.0), limit)
+    adversary_speed = min(max(speed - draw.uniform(*slower), 2.0), limit)
     ego, at = _ego(draw, "eastbound", lane, FIRST, speed), FIRST + 5.0 + draw.uniform(*ahead)
     ego = replace(ego, fastest=speed) if steady else ego
-    return Start(network, {EGO: ego, ADVERSARY: Car("eastbound", lane + side, at, other, other)})
+    return Start(network, {EGO: ego, ADVERSARY: Car("eastbound", lane + side, at, adversary_speed, adversary_speed)})
 
 
 def _following(draw: Draw) -> Start:
@@ -191,10 +191,12 @@ def _left_faster(draw: Draw) -> Start:
 def _behind_another(draw: Draw) -> Start:
     """A third car between the two; or the adversary is beside that one."""
     start = _along(draw, (14.0, 30.0), 0 if draw.random() < 0.5 else 2, (-2.0, 2.0), BELOW_JAM, steady=True)
-    ego, other = start.cars[EGO], start.cars[ADVERSARY]
-    third = Car("eastbound", ego.lane, other.position, other.speed, other.speed)
-    other = Car("eastbound", other.lane, other.position + draw.uniform(10.0, 25.0), other.speed, other.speed)
-    return Start(start.network, {EGO: ego, ADVERSARY: other, THIRD: third})
+    ego, adversary = start.cars[EGO], start.cars[ADVERSARY]
+    third = Car("eastbound", ego.lane, adversary.position, adversary.speed, adversary.speed)
+    adversary = Car(
+        "eastbound", adversary.lane, adversary.position + draw.uniform(10.0, 25.0), adversary.speed, adversary.speed
+    )
+    return Start(start.network, {EGO: ego, ADVERSARY: adversary, THIRD: third})
 
 
 MIDDLE = (("two_way_4lane", "eastbound", 1, 22.0), ("curved_4lane", "eastbound", 1, 19.4),
@@ -204,9 +206,9 @@ MIDDLE = (("two_way_4lane", "eastbound", 1, 22.0), ("curved_4lane", "eastbound",
 def _in_the_middle(draw: Draw, speeds: tuple[float, float]) -> Start:
     network, edges, lane, limit = MIDDLE[draw.integers(2)]
     speed, at = draw.uniform(speeds[0], min(speeds[1], limit)), FIRST + 5.0 + draw.uniform(8.0, 30.0)
-    other = min(speed - draw.uniform(-1.0, 3.0), limit)
+    adversary_speed = min(speed - draw.uniform(-1.0, 3.0), limit)
     ego = replace(_ego(draw, edges, lane, FIRST, speed), fastest=speed)
-    return Start(network, {EGO: ego, ADVERSARY: Car(edges, lane, at, other, other)})
+    return Start(network, {EGO: ego, ADVERSARY: Car(edges, lane, at, adversary_speed, adversary_speed)})
 
 
 def _over_the_middle(draw: Draw) -> Start:
@@ -219,11 +221,13 @@ def _over_the_middle_fast(draw: Draw) -> Start:
 
 def _oncoming(draw: Draw) -> Start:
     network, edges, lane, _ = MIDDLE[draw.choice((0, 1, 3))]
-    mine, other = draw.uniform(*BELOW_JAM, 2)
-    apart = (mine + other) * (TRIGGER + draw.uniform(2.5, 5.5))
+    ego_speed, adversary_speed = draw.uniform(*BELOW_JAM, 2)
+    apart = (ego_speed + adversary_speed) * (TRIGGER + draw.uniform(2.5, 5.5))
     length = {"two_way": 1000.0, "two_way_4lane": 1500.0, "curved_4lane": 1211.0}[network]
-    ego = replace(_ego(draw, edges, lane, FIRST, mine), fastest=mine)
-    return Start(network, {EGO: ego, ADVERSARY: Car("westbound", lane, length - FIRST - apart, other, other)})
+    ego = replace(_ego(draw, edges, lane, FIRST, ego_speed), fastest=ego_speed)
+    return Start(
+        network, {EGO: ego, ADVERSARY: Car("westbound", lane, length - FIRST - apart, adversary_speed, adversary_speed)}
+    )
 
 
 CROSSING = (
@@ -254,10 +258,13 @@ def _meeting(
     """Both come to a junction; ``later``: how long after the ego the adversary does [s]."""
 
     def start(draw: Draw) -> Start:
-        network, mine, lane, others, other_lane = ways[draw.integers(len(ways))]
-        speed, other, to = draw.uniform(8.0, 13.5), draw.uniform(7.0, 13.5), draw.uniform(40.0, 90.0)
-        away = float(np.clip(other * (to / speed + draw.uniform(*later)), 20.0, 180.0))
-        cars = {EGO: _ego(draw, mine, lane, -to, speed), ADVERSARY: Car(others, other_lane, -away, other, other)}
+        network, ego_edges, lane, adversary_edges, adversary_lane = ways[draw.integers(len(ways))]
+        ego_speed, adversary_speed, to = draw.uniform(8.0, 13.5), draw.uniform(7.0, 13.5), draw.uniform(40.0, 90.0)
+        away = float(np.clip(adversary_speed * (to / ego_speed + draw.uniform(*later)), 20.0, 180.0))
+        cars = {
+            EGO: _ego(draw, ego_edges, lane, -to, ego_speed),
+            ADVERSARY: Car(adversary_edges, adversary_lane, -away, adversary_speed, adversary_speed),
+        }
         return Start(network, cars)
 
     return start

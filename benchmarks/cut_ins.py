@@ -55,8 +55,8 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
-    cases = drawn(asked.cases, asked.seed)
+    args = parser.parse_args()
+    cases = drawn(args.cases, args.seed)
     answers = judge_cut_ins(cases)
     hit = [a for a in answers if a["unchanged"] != "none"]
     print(f"{len(cases)} cut-ins, {len(hit)} collisions of the unchanged ego")
@@ -68,15 +68,15 @@ def main() -> None:
         )
     new = sum(a["unchanged"] == "none" and any(a[n] != "none" for n in ANSWERS[1:]) for a in answers)
     print(f"a driver collides where the unchanged ego does not: {new}")
-    if asked.out:
-        asked.out.mkdir(parents=True, exist_ok=True)
-        with (asked.out / "cut-ins.csv").open("w", newline="", encoding="utf-8") as text:
+    if args.out:
+        args.out.mkdir(parents=True, exist_ok=True)
+        with (args.out / "cut-ins.csv").open("w", newline="", encoding="utf-8") as text:
             writer = csv.writer(text)
             writer.writerow([*COLUMNS, *ANSWERS])
             writer.writerows(
                 [*(f"{v:.4f}" for v in c), *(a[n] for n in ANSWERS)] for c, a in zip(cases, answers, strict=True)
             )
-        draw(asked.out / "cut-ins.png", cases, answers)
+        draw(args.out / "cut-ins.png", cases, answers)
 
 
 if __name__ == "__main__":

@@ -61,11 +61,11 @@ def events(ego: Track, others: list[Track]) -> tuple[dict[str, int], dict[str, i
     station = EgoPaths(row).station[0]
     needless, braked = dict.fromkeys(BRAKERS, 0), dict.fromkeys(BRAKERS, 0)
     for name, driver in BRAKERS.items():
-        one, last = driver((1, len(near)), DT), -np.inf
+        braker, last = driver((1, len(near)), DT), -np.inf
         for k in range(len(ego.time)):
-            now = (np.array([v]) for v in (station[k], ego.speed[k], ego.acceleration[k]))
-            asked = float(one.step(views.at(k, *now))[0])
-            if not asked < -BRAKES:
+            ego_state = (np.array([v]) for v in (station[k], ego.speed[k], ego.acceleration[k]))
+            acceleration = float(braker.step(views.at(k, *ego_state))[0])
+            if not acceleration < -BRAKES:
                 continue
             if ego.time[k] - last > APART:
                 braked[name] += 1
@@ -84,11 +84,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=180.0)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     metres, total, every = 0.0, dict.fromkeys(BRAKERS, 0), dict.fromkeys(BRAKERS, 0)
     for network in sorted(data_folder("networks").glob("*.net.xml")):
-        for seed in range(asked.seeds):
-            tracks = traffic(network, seed, asked.seconds)
+        for seed in range(args.seeds):
+            tracks = traffic(network, seed, args.seconds)
             drawn = np.random.default_rng(seed).permutation([k for k, t in enumerate(tracks) if len(t.time) > LEAST])
             for k in drawn[:EGOS]:
                 needless, braked = events(tracks[k], tracks)

@@ -67,11 +67,11 @@ class Side:
         self._ours = ours
         self._client = client
 
-    def window(self, what: str, count: int) -> float:
+    def window(self, action: str, count: int) -> float:
         """Microseconds of one step or getter, the window's median."""
         assert self._client.stdin is not None and self._client.stdout is not None
-        print(what, count, file=self._client.stdin, flush=True)
-        for _ in range(count + 1 if what == "step" else 1):
+        print(action, count, file=self._client.stdin, flush=True)
+        for _ in range(count + 1 if action == "step" else 1):
             self._ours.simulationStep()
         return 1e6 * float(self._client.stdout.readline())
 
@@ -118,11 +118,11 @@ def measure(vehicles: int, pairs: int, steps: int, getters: int) -> dict[str, li
         arguments = SimulationSpec(data_folder("networks") / "motorway.net.xml", (routes,), (), 0.0, 0).arguments()
         native = stack.enter_context(side(arguments, None))
         gated = stack.enter_context(side(arguments, stack.enter_context(Gate())))
-        found: dict[str, list[tuple[float, float]]] = {}
-        for what, count in (("step", steps), ("getter", getters)):
-            both = [(native.window(what, count), gated.window(what, count)) for _ in range(pairs + 1)]
-            found[what] = both[1:]
-    return found
+        times: dict[str, list[tuple[float, float]]] = {}
+        for action, count in (("step", steps), ("getter", getters)):
+            both = [(native.window(action, count), gated.window(action, count)) for _ in range(pairs + 1)]
+            times[action] = both[1:]
+    return times
 
 
 HEADER = "vehicles  what      native us   gate us   ratio: min median max"
@@ -139,14 +139,14 @@ def main() -> int:
     print(HEADER)
     over = False
     for vehicles in given.vehicles:
-        for what, pairs in measure(vehicles, given.pairs, given.steps, given.getters).items():
+        for action, pairs in measure(vehicles, given.pairs, given.steps, given.getters).items():
             ratios = [b / a for a, b in pairs]
             low, middle, high = min(ratios), statistics.median(ratios), max(ratios)
             native, gated = (statistics.median(column) for column in zip(*pairs, strict=True))
-            over |= middle > BOUNDS[what]
+            over |= middle > BOUNDS[action]
             print(
-                f"{vehicles:8d}  {what:8s}  {native:9.1f}  {gated:8.1f}  {low:10.2f} {middle:6.2f} {high:5.2f}"
-                f"  (bound {BOUNDS[what]:g})",
+                f"{vehicles:8d}  {action:8s}  {native:9.1f}  {gated:8.1f}  {low:10.2f} {middle:6.2f} {high:5.2f}"
+                f"  (bound {BOUNDS[action]:g})",
                 flush=True,
             )
     return int(over)

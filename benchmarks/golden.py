@@ -71,28 +71,28 @@ def run_one(case: tuple[str, str]) -> dict[str, str]:
             source, ego=ego, out=Path(folder) / "run", memory=str(Path(folder) / "bank.sqlite"), learn="off",
             until="valid", attempts=10, seed=0, fork=True,
         )  # fmt: skip
-        told = result.outcome.document
+        document = result.outcome.document
         states = result.folder / "states.csv.gz"
         content = gzip.decompress(states.read_bytes()) if states.is_file() else b""
-    attempts = [{**{key: a[key] for key in CHOICE}, "mode": a["planner"]["mode"]} for a in told["attempts"]]
-    verdicts = [{key: a[key] for key in a.keys() - {*CHOICE, "planner"}} for a in told["attempts"]]
+    attempts = [{**{key: a[key] for key in CHOICE}, "mode": a["planner"]["mode"]} for a in document["attempts"]]
+    verdicts = [{key: a[key] for key in a.keys() - {*CHOICE, "planner"}} for a in document["attempts"]]
     return {
-        "attempts": hashed([told["ending"], attempts]), "verdicts": hashed([verdicts, told["outcome"]]),
+        "attempts": hashed([document["ending"], attempts]), "verdicts": hashed([verdicts, document["outcome"]]),
         "states": hashed(content),
     }  # fmt: skip
 
 
 def run_all(cases: list[tuple[str, str]], workers: int) -> dict[str, dict[str, str]]:
     """The hashes by run, in order; a run that fails has its error's."""
-    found: dict[str, dict[str, str]] = {}
+    hashes: dict[str, dict[str, str]] = {}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for case, future in [(case, pool.submit(run_one, case)) for case in cases]:
             name = f"{Path(case[0]).stem} {case[1]}"
             try:
-                found[name] = future.result()
+                hashes[name] = future.result()
             except Exception as error:
-                found[name] = dict.fromkeys(PARTS, f"{type(error).__name__}: {error}"[:80])
-    return found
+                hashes[name] = dict.fromkeys(PARTS, f"{type(error).__name__}: {error}"[:80])
+    return hashes
 
 
 def differences(before: Mapping[str, Mapping[str, str]], now: Mapping[str, Mapping[str, str]]) -> list[str]:

@@ -50,10 +50,10 @@ class Compared(NamedTuple):
     near: float
 
 
-def attacks(found: FoundEncounter, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
+def attacks(encounter: FoundEncounter, entries: Sequence[LibraryEntry], count: int, seed: int) -> list[Proposal]:
     """``count`` of them, over all that applies round robin, with drawn numbers."""
     draw = random.Random(seed)
-    ways = templates_of(found.situations, entries)
+    ways = templates_of(encounter.situations, entries)
     draw.shuffle(ways)
     return [ways[k % len(ways)].proposal(draw) for k in range(count)] if ways else []
 
@@ -74,24 +74,24 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         folder = File(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
         engine.request("open", make_task(source, settings, folder))
-        found = engine.request("seek", "")
-        if not isinstance(found, FoundEncounter):
-            print(f"  {source.name}: {found.reason}")
+        encounter = engine.request("seek", "")
+        if not isinstance(encounter, FoundEncounter):
+            print(f"  {source.name}: {encounter.reason}")
             return []
-        drawn = attacks(found, entries, count, seed)
+        drawn = attacks(encounter, entries, count, seed)
         if not drawn:
             print(f"  {source.name}: nothing applies")
             return []
-        predictor = Predictor(sandbox, settings, found.drivable, found.situations)
-        expected, rollouts = predictor.score(drawn), predictor.rolled(found.situations, drawn)
-        runner = AttemptRunner(engine, sandbox, found, seed)
+        predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
+        expected, rollouts = predictor.score(drawn), predictor.rolled(encounter.situations, drawn)
+        runner = AttemptRunner(engine, sandbox, encounter, seed)
         came = [result for proposal in drawn for result in runner.attempt([proposal])]
     rows = []
     for k, (proposal, result) in enumerate(zip(expected, came, strict=True)):
-        course = observed_motion(result, found, proposal.delay, settings)
+        course = observed_motion(result, encounter, proposal.delay, settings)
         if course is None or result.verdict is None:
             continue
-        path = found.situations[proposal.delay].baseline.path
+        path = encounter.situations[proposal.delay].baseline.path
         near = seconds_near(rollouts, k, course, path, settings.step_length)
         collides = proposal.prediction is not None and proposal.prediction.hit
         counts = proposal.score < SearchSettings().avoidable
@@ -105,7 +105,7 @@ def line(name: str, rows: Sequence[Compared]) -> str:
     if not rows:
         return f"  {name:34s} {0:6d}"
     near = sorted(r.near for r in rows)
-    touch, valid = (sum(getattr(r, what) for r in rows) / len(rows) for what in ("touch", "valid"))
+    touch, valid = (sum(getattr(r, field) for r in rows) / len(rows) for field in ("touch", "valid"))
     spread = f"{near[0]:8.1f} {statistics.mean(near):8.1f} {near[-1]:8.1f}"
     return f"  {name:34s} {len(rows):6d} {touch:8.2f} {valid:8.2f} {spread}"
 

@@ -74,23 +74,25 @@ def measure(spec: SimulationSpec, windows: int) -> dict[str, list[float]]:
     library = Simulation(spec)
     (ours, first), (stock, second) = connected(spec), connected(spec)
     remote = Remote(ours)
-    found: dict[str, list[float]] = {n: [] for n in ("libsumo read", "our read", "our step", "stock step", "stock all")}
+    samples: dict[str, list[float]] = {
+        n: [] for n in ("libsumo read", "our read", "our step", "stock step", "stock all")
+    }
     for step in (library.step, remote.step, stock.simulationStep):
         for _ in range(WARM_UP):
             step()
     for _ in range(windows):
-        timed(found["libsumo read"], library.read, library.step)
-        timed(found["our read"], remote.read, remote.step)
-        timed(found["our step"], remote.step)
-        timed(found["stock step"], stock.simulationStep)
+        timed(samples["libsumo read"], library.read, library.step)
+        timed(samples["our read"], remote.read, remote.step)
+        timed(samples["our step"], remote.step)
+        timed(samples["stock step"], stock.simulationStep)
         stock.simulation.subscribeContext("", constants.CMD_GET_VEHICLE_VARIABLE, -1, list(STATE))
-        timed(found["stock all"], stock.simulationStep)
+        timed(samples["stock all"], stock.simulationStep)
         stock.simulation.unsubscribeContext("", constants.CMD_GET_VEHICLE_VARIABLE, -1)
     library.close()
     for connection, process in ((ours, first), (stock, second)):
         connection.close(wait=False)
         process.wait()
-    return found
+    return samples
 
 
 def main() -> int:

@@ -36,8 +36,8 @@ ROWS = 5000
 
 def script_seconds(visit: Visit, session: Any) -> float:
     """Seconds that Chromium has spent in the page's script."""
-    found = session.send("Performance.getMetrics")["metrics"]
-    return float(next(m["value"] for m in found if m["name"] == "ScriptDuration"))
+    metrics = session.send("Performance.getMetrics")["metrics"]
+    return float(next(m["value"] for m in metrics if m["name"] == "ScriptDuration"))
 
 
 def play(browser: Any, file: Path, follow: bool) -> None:
@@ -65,6 +65,9 @@ def rows(count: int) -> list[dict[str, Any]]:
         {
             "id": f"{k:016x}", "network": f"network{k % 25}", "ego": ("idm", "careful")[k % 2], "seed": k % 100,
             "intent": f"intent {k % 7}", "ending": "critical", "failure": "" if k % 50 else "It failed.",
+            "level": ("serious" if k % 2 == 0 else "collision") if k % 37 == 0 else "none",
+            "severity": "" if k % 37 else "minor", "relation": "neighbour", "road": "motorway",
+            "preventable_by": "" if k % 74 else "cc_human", "delta_v": None if k % 37 else 2.5,
             "raw_min_ttc": None if k % 3 else k % 11 / 1.7, "min_ttc": k % 37 / 9, "collided": k % 37 == 0,
             "valid": (k % 2 == 0) if k % 37 == 0 else None, "critical": k % 37 < 10, "attempts": k % 25,
             "seconds": k % 13 / 3,
@@ -108,9 +111,9 @@ def main() -> None:
     """All of it."""
     vehicles, frames = (int(a) for a in (sys.argv[1:3] or ("100", "900")))
     with tempfile.TemporaryDirectory() as scratch, chromium() as browser:
-        told = outcome(trigger_time=frames / 10 - 5.0, encounter=None)
-        told["trigger_time"] = 60.0
-        run = make_run(Path(scratch) / "run", vehicles=vehicles, frames=frames, told=told)
+        document = outcome(trigger_time=frames / 10 - 5.0, encounter=None)
+        document["trigger_time"] = 60.0
+        run = make_run(Path(scratch) / "run", vehicles=vehicles, frames=frames, told=document)
         file = run / "report.html"
         began = perf_counter()
         file.write_text(make_page(run), encoding="utf-8")

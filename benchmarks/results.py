@@ -168,14 +168,16 @@ def main() -> None:
             print(f"{table.name}: left as it is; --records DIR measures it.", file=sys.stderr)
             continue
         spec = given.suite or (f"womd:{given.records}" if table.suite == RECORDS else table.suite)
-        asked = replace(table, egos=given.ego.split(",")) if given.ego else table
+        measured = replace(table, egos=given.ego.split(",")) if given.ego else table
         workers = ["--workers", str(given.workers)] if given.workers else []
         cells = folder / table.name
-        _run([*command(asked, made_suite(spec, folder), attempts), *workers, "--out", str(cells)])
+        _run([*command(measured, made_suite(spec, folder), attempts), *workers, "--out", str(cells)])
         shown = given.suite or {RECORDS: "womd:RECORDS"}.get(table.suite, table.suite.replace(FRESH, "suites/fresh-"))
-        typed = shlex.join(["sumo-adv", *command(asked, shown, attempts)])
+        typed = shlex.join(["sumo-adv", *command(measured, shown, attempts)])
         about = f"Revision {name}, seed 0, no language model.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
-        text = put(page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(asked, cells / 'table.csv')}")
+        text = put(
+            page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"
+        )
         page.write_text(text, encoding="utf-8")
         print(f"{table.name}: written to {page}", file=sys.stderr)
 

@@ -75,8 +75,8 @@ def hit_time(bank: MemoryBank) -> float:
     road, limits = PathRow(line), Limits()
 
     def hit(i: int) -> float:
-        found = bank.retrieve(f"Sudden stop {i}", "The lead car brakes hard and unexpectedly.")
-        planner = bank.planners(str(found.hit))[0]
+        retrieved = bank.retrieve(f"Sudden stop {i}", "The lead car brakes hard and unexpectedly.")
+        planner = bank.planners(str(retrieved.hit))[0]
         with sandbox.session(planner, {"bv": probe.road}) as session:
             end = session.endpoint("bv", probe.bv, probe.ego, planner.defaults(), 0.0, 8.0)
         motion = start(Scalar, 18.0, 0.0, 0.0, float(probe.bv["speed"]), 0.0)
@@ -98,7 +98,7 @@ def reopen(path: Path) -> None:
 def main() -> int:
     """Print a line a figure; 1 if one is over its bound."""
     rows: list[tuple[str, float, float | None]] = []
-    asked = "A vehicle ahead of us stops suddenly on the bridge, and the tram follows."
+    query = "A vehicle ahead of us stops suddenly on the bridge, and the tram follows."
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "many.sqlite"
         with MemoryBank.open(path) as bank:
@@ -106,13 +106,13 @@ def main() -> int:
         with MemoryBank.open(SHIPPED, read_only=True) as bank:
             count = len(bank.intents())
             rows.append(
-                (f"retrieve by words, {count} intents", median(lambda i: bank.retrieve(f"{i}", asked), 200), 1.0)
+                (f"retrieve by words, {count} intents", median(lambda i: bank.retrieve(f"{i}", query), 200), 1.0)
             )
             rows.append((f"whole memory hit, {count} intents", hit_time(bank), None))
         rows.append((f"open, {count} intents", median(lambda i: reopen(SHIPPED), 15), None))
         with MemoryBank.open(path) as bank:
             labels = [record.label for record in bank.intents()]
-            rows.append((f"retrieve by words, {MANY} intents", median(lambda i: bank.retrieve("x", asked), 200), 1.0))
+            rows.append((f"retrieve by words, {MANY} intents", median(lambda i: bank.retrieve("x", query), 200), 1.0))
             rows.append(
                 (f"retrieve a known label, {MANY} intents", median(lambda i: bank.retrieve(labels[i]), 200), 1.0)
             )

@@ -79,11 +79,11 @@ def row_of(folder: Path, egos: Iterable[str]) -> dict[str, Any] | None:
             trigger=episode.found.time,
         )  # fmt: skip
         try:
-            other = played(replace(recorded, settings=settings, task=task, proposal=proposal, skips=0))
+            repeated = played(replace(recorded, settings=settings, task=task, proposal=proposal, skips=0))
         except SumoAdvError:
-            other = None
-        same = other is not None and other.best is not None
-        row["egos"][ego] = (not other.best.verdict.collided) if same and other and other.best else None
+            repeated = None
+        same = repeated is not None and repeated.best is not None
+        row["egos"][ego] = (not repeated.best.verdict.collided) if same and repeated and repeated.best else None
     return row
 
 
@@ -93,17 +93,17 @@ def main() -> None:
     parser.add_argument("folders", nargs="*", type=Path)
     parser.add_argument("--egos", default=EGOS)
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
-    if not asked.folders:
+    args = parser.parse_args()
+    if not args.folders:
         print("Give folders of runs; without them there is nothing to do.")
         return
-    egos = [name for name in asked.egos.split(",") if name]
+    egos = [name for name in args.egos.split(",") if name]
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        found = [r for r in pool.map(lambda f: row_of(f, egos), run_folders(asked.folders)) if r is not None]
-    if asked.out:
-        asked.out.write_text(json.dumps(found, indent=1))
-    print(f"{len(found)} collisions")
-    both = [r for r in found if r["kinematic"] and r["simulated"]]
+        rows = [r for r in pool.map(lambda f: row_of(f, egos), run_folders(args.folders)) if r is not None]
+    if args.out:
+        args.out.write_text(json.dumps(rows, indent=1))
+    print(f"{len(rows)} collisions")
+    both = [r for r in rows if r["kinematic"] and r["simulated"]]
     for name in ("cc_human", "manoeuvre", "reg157", "rss", "fsm"):
         pairs = [(r["kinematic"][name], r["simulated"][name]) for r in both if r["kinematic"][name] != "not_applicable"]
         agree = sum(a == b for a, b in pairs)
@@ -112,8 +112,8 @@ def main() -> None:
     agree = sum(r["kinematic_level"] == r["level"] for r in both)
     print(f"level      agree in {agree} of {len(both)}")
     for ego in egos:
-        said = [r["egos"][ego] for r in found if r["egos"][ego] is not None]
-        print(f"{ego:10s} avoids the same motion in {sum(said)} of {len(said)}")
+        avoided = [r["egos"][ego] for r in rows if r["egos"][ego] is not None]
+        print(f"{ego:10s} avoids the same motion in {sum(avoided)} of {len(avoided)}")
 
 
 if __name__ == "__main__":

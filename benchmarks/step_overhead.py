@@ -99,11 +99,11 @@ class Bench(Worker):
         self._at_trigger()
 
 
-def _local(found: FoundEncounter, proposal: Proposal) -> Callable[[PlannerObservation], Any]:
+def _local(encounter: FoundEncounter, proposal: Proposal) -> Callable[[PlannerObservation], Any]:
     """The planner as a plain function of this process."""
     space: dict[str, Any] = {}
     exec(HELPERS_CODE + proposal.planner.source, space)
-    situation = found.situations[proposal.delay]
+    situation = encounter.situations[proposal.delay]
     road, planner = road_of(situation, proposal.bv), space["endpoint"]
 
     def ask(observation: PlannerObservation) -> Any:
@@ -190,10 +190,10 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
         routes = Path(folder) / "traffic.rou.xml"
         traffic(routes, case.vehicles)
         engine.request("open", case.task(routes, steps))
-        found = engine.request("seek")
-        if not isinstance(found, FoundEncounter):
-            raise SystemExit(f"The benchmark's own encounter was not found: {found.reason}")
-        with Sessions(sandbox, Roads(found.situations), [proposal], 0) as sessions:
+        encounter = engine.request("seek")
+        if not isinstance(encounter, FoundEncounter):
+            raise SystemExit(f"The benchmark's own encounter was not found: {encounter.reason}")
+        with Sessions(sandbox, Roads(encounter.situations), [proposal], 0) as sessions:
 
             def window() -> tuple[float, int, int, str]:
                 remote = case.planner == "sandbox"
@@ -217,12 +217,12 @@ def _proposal(planner: Planner, ram: float) -> Proposal:
 
 def cases(vehicles: Sequence[int]) -> list[Case]:
     """The bounded rows first."""
-    found = [Case(n, "base", "idm", "local") for n in vehicles]
+    rows = [Case(n, "base", "idm", "local") for n in vehicles]
     for n in vehicles:
-        found += [
+        rows += [
             Case(n, "base", "idm", "sandbox"), Case(n, "base", "careful", "local"), Case(n, "duration", "idm", "local"),
         ]  # fmt: skip
-    return found
+    return rows
 
 
 def main() -> int:

@@ -65,9 +65,9 @@ def main() -> int:
     """Print a line a figure; 1 if one is over its bound."""
     generator = np.random.default_rng(0)
     x, y, heading, speed = generator.uniform(-50, 50, (4, 100, 91))
-    many = Boxes(x, y, heading, speed, 5.0, 2.0)
+    vehicles = Boxes(x, y, heading, speed, 5.0, 2.0)
     x, y, heading, speed = generator.uniform(-50, 50, (4, 91))
-    one = Boxes(x, y, heading, speed, 5.0, 2.0)
+    vehicle = Boxes(x, y, heading, speed, 5.0, 2.0)
     ego, adversary = track("ego", 15 * TIME, 0 * TIME, 15.0), cut_in(9.0, 50.0, 5.0)
     others = [track(f"b{i}", 20 * i - 50 + 14 * TIME, 0 * TIME - 3.2 * (i % 3 + 1) - 1, 14.0) for i in range(10)]
 
@@ -84,7 +84,7 @@ def main() -> int:
     wide = rollouts([cut_in(9.0 + i / 25, 3.0 + i / 2, 1.5 + i / 40) for i in range(150)])
     encounters = Encounters(rollouts([ego] * 150), wide, np.full(150, 10), np.full(150, 80), DT)
     figures = (
-        ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(one, many)),
+        ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(vehicle, vehicles)),
         (
             "gate verdict, 120 steps, 10 others",
             5.0,

@@ -46,9 +46,9 @@ def main() -> int:
         return 0
     files = sorted(args.folder.rglob("*.tfrecord*"))
     with ProcessPoolExecutor(args.workers) as pool:
-        found = list(pool.map(_convert, files, [[] if args.no_traffic else args.seeds] * len(files)))
-    reports = [r for of_file, _ in found for r in of_file]
-    failed = [sentence for _, of_file in found for sentence in of_file]
+        converted = list(pool.map(_convert, files, [[] if args.no_traffic else args.seeds] * len(files)))
+    reports = [r for of_file, _ in converted for r in of_file]
+    failed = [sentence for _, of_file in converted for sentence in of_file]
     for sentence in failed:
         print(f"FAILED {sentence}")
     if args.json:

@@ -49,11 +49,11 @@ def main() -> int:
             except SumoAdvError as error:
                 print(f"FAILED {record.scenario_id}: {error}")
                 total["failed"] += 1
-    for where in ("on the road", "anywhere"):
-        count = total[where]
-        before, after = (total[f"{where}, outside {area}"] for area in ("lanes", "ground"))
+    for place in ("on the road", "anywhere"):
+        count = total[place]
+        before, after = (total[f"{place}, outside {area}"] for area in ("lanes", "ground"))
         print(
-            f"{where}: {count} moving vehicles, outside the lanes {before} ({before / max(count, 1):.1%}), "
+            f"{place}: {count} moving vehicles, outside the lanes {before} ({before / max(count, 1):.1%}), "
             f"outside the area {after} ({after / max(count, 1):.1%})"
         )
     left = total["on the road, outside ground"]
@@ -68,22 +68,22 @@ def judged(record: Record) -> Counter[str]:
         road = read_network(convert_network(record, Path(folder)).path)
     areas = {"lanes": replace(road, ground=None).drivable(0.0, 0.0, 1e6), "ground": road.drivable(0.0, 0.0, 1e6)}
     middle = union_all([LineString(lane.points[:, :2]) for lane in record.lanes.values() if len(lane.points) > 1])
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for track in record.tracks:
         moving = track.valid & (np.hypot(track.vx, track.vy) > MOVING)
         if TRACK_KINDS[track.kind] != "vehicle" or not moving.any():
             continue
         near: Bools = np.asarray(dwithin(points(np.column_stack([track.x, track.y])), middle, ON_ROAD))
         out = {name: off_road(_boxes(track), moving, area) for name, area in areas.items()}
-        for where, judged_steps in {"anywhere": moving, "on the road": moving & near}.items():
-            found[where] += bool(judged_steps.any())
+        for place, judged_steps in {"anywhere": moving, "on the road": moving & near}.items():
+            counts[place] += bool(judged_steps.any())
             for name, outside in out.items():
-                found[f"{where}, outside {name}"] += bool((outside & judged_steps).any())
+                counts[f"{place}, outside {name}"] += bool((outside & judged_steps).any())
         if (out["ground"] & near).any():
             print(
                 f"{record.scenario_id}: vehicle {track.id} leaves in {(out['ground'] & near).sum()} steps", flush=True
             )
-    return found
+    return counts
 
 
 def _boxes(track: ObjectTrack) -> Boxes:

@@ -114,14 +114,14 @@ def checked(name: str, scenario: Path, record: Record) -> bool:
         k = np.rint(track.time / STEP).astype(int)
         vehicles += 1
         worst = max(worst, float(np.hypot(track.x - source.x[k], track.y - source.y[k]).max()))
-    ours = least_ttc(on_grid([tracks[ego]], grid), on_grid([t for t in tracks.values() if t.id != ego], grid))
-    theirs = least_ttc(boxes(record, steps, [record.sdc]), boxes(record, steps, [
+    replayed_ttc = least_ttc(on_grid([tracks[ego]], grid), on_grid([t for t in tracks.values() if t.id != ego], grid))
+    recorded_ttc = least_ttc(boxes(record, steps, [record.sdc]), boxes(record, steps, [
         i for i in range(len(record.tracks)) if i != record.sdc]))  # fmt: skip
-    off = abs(min(ours, NEVER) - min(theirs, NEVER))
+    off = abs(min(replayed_ttc, NEVER) - min(recorded_ttc, NEVER))
     good = worst <= MOST_OFF and off <= MOST_TTC_OFF
     print(
-        f"{name:17s} {vehicles:4d} vehicles, worst centre {worst:.4f} m; min TTC {ours:6.3f} s in SUMO, "
-        f"{theirs:6.3f} s in the record{'' if good else '   BROKEN'}", flush=True,
+        f"{name:17s} {vehicles:4d} vehicles, worst centre {worst:.4f} m; min TTC {replayed_ttc:6.3f} s in SUMO, "
+        f"{recorded_ttc:6.3f} s in the record{'' if good else '   BROKEN'}", flush=True,
     )  # fmt: skip
     return good
 
@@ -182,8 +182,8 @@ def run(
     done = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "200"})
     seconds = time.perf_counter() - began
     outcome = json.loads((folder / "outcome.json").read_text()) if (folder / "outcome.json").is_file() else {}
-    wanted = RUN_FILES if outcome.get("attempts") else ("outcome.json", "manifest.json")
-    missing = tuple(n for n in wanted if not (folder / n).is_file())
+    expected = RUN_FILES if outcome.get("attempts") else ("outcome.json", "manifest.json")
+    missing = tuple(n for n in expected if not (folder / n).is_file())
     return Run(name, suite, ego, done.returncode, seconds, outcome, missing, done.stderr.strip()[-300:])
 
 

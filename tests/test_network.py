@@ -120,9 +120,9 @@ def test_every_way_of_every_network_is_connected(name: str) -> None:
 def test_lanes_beside_are_lane_widths_away(
     network: str, lane: str, y: float, expected: list[tuple[float, str]]
 ) -> None:
-    found = road(network).side_offsets(lane, 400.0, y, 0.0)
-    assert [k for _, k in found] == [k for _, k in expected]
-    assert [o for o, _ in found] == pytest.approx([o for o, _ in expected])
+    side_offsets = road(network).side_offsets(lane, 400.0, y, 0.0)
+    assert [k for _, k in side_offsets] == [k for _, k in expected]
+    assert [o for o, _ in side_offsets] == pytest.approx([o for o, _ in expected])
 
 
 def test_nothing_is_beside_inside_a_junction_or_off_the_road() -> None:

@@ -43,11 +43,11 @@ def build_module() -> ModuleType:
 
 def lanes(path: Path) -> dict[str, tuple[float, float, list[tuple[float, float]]]]:
     """Lane id -> width, speed, points."""
-    found = {}
+    by_id = {}
     for lane in ElementTree.parse(path).iter("lane"):
         points = [(float(x), float(y)) for x, y in (pair.split(",")[:2] for pair in lane.attrib["shape"].split())]
-        found[lane.attrib["id"]] = (float(lane.attrib["width"]), float(lane.attrib["speed"]), points)
-    return found
+        by_id[lane.attrib["id"]] = (float(lane.attrib["width"]), float(lane.attrib["speed"]), points)
+    return by_id
 
 
 def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> float:
@@ -95,9 +95,9 @@ def test_a_rebuilt_network_is_the_same_byte_for_byte(name: str, tmp_path: Path) 
     ],
 )
 def test_oncoming_traffic_is_one_lane_width_away(name: str, ours: str, theirs: str) -> None:
-    found = lanes(data_folder("networks") / f"{name}.net.xml")
-    line = found[theirs][2]
-    for point in found[ours][2][1:-1] or found[ours][2]:
+    by_id = lanes(data_folder("networks") / f"{name}.net.xml")
+    line = by_id[theirs][2]
+    for point in by_id[ours][2][1:-1] or by_id[ours][2]:
         assert distance(point, line) == pytest.approx(3.2, abs=0.02)
 
 
@@ -127,11 +127,11 @@ def test_a_scenario_is_calm_unattacked_and_its_pair_is_there(path: Path, sumo: M
     ego_speed = 0.0
     for _ in range(round((moment + 12.0) * 10)):
         sumo.simulationStep()
-        now = round(sumo.simulation.getTime(), 1)
+        time = round(sumo.simulation.getTime(), 1)
         assert sumo.simulation.getCollidingVehiclesNumber() == 0
         for vehicle in sumo.vehicle.getIDList():
-            present.setdefault(vehicle, set()).add(now)
-        if now == moment:
+            present.setdefault(vehicle, set()).add(time)
+        if time == moment:
             ego_speed = sumo.vehicle.getSpeed("ego")
     assert ego_speed > 8.0
     throughout = [vehicle for vehicle, times in present.items() if {moment, round(moment + 12.0, 1)} <= times]

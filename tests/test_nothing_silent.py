@@ -32,13 +32,13 @@ def refused(program: Program, *options: str) -> str:
 
 
 def test_a_batch_with_a_misspelt_input_runs_nothing(program: Program) -> None:
-    said = refused(program, "batch", "motorway_cut_in_left", "motorway_cut_in_lefd", "--out", "out")
-    assert "There is no file motorway_cut_in_lefd" in said and "the nearest is 'motorway_cut_in_left'" in said
+    message = refused(program, "batch", "motorway_cut_in_left", "motorway_cut_in_lefd", "--out", "out")
+    assert "There is no file motorway_cut_in_lefd" in message and "the nearest is 'motorway_cut_in_left'" in message
 
 
 def test_a_batch_with_a_misspelt_ego_or_record_runs_nothing(program: Program) -> None:
-    said = refused(program, "batch", "motorway", "--egos", "idm,carefull", "--out", "out")
-    assert "There is no ego 'carefull'; the nearest is 'careful'" in said
+    message = refused(program, "batch", "motorway", "--egos", "idm,carefull", "--out", "out")
+    assert "There is no ego 'carefull'; the nearest is 'careful'" in message
     assert "No record '3' that can be read is in the inputs" in refused(program, "batch", "motorway", "--records", "3")
 
 
@@ -89,9 +89,9 @@ def test_a_density_beside_own_traffic_is_refused(program: Program, configuration
     ],
 )
 def test_an_unknown_setting_names_the_nearest_one(given: dict[str, object], says: str) -> None:
-    with pytest.raises(UsageError) as told:
+    with pytest.raises(UsageError) as raised:
         load_settings(None, **given)
-    assert str(told.value) == says
+    assert str(raised.value) == says
 
 
 def test_the_nearest_name_is_found_in_any_case() -> None:

@@ -75,11 +75,11 @@ def test_adversaries_that_touch_each_other_are_named_and_the_attempt_goes_on(dri
 
 
 def test_controllers_plan_every_so_many_steps_and_lead_where_no_pose_is_given(drive: Drive) -> None:
-    mine, other = AtTwenty(fails_at=0.4), AtTwenty()
-    attempt = OngoingAttempt(drive, {"leader": other, "beside": mine}, steps=50, replan=2)
+    beside, leader = AtTwenty(fails_at=0.4), AtTwenty()
+    attempt = OngoingAttempt(drive, {"leader": leader, "beside": beside}, steps=50, replan=2)
     states = [attempt.step(Command(STANDS, STEADY)) for _ in range(5)]
-    assert mine.planned == [(0.0, 97.5), (0.2, pytest.approx(100.9)), (0.4, pytest.approx(104.3))]
-    assert other.planned == []  # the caller moves it
+    assert beside.planned == [(0.0, 97.5), (0.2, pytest.approx(100.9)), (0.4, pytest.approx(104.3))]
+    assert leader.planned == []  # the caller moves it
     assert drive.state("beside").x == pytest.approx(147.5 + 4 * 2.0)
     assert [s.steps for s in states] == [1, 2, 3, 4, 4]
     driven = states[-1].driven

@@ -104,17 +104,17 @@ def test_all_are_where_and_when_the_log_says(tmp_path: Path) -> None:
 
 def test_a_driver_can_ask_for_the_way_of_whoever_is_seen_for_the_last_time(tmp_path: Path) -> None:
     """The log has no 4.0 s of "gap": in the step from 3.9 s on the driver still sees it, and then it is gone."""
-    asked: dict[float, set[str]] = {}
+    routed: dict[float, set[str]] = {}
 
     def observe(me: VehicleState, near: Sequence[str]) -> Observation:
-        asked[drive.now] = {name for name in near if drive.simulation.route(name)[0]}
+        routed[drive.now] = {name for name in near if drive.simulation.route(name)[0]}
         return Observation(drive.now, 0.1, me, ())
 
     with playing(tmp_path, [EGO, LEADER, UNSEEN], CarefulEgo()) as drive:
         drive.observe = observe
         go(drive, 4.2)
-        assert "gap" in asked[3.9]
-        assert "gap" not in asked[4.0]
+        assert "gap" in routed[3.9]
+        assert "gap" not in routed[4.0]
 
 
 def test_the_driver_begins_when_the_warm_up_is_over(tmp_path: Path) -> None:
@@ -232,9 +232,9 @@ def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_oth
         settings = load_settings(None, ego=ego, background=background)
         with Engine(body) as engine:
             engine.request("open", make_task(given, settings, tmp_path))
-            found = engine.request("seek", "")
-        assert isinstance(found, FoundEncounter)
-        for s in found.situations.values():
+            encounter = engine.request("seek", "")
+        assert isinstance(encounter, FoundEncounter)
+        for s in encounter.situations.values():
             ends = (ego, background) != ("idm", "sumo")
             assert s.left == (pytest.approx((9.0 - s.time) / 0.1) if ends else np.inf)
             assert s.traffic.reacting is (background == "sumo")

@@ -193,10 +193,10 @@ def test_the_prompt_with_and_without_evidence(prompts: Prompts) -> None:
 def test_without_evidence_there_is_no_heading(prompts: Prompts) -> None:
     scene, aliases = situation([neighbour()]), Aliases.of(situation([neighbour()]))
     assert evidence_words([], aliases, [SHIFT], {"Straight Lane Shift": "2 times tried"}) == ""
-    asked = analyzer_prompt(
+    prompt = analyzer_prompt(
         prompts, {0.0: scene}, [SHIFT], LIMITS, lambda known: evidence_words([], known, [SHIFT], {})
     )
-    assert asked == analyzer_prompt(prompts, {0.0: scene}, [SHIFT], LIMITS)
+    assert prompt == analyzer_prompt(prompts, {0.0: scene}, [SHIFT], LIMITS)
 
 
 def test_a_danger_is_told_with_the_numbers_of_the_careful_driver(prompts: Prompts) -> None:

@@ -13,16 +13,16 @@ EGO = Boxes(*(np.array(v) for v in (0.0, 0.0, 0.0, 15.0)), 4.8, 1.8)
 
 
 def levels(x: float, y: float, speed: float, heading: float = 0.0) -> dict[ErrorKind, int]:
-    other = Boxes(*(np.array([v]) for v in (x, y, heading, speed)), np.array([4.8]), np.array([1.8]))
-    return {kind: int(level) for kind, level in zip(KINDS, danger(EGO, other)[0], strict=True)}
+    neighbour = Boxes(*(np.array([v]) for v in (x, y, heading, speed)), np.array([4.8]), np.array([1.8]))
+    return {kind: int(level) for kind, level in zip(KINDS, danger(EGO, neighbour)[0], strict=True)}
 
 
 def test_a_vehicle_beside_the_ego() -> None:
     """3.5 m to the left there are 1.7 m between the boxes. Both errors to the right close them."""
-    found = levels(0.0, 3.5, 15.0)
-    assert found[ErrorKind.INATTENTION] == 0
-    assert found[ErrorKind.DRIFT_RIGHT] == found[ErrorKind.CHANGE_RIGHT] == 3
-    assert found[ErrorKind.DRIFT_LEFT] == found[ErrorKind.CHANGE_LEFT] == 0
+    dangers = levels(0.0, 3.5, 15.0)
+    assert dangers[ErrorKind.INATTENTION] == 0
+    assert dangers[ErrorKind.DRIFT_RIGHT] == dangers[ErrorKind.CHANGE_RIGHT] == 3
+    assert dangers[ErrorKind.DRIFT_LEFT] == dangers[ErrorKind.CHANGE_LEFT] == 0
     assert levels(0.0, -3.5, 15.0)[ErrorKind.DRIFT_LEFT] == 3
 
 

@@ -13,13 +13,15 @@ from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Decisions, Proposal, lea
 def test_equal_weights_give_the_exact_interval_of_a_count() -> None:
     weights = np.zeros(1000)
     weights[:10] = 1.0
-    found = rate(weights, np.full(1000, 0.5))  # 10 crashes in 500 h
-    assert found.value == pytest.approx(0.02)
-    assert found.low == pytest.approx(4.7954 / 500, rel=1e-4)  # Garwood's limits of a count of 10: 4.7954 and 18.3904
-    assert found.high == pytest.approx(18.3904 / 500, rel=1e-4)
-    assert found.half_width == pytest.approx((18.3904 - 4.7954) / 20, rel=1e-4)
-    assert (found.crashes, found.effective, found.largest_share) == (10, pytest.approx(10), pytest.approx(0.1))
-    assert found.plain_runs == pytest.approx(1000)
+    crash_rate = rate(weights, np.full(1000, 0.5))  # 10 crashes in 500 h
+    assert crash_rate.value == pytest.approx(0.02)
+    # Garwood's limits of a count of 10: 4.7954 and 18.3904
+    assert crash_rate.low == pytest.approx(4.7954 / 500, rel=1e-4)
+    assert crash_rate.high == pytest.approx(18.3904 / 500, rel=1e-4)
+    assert crash_rate.half_width == pytest.approx((18.3904 - 4.7954) / 20, rel=1e-4)
+    assert crash_rate.crashes == 10
+    assert (crash_rate.effective, crash_rate.largest_share) == (pytest.approx(10), pytest.approx(0.1))
+    assert crash_rate.plain_runs == pytest.approx(1000)
 
 
 def test_no_crash_leaves_an_upper_limit_by_the_largest_possible_weight() -> None:
@@ -32,12 +34,12 @@ def test_no_crash_leaves_an_upper_limit_by_the_largest_possible_weight() -> None
 def test_uneven_weights_count_for_less() -> None:
     weights = np.zeros(100)
     weights[:2] = 0.5, 0.1
-    found = rate(weights, np.ones(100))
-    assert found.value == pytest.approx(0.006)
-    assert found.effective == pytest.approx(0.36 / 0.26)
-    assert found.largest_share == pytest.approx(0.5 / 0.6)
-    assert found.plain_runs == pytest.approx(100 * 0.6 / 0.26)
-    assert 0.0 < found.low < 0.006 < found.high
+    crash_rate = rate(weights, np.ones(100))
+    assert crash_rate.value == pytest.approx(0.006)
+    assert crash_rate.effective == pytest.approx(0.36 / 0.26)
+    assert crash_rate.largest_share == pytest.approx(0.5 / 0.6)
+    assert crash_rate.plain_runs == pytest.approx(100 * 0.6 / 0.26)
+    assert 0.0 < crash_rate.low < 0.006 < crash_rate.high
     assert effective_runs(np.array([1.0, 1.0, 2.0])) == pytest.approx(16 / 6)
 
 
@@ -61,8 +63,8 @@ def test_uneven_exposure_widens_the_interval_and_the_unit_does_not_matter() -> N
 
 
 def test_nothing_driven_says_nothing() -> None:
-    found = rate(np.zeros(3), np.zeros(3))
-    assert np.isnan(found.value) and found.high == np.inf
+    crash_rate = rate(np.zeros(3), np.zeros(3))
+    assert np.isnan(crash_rate.value) and crash_rate.high == np.inf
 
 
 # -- a world without SUMO, with a known rate -----------------------------------------------------------------------
@@ -100,16 +102,16 @@ def estimate(seed: int, runs: int) -> Floats:
 def test_the_interval_covers_a_known_rate_with_a_hundredth_of_the_runs() -> None:
     """Plain Monte Carlo needs (1.96/0.3)^2 / 3e-4, some 142 000 runs, for a half-width of 30 %."""
     assert pytest.approx(3e-4, rel=1e-3) == EXACT
-    found = [rate(estimate(seed, RUNS), np.ones(RUNS), MOST_WEIGHT) for seed in range(100)]
-    assert sum(r.low <= EXACT <= r.high for r in found) >= 95
-    assert np.mean([r.value for r in found]) == pytest.approx(EXACT, rel=0.05)
-    assert np.median([r.half_width or np.inf for r in found]) < 0.3
-    assert np.median([(r.plain_runs or 0.0) / (RUNS + PILOT) for r in found]) > 100
+    rates = [rate(estimate(seed, RUNS), np.ones(RUNS), MOST_WEIGHT) for seed in range(100)]
+    assert sum(r.low <= EXACT <= r.high for r in rates) >= 95
+    assert np.mean([r.value for r in rates]) == pytest.approx(EXACT, rel=0.05)
+    assert np.median([r.half_width or np.inf for r in rates]) < 0.3
+    assert np.median([(r.plain_runs or 0.0) / (RUNS + PILOT) for r in rates]) > 100
 
 
 def test_plain_runs_of_the_same_world_agree() -> None:
     draw = np.random.default_rng(7)
     weights = np.array([drive(draw, None)[0] for _ in range(20_000)])
-    found = rate(weights, np.ones(20_000))
+    crash_rate = rate(weights, np.ones(20_000))
     assert set(weights) <= {0.0, 1.0}
-    assert found.low <= EXACT <= found.high
+    assert crash_rate.low <= EXACT <= crash_rate.high

@@ -43,9 +43,9 @@ def test_forced_drifts_end_in_collisions_with_small_weights_and_runs_repeat() ->
 
 def test_generated_traffic_brings_an_ego_after_the_warm_up() -> None:
     with BlockRunner(RatePlan(Path("straight_2lane"), "krauss", warm_up=5.0, duration=4.0, density=60.0)) as runner:
-        one, two = (runner.one(Block("plain", 0, None), number)[1] for number in (0, 1))
-    assert one.hours == two.hours == pytest.approx(4 / 3600)
-    assert one.km != two.km  # other traffic
+        first, second = (runner.one(Block("plain", 0, None), number)[1] for number in (0, 1))
+    assert first.hours == second.hours == pytest.approx(4 / 3600)
+    assert first.km != second.km  # other traffic
     assert len({seed_of(0, phase, n) for phase in ("pilot", "runs", "plain") for n in range(50)}) == 150
 
 
@@ -57,15 +57,15 @@ def test_rates_of_levels_from_records() -> None:
         Record(2, 0.25, 10.0, 0.25, 10.0, 0.5, True, "valid", "drift_left"),
         Record(3, 0.25, 10.0, 0.25, 10.0, 0.5, True, "none", "inattention"),
     ]  # fmt: skip
-    found = estimated(RatePlan(Path("x")), records, [calm])
-    assert {name: rate.value for name, rate in found.per_hour.items()} == {
+    estimate = estimated(RatePlan(Path("x")), records, [calm])
+    assert {name: rate.value for name, rate in estimate.per_hour.items()} == {
         "contact": 1.0, "collision": 0.5, "valid": 0.5, "strict": 0.0, "serious": 0.0
     }  # fmt: skip
-    assert found.per_km["collision"].value == pytest.approx(0.5 / 40)
-    assert found.by_error == {"drift_left": 1.0}
-    assert (found.hours, found.km) == (1.25, 50.0)
-    assert found.effective_runs == pytest.approx(9 / 2.5)
-    table = lines(found)
+    assert estimate.per_km["collision"].value == pytest.approx(0.5 / 40)
+    assert estimate.by_error == {"drift_left": 1.0}
+    assert (estimate.hours, estimate.km) == (1.25, 50.0)
+    assert estimate.effective_runs == pytest.approx(9 / 2.5)
+    table = lines(estimate)
     assert table[0].split()[:4] == ["level", "per", "1000", "h"]
     assert table[2].split()[:2] == ["collision", "500"] and table[-1] == "Errors before: drift_left 100%"
 
@@ -88,16 +88,16 @@ def test_the_command_goes_on_in_its_folder(program: Program) -> None:
 
 
 def test_from_python_it_is_the_same_estimate(tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
-    found = sumo_adv.crash_rate(
+    progress: list[tuple[str, int, int]] = []
+    estimate = sumo_adv.crash_rate(
         BESIDE, ego="idm", errors=100.0, duration=2.0, pilot=20, runs=40, workers=1, out=tmp_path / "rate",
-        tell=lambda *words: told.append(words),
+        tell=lambda *words: progress.append(words),
     )  # fmt: skip
-    assert found is not None
-    assert told == [("pilot", 1, 1), ("runs", 1, 2), ("runs", 2, 2)]
-    assert json.loads((tmp_path / "rate" / "rate.json").read_text()) == json.loads(json.dumps(found.document()))
-    assert (found.runs, found.plan.pilot) == (40, 20)
-    assert found.per_hour["contact"].crashes >= found.per_hour["collision"].crashes
+    assert estimate is not None
+    assert progress == [("pilot", 1, 1), ("runs", 1, 2), ("runs", 2, 2)]
+    assert json.loads((tmp_path / "rate" / "rate.json").read_text()) == json.loads(json.dumps(estimate.document()))
+    assert (estimate.runs, estimate.plan.pilot) == (40, 20)
+    assert estimate.per_hour["contact"].crashes >= estimate.per_hour["collision"].crashes
     with pytest.raises(UsageError, match=r"as a name \(module:Class\)"):
         sumo_adv.crash_rate(BESIDE, ego=object())  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="at least one run"):
@@ -105,7 +105,7 @@ def test_from_python_it_is_the_same_estimate(tmp_path: Path) -> None:
 
 
 def test_what_is_refused(program: Program) -> None:
-    for words, said in (
+    for words, message in (
         ((BESIDE, "--ego", "unknown"), "There is no ego 'unknown'"),
         (("nowhere.net.xml",), "There is no file nowhere.net.xml"),
         ((BESIDE, "--density", "10"), "brings its own traffic"),
@@ -113,4 +113,4 @@ def test_what_is_refused(program: Program) -> None:
     ):
         done = program("rate", *words, "--out", program.folder / "rate")
         assert (done.status, done.err.count("\n")) == (2, 1), done.err
-        assert said in done.err
+        assert message in done.err

@@ -29,11 +29,11 @@ def test_a_recorded_run_repeats(tmp_path: Path, recording: Path) -> None:
 def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None:
     """Nothing is known for a neighbour: an analysis with two new intents, for each a comparison and a planner."""
     program = Program(tmp_path, tmp_path)
-    known = (
+    labels = (
         "Close Car-following,Emergency Braking,Intersection Rush-through Go-straight,"
         "Intersection Rush-through Turn Left,Opposite Direction Intrusion"
     )
-    assert program("memory", "new", "small.sqlite", "--only", known).status == 0
+    assert program("memory", "new", "small.sqlite", "--only", labels).status == 0
     recording = ROOT / "examples" / "blind_side" / "recording.jsonl"
     done = program(
         "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "valid",

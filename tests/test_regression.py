@@ -167,17 +167,17 @@ def test_a_network_of_ones_own_is_copied_once(tmp_path: Path) -> None:
 
 
 def test_the_driver_of_the_run_meets_the_attack_as_it_was_found(program: Program, suite: Path) -> None:
-    found = json.loads((attacked() / "outcome.json").read_text())["outcome"]
+    original = json.loads((attacked() / "outcome.json").read_text())["outcome"]
     done = regress(program, suite, "--ego", "idm", "--junit", "out.xml")
     assert (done.status, done.err) == (3, "")
     assert "1 cases of suite against idm: 0 pass, 1 fail." in done.out
     (case,) = results(program.folder / "out")
-    assert (case["result"], case["level"]) == ("fail", found["level"])
+    assert (case["result"], case["level"]) == ("fail", original["level"])
     assert [case[key] for key in ("contact_time", "delta_v", "preventable_by")] == [
-        found[key] for key in ("contact_time", "delta_v", "preventable_by")
+        original[key] for key in ("contact_time", "delta_v", "preventable_by")
     ]
     again = program("run", "--replay", "out/runs/crossing", "--out", "again", "--json")
-    assert json.loads(again.out)["outcome"]["contact_time"] == found["contact_time"]
+    assert json.loads(again.out)["outcome"]["contact_time"] == original["contact_time"]
     (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
     assert test.find("failure") is not None and test.get("name") == "crossing"
 
@@ -273,9 +273,9 @@ def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path
         "not what sumo-adv regress writes": ("regress", suite, "--ego", "idm", "--baseline", "no.json"),
         "is no folder": ("keep", "nowhere", "--suite", "s"),
     }
-    for said, command in cases.items():
+    for message, command in cases.items():
         done = program(*command)
-        assert (done.status, done.err.count("\n")) == (2, 1) and said in done.err, done.err
+        assert (done.status, done.err.count("\n")) == (2, 1) and message in done.err, done.err
     assert program.leftovers() == []
 
 

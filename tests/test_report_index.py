@@ -50,12 +50,12 @@ def batch(tmp_path: Path) -> Path:
     make_run(folder / "runs" / "aaaa", vehicles=2, frames=100, pose=meeting)
     make_run(folder / "runs" / "bbbb", vehicles=3, frames=60)
     (folder / "runs" / "cccc").mkdir()
-    told = outcome(
+    document = outcome(
         ending="simulation_failed", outcome=None, intent=None, intents=[], attempts=[], best=None, adversaries=[],
         raw=None, encounter=None, trigger_time=None, agents=None, ego={"id": None, "controller": "idm"},
         failure="It broke.",
     )  # fmt: skip
-    (folder / "runs" / "cccc" / "outcome.json").write_text(json.dumps(told))
+    (folder / "runs" / "cccc" / "outcome.json").write_text(json.dumps(document))
     rows = [read_row(folder / "runs" / name) for name in ("aaaa", "bbbb", "cccc")]
     write_csv(folder / "results.csv", [r for r in rows if r is not None], ())
     return folder
@@ -78,15 +78,15 @@ def test_rows_come_back_with_their_types(batch: Path) -> None:
 def test_a_page_an_episode_and_the_second_time_none(batch: Path, program: Program) -> None:
     done = program("report", batch, "--json")
     assert done.status == 0, done.err
-    said = json.loads(done.out)
-    assert (said["episodes"], said["pages"], said["made"], said["damaged"]) == (3, 3, 3, [])
+    summary = json.loads(done.out)
+    assert (summary["episodes"], summary["pages"], summary["made"], summary["damaged"]) == (3, 3, 3, [])
     data = data_of((batch / "report" / "index.html").read_text())
     assert data["columns"]["id"] == ["aaaa", "bbbb", "cccc"] and data["page"] == [1, 1, 1]
     # the two that meet are closest at 4.8 s, when the ego, 1 m a step from x = 1 at 0.1 s, is at x = 48
     assert (data["x"][0], data["y"][0], data["map"]) == (48.0, -1.6, [0, 0, -1])
     before = changes(batch / "report" / "pages")
-    told = batch / "runs" / "bbbb" / "outcome.json"
-    told.write_text(told.read_text().replace('"seed": 7', '"seed": 8'))
+    outcome_file = batch / "runs" / "bbbb" / "outcome.json"
+    outcome_file.write_text(outcome_file.read_text().replace('"seed": 7', '"seed": 8'))
     again = json.loads(program("report", batch, "--json").out)
     assert (again["pages"], again["made"]) == (3, 1)
     after = changes(batch / "report" / "pages")
@@ -104,8 +104,8 @@ def test_some_pages_now_the_most_critical_first(batch: Path, tmp_path: Path) -> 
 def test_egos_against_outcomes_with_intervals() -> None:
     hits = [row(k, ego="idm", level=level, severity="minor", delta_v=v, failure="") for k, level, v in HITS]
     failed = row(7, ego="idm", level="", severity="", delta_v=None, failure="It broke.", ending="simulation_failed")
-    other = row(8, ego="careful", level="critical", severity="", delta_v=None, failure="")
-    careful, idm = summarise([*hits, failed, other])
+    critical = row(8, ego="careful", level="critical", severity="", delta_v=None, failure="")
+    careful, idm = summarise([*hits, failed, critical])
     assert (careful.ego, careful.episodes, idm.ego, idm.episodes) == ("careful", 1, "idm", 4)
     # critical, collision, valid, strict, serious; the failed episode is in every denominator
     assert [rate.value for rate in idm.reached] == [0.75, 0.75, 0.5, 0.25, 0.25]
@@ -118,10 +118,10 @@ def test_egos_against_outcomes_with_intervals() -> None:
 
 def test_the_report_of_a_campaign_has_its_coverage(batch: Path, program: Program) -> None:
     file = batch / "runs" / "aaaa" / "outcome.json"
-    told = json.loads(file.read_text())
-    told["encounter"] |= {"road": "urban", "ego_speed": 10.0}
-    told["attempts"][0] |= {"intent": "Straight Lane Shift", "level": "valid"}
-    file.write_text(json.dumps(told))
+    document = json.loads(file.read_text())
+    document["encounter"] |= {"road": "urban", "ego_speed": 10.0}
+    document["attempts"][0] |= {"intent": "Straight Lane Shift", "level": "valid"}
+    file.write_text(json.dumps(document))
     odd = {"roads": ["urban"], "relations": ["neighbour", "leader"], "speed": [8.0, 13.0]}
     (batch / "plan.json").write_text(json.dumps({"settings": [{"odd": odd}]}))
     done = program("report", batch)
@@ -168,14 +168,14 @@ def test_names_that_are_paths_open_nothing(batch: Path, tmp_path: Path) -> None:
 def test_packed_runs_have_pages(batch: Path, program: Program) -> None:
     pack(batch)
     assert not (batch / "runs" / "aaaa").exists()
-    said = json.loads(program("report", batch, "--json").out)
-    assert (said["pages"], said["made"]) == (3, 3) and not (batch / "runs" / "aaaa").exists()
+    summary = json.loads(program("report", batch, "--json").out)
+    assert (summary["pages"], summary["made"]) == (3, 3) and not (batch / "runs" / "aaaa").exists()
     assert data_of((batch / "report" / "index.html").read_text())["map"] == [0, 0, -1]
 
 
 def test_runs_side_by_side_without_a_table(batch: Path, program: Program) -> None:
-    said = json.loads(program("report", batch / "runs", "--json").out)
-    assert (said["episodes"], said["pages"]) == (3, 3)
+    summary = json.loads(program("report", batch / "runs", "--json").out)
+    assert (summary["episodes"], summary["pages"]) == (3, 3)
 
 
 # -- in a browser ------------------------------------------------------------------------------------------------------
@@ -218,10 +218,10 @@ def test_five_thousand_rows_sort_filter_and_scroll(browser: Any, large: Path) ->
         page.select_option("#intent", "Brake")
         page.select_option("#ego", "careful")
         page.fill("#most", "1")
-        wanted = [r for r in rows if r["intent"] == "Brake" and r["ego"] == "careful"]
-        wanted = [r for r in wanted if r["min_ttc"] is not None and r["min_ttc"] <= 1]
-        assert page.inner_text("#count").startswith(f"{len(wanted)} of {MANY} episodes shown.")
-        assert set(ids(page)) <= {r["id"] for r in wanted}
+        expected = [r for r in rows if r["intent"] == "Brake" and r["ego"] == "careful"]
+        expected = [r for r in expected if r["min_ttc"] is not None and r["min_ttc"] <= 1]
+        assert page.inner_text("#count").startswith(f"{len(expected)} of {MANY} episodes shown.")
+        assert set(ids(page)) <= {r["id"] for r in expected}
         page.click("#reset")
         page.select_option("#valid", "yes")
         assert page.inner_text("#count").startswith(f"{MANY // 20} of {MANY}")
@@ -246,9 +246,9 @@ def test_histograms_filter_and_the_map_shows_where(browser: Any, large: Path) ->
 
 
 def test_coverage_and_egos_are_shown(browser: Any, tmp_path: Path) -> None:
-    told = outcome(attempts=[attempt(0, "a", intent="Cut-in", level="valid")])
-    told["encounter"] |= {"road": "motorway", "ego_speed": 25.0}
-    covered = make_coverage([told, {**told, "ego": {"controller": HOSTILE}}], [CUT_IN_BESIDE])
+    document = outcome(attempts=[attempt(0, "a", intent="Cut-in", level="valid")])
+    document["encounter"] |= {"road": "motorway", "ego_speed": 25.0}
+    covered = make_coverage([document, {**document, "ego": {"controller": HOSTILE}}], [CUT_IN_BESIDE])
     failed = row(1, ego=HOSTILE, failure="It broke.", level="", severity="")
     file = tmp_path / "index.html"
     file.write_text(make_index("c", Table([row(0), failed]), {}, {}, covered), encoding="utf-8")

@@ -108,9 +108,9 @@ def test_nothing_may_be_loaded_and_only_our_script_may_run(tmp_path: Path) -> No
 
 def test_hostile_strings_are_data_alone(tmp_path: Path) -> None:
     names = [f"{HOSTILE}{k}" for k in range(3)]
-    told = outcome(names[0], names[1], network=HOSTILE, reason=HOSTILE, notes=[HOSTILE])
+    document = outcome(names[0], names[1], network=HOSTILE, reason=HOSTILE, notes=[HOSTILE])
     source = {"label": HOSTILE, "mode": HOSTILE, "origin": HOSTILE, "parent": None, "source": HOSTILE}
-    run = make_run(tmp_path / "run", names=names, told=told, written=manifest(planners={"a" * 64: source}))
+    run = make_run(tmp_path / "run", names=names, told=document, written=manifest(planners={"a" * 64: source}))
     html = make_page(run)
     assert "<img" not in html and "<!--" not in html and html.count("</script>") == 2 and "\u202e" not in html
     data = data_of(html)
@@ -131,9 +131,9 @@ def test_what_the_modifier_changed(tmp_path: Path) -> None:
     base = {"label": "Cut-in", "mode": "side", "origin": "seed", "parent": None, "source": "GAP = 3\nSIDE = 1\n"}
     changed = {**base, "origin": "a model", "parent": "a" * 64, "source": "GAP = 2\nSIDE = 1\n"}
     orphan = {**base, "parent": "f" * 64}
-    told = outcome(attempts=[attempt(0, "a" * 64), attempt(1, "b" * 64), attempt(2, "c" * 64)], best=1)
-    known = {"a" * 64: base, "b" * 64: changed, "c" * 64: orphan}
-    run = make_run(tmp_path / "run", told=told, written=manifest(planners=known, attempt={"planner": "b" * 64}))
+    document = outcome(attempts=[attempt(0, "a" * 64), attempt(1, "b" * 64), attempt(2, "c" * 64)], best=1)
+    planners = {"a" * 64: base, "b" * 64: changed, "c" * 64: orphan}
+    run = make_run(tmp_path / "run", told=document, written=manifest(planners=planners, attempt={"planner": "b" * 64}))
     first, second, third = data_of(make_page(run))["planners"]
     assert first["diff"] is None and third["diff"] is None
     assert second["diff"] == ["@@ -1,2 +1,2 @@", "-GAP = 3", "+GAP = 2", " SIDE = 1"]
@@ -142,11 +142,11 @@ def test_what_the_modifier_changed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["no_encounter", "simulation_failed"])
 def test_a_run_without_states_has_a_page_in_words(tmp_path: Path, ending: str) -> None:
-    told = outcome(
+    document = outcome(
         ending=ending, outcome=None, intent=None, intents=[], attempts=[], best=None, adversaries=[], raw=None,
         encounter=None, trigger_time=None, agents=None, ego={"id": None, "controller": "idm"},
     )  # fmt: skip
-    (tmp_path / "outcome.json").write_text(json.dumps(told))
+    (tmp_path / "outcome.json").write_text(json.dumps(document))
     assert data_of(make_page(tmp_path))["scene"] is None
 
 
@@ -155,14 +155,14 @@ def test_what_is_no_run_or_damaged_is_said_in_a_sentence(tmp_path: Path) -> None
         make_page(tmp_path)
     run = make_run(tmp_path / "run")
     whole_file = (run / "states.csv.gz").read_bytes()
-    for data, what in (
+    for data, problem in (
         (whole_file[:-20], "states.csv.gz is damaged"),
         (gzip.compress(b"a,b\n1,2\n"), "its columns are others"),
         (gzip.compress((HEADER + "nan,a,ego,0,0,0,0,0,1,1,\n").encode()), "not finite"),
         (gzip.compress((HEADER + "0,a,pilot,0,0,0,0,0,1,1,\n").encode()), "pilot"),
     ):
         (run / "states.csv.gz").write_bytes(data)
-        with pytest.raises(UsageError, match=what):
+        with pytest.raises(UsageError, match=problem):
             make_page(run)
     (run / "states.csv.gz").write_bytes(whole_file)
     (run / "outcome.json").write_text('{"attempts": 3}')
@@ -184,15 +184,15 @@ def real(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Path:
 
 
 def test_the_first_attempt_is_kept_where_another_counts(real: Path) -> None:
-    told = json.loads((real / "outcome.json").read_text())
+    document = json.loads((real / "outcome.json").read_text())
     first = read_states(real / "first.csv.gz")
-    assert set(first) == {told["ego"]["id"], told["attempts"][0]["adversaries"][0]}
+    assert set(first) == {document["ego"]["id"], document["attempts"][0]["adversaries"][0]}
     assert [{r["role"] for r in rows.values()} for rows in first.values()] == [{"ego"}, {"adversary"}]
-    start = told["encounter"]["time"]
-    times = sorted(first[told["ego"]["id"]])
+    start = document["encounter"]["time"]
+    times = sorted(first[document["ego"]["id"]])
     assert times[0] == pytest.approx(start - 0.1)
-    before = read_states(real / "states.csv.gz")[told["ego"]["id"]]
-    assert [first[told["ego"]["id"]][t]["x"] for t in times[:2]] == [before[t]["x"] for t in times[:2]]
+    before = read_states(real / "states.csv.gz")[document["ego"]["id"]]
+    assert [first[document["ego"]["id"]][t]["x"] for t in times[:2]] == [before[t]["x"] for t in times[:2]]
     with gzip.open(real / "first.csv.gz", "rt", encoding="utf-8") as text:
         assert ",".join(next(csv.reader(text))) + "\n" == HEADER
 
@@ -200,8 +200,8 @@ def test_the_first_attempt_is_kept_where_another_counts(real: Path) -> None:
 def test_the_command_writes_the_page(real: Path, program: Program) -> None:
     done = program("report", real, "--json")
     assert done.status == 0, done.err
-    said = json.loads(done.out)
-    assert Path(said["page"]) == real / "report.html" and said["bytes"] == (real / "report.html").stat().st_size
+    summary = json.loads(done.out)
+    assert Path(summary["page"]) == real / "report.html" and summary["bytes"] == (real / "report.html").stat().st_size
     data = data_of((real / "report.html").read_text())
     assert [a["key"] for a in data["scene"]["attempts"]] == ["best", "first", "raw"]
     assert data["outcome"] == json.loads((real / "outcome.json").read_text())

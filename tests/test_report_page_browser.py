@@ -31,12 +31,12 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of three attempts, of which the second counts; two vehicles that meet, and two others."""
-    told = outcome(attempts=[attempt(0, "a" * 64), attempt(1, "b" * 64)], best=1)
+    document = outcome(attempts=[attempt(0, "a" * 64), attempt(1, "b" * 64)], best=1)
     base = manifest()["planners"]["a" * 64]
     planners = {"a" * 64: base, "b" * 64: {**base, "parent": "a" * 64, "source": "GAP = 2\nSIDE = 1\n"}}
     written = manifest(planners=planners, attempt={"planner": "b" * 64})
     run = make_run(
-        tmp_path_factory.mktemp("page") / "run", vehicles=4, frames=80, pose=meeting, told=told, written=written
+        tmp_path_factory.mktemp("page") / "run", vehicles=4, frames=80, pose=meeting, told=document, written=written
     )
     (run / "first.csv.gz").write_bytes(states(["ego", "adversary"], range(19, 60), meeting))
     page = run / "report.html"
@@ -76,12 +76,12 @@ def test_the_scale_is_under_the_map_and_true(browser: Any, file: Path) -> None:
 
 
 def test_badges_say_level_severity_and_who_avoids_it(browser: Any, tmp_path: Path) -> None:
-    told = outcome()
-    told["outcome"] |= {
+    document = outcome()
+    document["outcome"] |= {
         "collided": True, "valid": True, "level": "serious", "severity": "moderate", "delta_v": 6.5,
         "preventable_by": ["cc_human", "fsm"], "contact_time": 4.5,
     }  # fmt: skip
-    run = make_run(tmp_path / "run", told=told)
+    run = make_run(tmp_path / "run", told=document)
     page = run / "report.html"
     page.write_text(make_page(run), encoding="utf-8")
     with Visit(browser, page) as visit:
@@ -283,13 +283,13 @@ def test_with_reduced_motion_whole_frames_are_shown(browser: Any, file: Path) ->
 
 def test_hostile_strings_are_shown_and_do_nothing(browser: Any, tmp_path: Path) -> None:
     names = [f"{HOSTILE}{k}" for k in range(3)]
-    told = outcome(
+    document = outcome(
         names[0], names[1], network=HOSTILE, reason=HOSTILE, notes=[HOSTILE],
         attempts=[attempt(0, "a" * 64, names[1], intent=HOSTILE, message=HOSTILE, failed_gates=[HOSTILE])],
     )  # fmt: skip
-    told["intents"][0] |= {"label": HOSTILE, "reason": HOSTILE, "risk": HOSTILE, "description": HOSTILE}
+    document["intents"][0] |= {"label": HOSTILE, "reason": HOSTILE, "risk": HOSTILE, "description": HOSTILE}
     source = {"label": HOSTILE, "mode": HOSTILE, "origin": HOSTILE, "parent": None, "source": HOSTILE}
-    run = make_run(tmp_path / "run", names=names, told=told, written=manifest(planners={"a" * 64: source}))
+    run = make_run(tmp_path / "run", names=names, told=document, written=manifest(planners={"a" * 64: source}))
     page = run / "report.html"
     page.write_text(make_page(run), encoding="utf-8")
     with Visit(browser, page) as visit:
@@ -315,11 +315,11 @@ def test_it_works_inside_another_page_as_notebooks_show_it(browser: Any, file: P
 
 
 def test_a_run_without_states_is_told_in_words(browser: Any, tmp_path: Path) -> None:
-    told = outcome(
+    document = outcome(
         ending="no_encounter", reason="No encounter.", outcome=None, intent=None, intents=[], attempts=[], best=None,
         adversaries=[], raw=None, encounter=None, trigger_time=None, agents=None, ego={"id": None, "controller": "idm"},
     )  # fmt: skip
-    (tmp_path / "outcome.json").write_text(json.dumps(told))
+    (tmp_path / "outcome.json").write_text(json.dumps(document))
     page = tmp_path / "report.html"
     page.write_text(make_page(tmp_path), encoding="utf-8")
     with Visit(browser, page) as visit:

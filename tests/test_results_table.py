@@ -19,10 +19,10 @@ HIT: dict[str, Any] = {
 
 def hit(**other: Any) -> dict[str, Any]:
     """The outcome of a run with a serious collision in its second attempt."""
-    told = outcome(attempts=[attempt(0, "a"), attempt(1, "a", kind="Cut-in / neighbour / left")], best=1, **other)
-    told["outcome"] |= HIT
-    told["encounter"] |= {"road": "motorway", "ego_speed": 27.6}
-    return told
+    document = outcome(attempts=[attempt(0, "a"), attempt(1, "a", kind="Cut-in / neighbour / left")], best=1, **other)
+    document["outcome"] |= HIT
+    document["encounter"] |= {"road": "motorway", "ego_speed": 27.6}
+    return document
 
 
 def test_a_row_says_who_attacked_and_where() -> None:
@@ -51,8 +51,8 @@ def test_a_row_names_the_supports_and_their_composition() -> None:
 
 def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
     row = row_of("a", outcome(), False)
-    asked = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road")
-    assert {row[name] for name in asked} == {None}
+    columns = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road")
+    assert {row[name] for name in columns} == {None}
     assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
 
 

@@ -107,9 +107,9 @@ def test_it_must_wait_for_the_main_road_once_and_then_go(tmp_path: Path) -> None
     others = [vehicle("w", "west_in east_out", 1, 80.0, 14.0)]
     with drive(tmp_path, "priority_crossing", [FROM_SOUTH, *others], waits) as (moving, watcher):
         steps(moving, 150)
-    told = [must for must, _ in watcher.kept]
-    assert [must for must, after in pairwise(told) if must != after] == [False, True]  # no flicker
-    assert not told[0] and not told[-1]
+    waiting = [must for must, _ in watcher.kept]
+    assert [must for must, after in pairwise(waiting) if must != after] == [False, True]  # no flicker
+    assert not waiting[0] and not waiting[-1]
 
 
 def test_the_main_road_waits_for_nobody(tmp_path: Path) -> None:
@@ -127,9 +127,9 @@ def test_a_light_is_told_with_its_state_and_red_means_wait(tmp_path: Path) -> No
 
     with drive(tmp_path, "signalised_crossing", [FROM_SOUTH], light) as (moving, watcher):
         steps(moving, 400)
-    told = {state for states in watcher.kept for state in states}
-    assert told >= {("green", False)}
-    assert ("red", False) not in told and ("green", True) not in told
+    lights = {state for states in watcher.kept for state in states}
+    assert lights >= {("green", False)}
+    assert ("red", False) not in lights and ("green", True) not in lights
 
 
 # ---- other vehicles
@@ -148,9 +148,9 @@ def test_others_show_their_lamps_and_a_hidden_one_is_not_visible(tmp_path: Path)
         steps(moving, 60)
     first = watcher.kept[0]
     assert first["near"][0] == "passenger" and first["near"][4] and not first["far"][4]
-    turning = [told["far"] for told in watcher.kept if "far" in told]
-    assert "left" in {told[1] for told in turning} and True in {told[2] for told in turning}
-    assert max(told[3] for told in turning) > 0.2  # rad/s, to the left
+    turning = [observed["far"] for observed in watcher.kept if "far" in observed]
+    assert "left" in {car[1] for car in turning} and True in {car[2] for car in turning}
+    assert max(car[3] for car in turning) > 0.2  # rad/s, to the left
 
 
 def test_a_driver_may_ask_for_visible_vehicles_only(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_driver_may_ask_for_visible_vehicles_only(tmp_path: Path) -> None:
     cars = [vehicle("ego", "south_in north_out", 1, 150.0, 5.0), vehicle("w", "west_in east_out", 0, 150.0, 5.0)]
 
     def ids(seen: Observation) -> list[str]:
-        return [other.id for other in seen.others]
+        return [neighbour.id for neighbour in seen.others]
 
     for sees_buildings, expected in ((True, []), (False, ["w"])):
         with drive(

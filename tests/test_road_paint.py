@@ -96,9 +96,9 @@ def test_a_stop_line_lies_across_the_end_of_its_lane() -> None:
 
 
 def test_a_light_names_the_connections_of_its_lane() -> None:
-    found = stops("signalised_crossing")
-    assert lights_of(found) == ["centre"] and len(found) == 8  # four arms of two lanes
-    links = sorted(k for stop in found for k in stop.links)
+    stop_lines = stops("signalised_crossing")
+    assert lights_of(stop_lines) == ["centre"] and len(stop_lines) == 8  # four arms of two lanes
+    links = sorted(k for stop in stop_lines for k in stop.links)
     assert links == sorted(set(links)) and set(links) <= set(range(16))
 
 
@@ -128,6 +128,6 @@ def test_a_run_without_lights_has_no_record_of_them(tmp_path: Path) -> None:
 def test_a_failed_run_says_so(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", written=manifest())
     for ending, failed in (("critical", False), ("no_encounter", False), ("model_failed", True)):
-        told = json.loads((run / "outcome.json").read_text()) | {"ending": ending}
-        (run / "outcome.json").write_text(json.dumps(told))
+        document = json.loads((run / "outcome.json").read_text()) | {"ending": ending}
+        (run / "outcome.json").write_text(json.dumps(document))
         assert data_of(make_page(run))["failed"] is failed

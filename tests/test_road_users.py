@@ -85,10 +85,10 @@ def test_a_pedestrian_may_be_beside_the_road() -> None:
     ego = cruise("ego", 0.0, 0.0, 10.0)
     for size, expected in ((PERSON, ()), ({"length": 2.6, "width": 1.2}, ("off_road",))):
         walks = cruise("adversary", 60.0, -5.0, 1.5, NORTH, **size)
-        found = failed_gates(
+        failed = failed_gates(
             walks, LIMITS[RoadUser.PEDESTRIAN], on_road=lambda x, y: np.abs(y) < 3.0, ego=ego, others=(), end=3.0
         )
-        assert found == expected
+        assert failed == expected
 
 
 # ---- severity
@@ -116,8 +116,8 @@ def test_the_impact_speed_is_along_the_normal() -> None:
 
 
 def boxes(x: float, y: float, length: float, width: float) -> Boxes:
-    one = np.array([[x]]), np.array([[y]]), np.zeros((1, 1)), np.zeros((1, 1))
-    return Boxes(*one, length, width)
+    motion = np.array([[x]]), np.array([[y]]), np.zeros((1, 1)), np.zeros((1, 1))
+    return Boxes(*motion, length, width)
 
 
 @pytest.mark.parametrize(("y", "away"), [(0.0, True), (1.0, True), (2.6, False), (5.0, False)])
@@ -128,8 +128,8 @@ def test_a_van_hides_what_is_right_behind_it(y: float, away: bool) -> None:
     van = boxes(10.0, 0.0, 4.0, 2.0)
     screen = Boxes(van.x[None], van.y[None], van.heading[None], van.speed[None], 4.0, 2.0)
     sizes = {"length": np.full((1, 1, 1), 4.0), "width": np.full((1, 1, 1), 2.0)}
-    found = hidden(boxes(0.0, 0.0, 5.0, 2.0), boxes(20.0, y, 0.5, 0.5), replace(screen, **sizes))
-    assert found.tolist() == [[away]]
+    is_hidden = hidden(boxes(0.0, 0.0, 5.0, 2.0), boxes(20.0, y, 0.5, 0.5), replace(screen, **sizes))
+    assert is_hidden.tolist() == [[away]]
 
 
 def crossing(start: float, **size: float) -> Track:

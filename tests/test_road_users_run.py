@@ -23,10 +23,10 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Done:
 
 def test_it_is_hit_and_a_careful_driver_would_have_avoided_it(done: Done) -> None:
     assert (done.status, done.err) == (0, "")
-    told = done.outcome
-    best = told["outcome"]
-    assert told["ending"] == "critical" and best["level"] in ("strict", "serious")
-    assert {a["adversaries"][0] for a in told["attempts"]} == {"pedestrian0"}
+    document = done.outcome
+    best = document["outcome"]
+    assert document["ending"] == "critical" and best["level"] in ("strict", "serious")
+    assert {a["adversaries"][0] for a in document["attempts"]} == {"pedestrian0"}
     assert best["impact_speed"] > 0.0 and best["humanlike"] and best["failed_gates"] == []
     assert (best["injury_risk"] >= 0.1) is (best["level"] == "serious")
 

@@ -54,23 +54,23 @@ def search_over(road: Road, pool: Sequence[Proposal]) -> AttackSearch:
     """A search that has these candidates alone, and would draw no more."""
     weights = SearchSettings(proposals=10)
     sampling = replace(weights.sampling, for_spare=-10, most=0)
-    found = AttackSearch(road, {0.0: situation([neighbour()])}, [], replace(weights, sampling=sampling), seed=1)
-    found.pool = list(pool)
-    return found
+    search = AttackSearch(road, {0.0: situation([neighbour()])}, [], replace(weights, sampling=sampling), seed=1)
+    search.pool = list(pool)
+    return search
 
 
 def test_one_whose_neighbours_miss_loses_to_one_whose_neighbours_hit() -> None:
     """Sharp: alone 0, with five neighbours that miss (counted as 1.5) a mean of 7.5 / 6 = 1.25, half of it is 0.625."""
     sharp, wide = proposal(SHARP, 0.0), proposal(WIDE, 0.4)
-    found = weighed_with_neighbours([sharp, wide], Road().score, Random(1), WEIGHTS)
-    assert len(found) == 2 * (1 + WEIGHTS.neighbours) == 12
-    assert found[0].score == pytest.approx(0.625)
-    assert found[6].score == pytest.approx(0.4)
-    assert [p.nominal_score for p in found[:2]] == [0.0, 3.0]  # what each was alone
-    assert found[1].score == pytest.approx(0.5 * 3.0 + 0.5 * 1.25)
-    assert all(is_robust(p) for p in found)
-    assert [p.nominal for p in drawn(found)] == [0.0, 0.4]  # neighbours are not counted as drawn
-    assert all(p.prediction is not None and p.prediction.hit for p in found)
+    weighed = weighed_with_neighbours([sharp, wide], Road().score, Random(1), WEIGHTS)
+    assert len(weighed) == 2 * (1 + WEIGHTS.neighbours) == 12
+    assert weighed[0].score == pytest.approx(0.625)
+    assert weighed[6].score == pytest.approx(0.4)
+    assert [p.nominal_score for p in weighed[:2]] == [0.0, 3.0]  # what each was alone
+    assert weighed[1].score == pytest.approx(0.5 * 3.0 + 0.5 * 1.25)
+    assert all(is_robust(p) for p in weighed)
+    assert [p.nominal for p in drawn(weighed)] == [0.0, 0.4]  # neighbours are not counted as drawn
+    assert all(p.prediction is not None and p.prediction.hit for p in weighed)
 
 
 def test_a_neighbour_is_near() -> None:
@@ -117,6 +117,6 @@ def test_of_equals_a_robust_one_is_taken() -> None:
 
 
 def test_neighbours_are_the_search_s_own() -> None:
-    known = replace(proposal(WIDE, 0.4), by="memory")
-    near = weighed_with_neighbours([known], Road().score, Random(1), WEIGHTS)
+    remembered = replace(proposal(WIDE, 0.4), by="memory")
+    near = weighed_with_neighbours([remembered], Road().score, Random(1), WEIGHTS)
     assert [p.by for p in near] == ["memory", *["tuner"] * WEIGHTS.neighbours]

@@ -56,9 +56,9 @@ def judged(
     """The one rollout of these motions on a road between two offsets [m]; the log is over after ``left`` steps."""
     drivable = Drivable(box(-100.0, road[0], 500.0, road[1]))
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
-    now = {0.0: replace(scene(bv, others), left=left)}
-    (found,) = judge_all(now, [PROPOSAL], rollouts, drivable, Limits(), WEIGHTS)
-    return {"score": found[0], **asdict(found[1])}
+    situations = {0.0: replace(scene(bv, others), left=left)}
+    ((score, prediction),) = judge_all(situations, [PROPOSAL], rollouts, drivable, Limits(), WEIGHTS)
+    return {"score": score, **asdict(prediction)}
 
 
 def vehicle(name: str, state: State) -> Track:
@@ -79,8 +79,8 @@ def test_how_much_it_brakes_until_the_contact_is_said() -> None:
     ego = motion(0.0, 0.0, 30.0)
     assert judged(ego, (x, y, h, v))["braking"] == 0.0
     slower = np.where(TIME < 0.5, 5.0, np.where(TIME < 1.5, 5.0 - 2.0 * (TIME - 0.5), 3.0))
-    found = judged(ego, (60.0 + np.cumsum(slower) * DT, y, h, slower))
-    assert found["braking"] == pytest.approx(10 / (found["time"] / DT), abs=0.01)
+    prediction = judged(ego, (60.0 + np.cumsum(slower) * DT, y, h, slower))
+    assert prediction["braking"] == pytest.approx(10 / (prediction["time"] / DT), abs=0.01)
 
 
 @pytest.mark.parametrize(("x", "level"), [(45.0, Level.COLLISION), (60.0, Level.VALID), (100.0, Level.SERIOUS)])
@@ -90,11 +90,11 @@ def test_the_level_goes_by_the_reference_drivers(x: float, level: Level) -> None
     The ego at 30 m/s closes in at 25 m/s. A driver that brakes takes 25 * (0.75 + 0.3) + 25^2 / (2 * 7.59) = 67 m from
     the alarm on: too much 45 m and 60 m ahead. From 60 m there is time to go to the right, from 45 m there is not.
     """
-    found = judged(motion(0.0, 0.0, 30.0), motion(x, DRIFTS, 5.0))
-    assert found["hit"] and found["level"] is level
-    assert (found["careful"], found["manoeuvre"]) == (level is Level.SERIOUS, level is not Level.COLLISION)
+    prediction = judged(motion(0.0, 0.0, 30.0), motion(x, DRIFTS, 5.0))
+    assert prediction["hit"] and prediction["level"] is level
+    assert (prediction["careful"], prediction["manoeuvre"]) == (level is Level.SERIOUS, level is not Level.COLLISION)
     base = {Level.COLLISION: WEIGHTS.collision, Level.VALID: WEIGHTS.valid, Level.SERIOUS: WEIGHTS.serious}[level]
-    assert base <= found["score"] < base + 0.3
+    assert base <= prediction["score"] < base + 0.3
 
 
 def test_a_soft_contact_is_strict_and_the_harder_the_nearer_to_serious() -> None:
@@ -114,16 +114,16 @@ def test_what_no_person_would_drive_is_not_serious() -> None:
     steps = np.arange(float(STEPS))
     braking = 26.0 - DT * np.cumsum(np.clip(np.minimum(steps, 38.0 - steps), 0.0, 7.0))  # built up by 10 m/s3
     beside = np.where(TIME < 3.0, 3.2, np.maximum(3.2 - 1.0 * (TIME - 3.0), 0.5))
-    found = judged(ego, (80.0 + np.cumsum(braking) * DT, beside, h, braking), road=(-4.8, 4.8))
-    assert found["hit"] and not found["human"] and found["level"] < Level.SERIOUS
+    prediction = judged(ego, (80.0 + np.cumsum(braking) * DT, beside, h, braking), road=(-4.8, 4.8))
+    assert prediction["hit"] and not prediction["human"] and prediction["level"] < Level.SERIOUS
 
 
 def test_an_ego_that_stands_proves_nothing() -> None:
     """A car comes from ahead at 10 m/s; braking 30 m before the contact would not help an ego that stands."""
     standing = motion(0.0, 0.0, 0.0)
     _, y, h, v = motion(0.0, 0.0, 10.0)
-    found = judged(standing, (40.0 - 10.0 * TIME, y, h + np.pi, v))
-    assert found["hit"] and found["level"] is Level.COLLISION
+    prediction = judged(standing, (40.0 - 10.0 * TIME, y, h + np.pi, v))
+    assert prediction["hit"] and prediction["level"] is Level.COLLISION
 
 
 def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
@@ -142,8 +142,8 @@ def test_a_way_out_that_another_vehicle_fills_does_not_count() -> None:
 
 
 def test_nor_does_one_off_the_road() -> None:
-    found = judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))
-    assert not found["manoeuvre"] and found["score"] == pytest.approx(NONE + 0.2 * (1 - 1.8 / 2))
+    prediction = judged(motion(0.0, 0.0, 30.0), motion(60.0, DRIFTS, 5.0), road=(-1.3, 2.3))
+    assert not prediction["manoeuvre"] and prediction["score"] == pytest.approx(NONE + 0.2 * (1 - 1.8 / 2))
 
 
 def test_what_does_not_count_as_a_collision() -> None:
@@ -165,8 +165,8 @@ def test_a_third_party_counts_if_it_is_touched_between_steps_and_before_the_ego(
         crossing = replace(
             vehicle("third", (0.0 * TIME + 52.0, y, 0.0 * TIME + np.pi / 2, 0.0 * TIME + 60.0)), length=1.0
         )
-        found = judged(ego, bv, [crossing])
-        assert found["hit"] and found["third_party"] is counts
+        prediction = judged(ego, bv, [crossing])
+        assert prediction["hit"] and prediction["third_party"] is counts
 
 
 @pytest.mark.parametrize(("aside", "closing", "rear"), [
@@ -187,10 +187,10 @@ def test_who_drives_into_the_ego_s_back_does_not_count_also_with_a_corner(
 
 def test_a_miss_scores_by_how_near_it_comes() -> None:
     """Beside the ego at its speed, the sides 0.1 m apart: no TTC (10 s are the most), 1.5 + 0.3 * 10 + 0.1 * 0.1."""
-    found = judged(motion(0.0, 0.0, 30.0), motion(0.0, 2.1, 30.0), road=(-4.8, 4.8))
-    assert not found["hit"]
-    assert found["gap"] == pytest.approx(0.1)
-    assert found["score"] == pytest.approx(1.5 + 3.0 + 0.01)
+    prediction = judged(motion(0.0, 0.0, 30.0), motion(0.0, 2.1, 30.0), road=(-4.8, 4.8))
+    assert not prediction["hit"]
+    assert prediction["gap"] == pytest.approx(0.1)
+    assert prediction["score"] == pytest.approx(1.5 + 3.0 + 0.01)
 
 
 def test_what_would_happen_after_the_end_of_the_log_does_not_count() -> None:
@@ -225,10 +225,10 @@ def test_a_motion_that_turns_harder_than_the_gates_allow_is_no_hit_that_counts()
     for rate, beyond in ((0.3, True), (0.2, False)):
         x, y, heading, speed = motion(60.0, DRIFTS, 15.0)
         heading = heading + rate * np.minimum(TIME, 0.5)
-        found = judged(motion(0.0, 0.0, 30.0), (x, y, heading, speed))
-        assert found["hit"]
-        assert found["beyond_limits"] == beyond
-        assert (found["score"] == BEYOND) == beyond
+        prediction = judged(motion(0.0, 0.0, 30.0), (x, y, heading, speed))
+        assert prediction["hit"]
+        assert prediction["beyond_limits"] == beyond
+        assert (prediction["score"] == BEYOND) == beyond
 
 
 @pytest.mark.parametrize(("behind", "role", "reacting", "third"), [
@@ -244,9 +244,9 @@ def test_a_third_vehicle_that_brakes_for_the_adversary_is_not_hit(
     """The adversary comes to the ego's lane 100 m away, at once half as fast as the one behind it at 20 m/s."""
     ego, bv = motion(0.0, 0.0, 20.0), motion(60.0, 0.0, 10.0)
     follower = replace(vehicle("third", motion(60.0 - behind, 0.0, 20.0)), role=role)
-    now = changed(scene(bv, [follower]), reacting=reacting)
+    situation = changed(scene(bv, [follower]), reacting=reacting)
     rollouts = Rollouts(TIME, row(ego), row(bv), np.array([False]))
     road = Drivable(box(-100.0, -4.8, 500.0, 2.3))
-    ((score, found),) = judge_all({0.0: now}, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)
-    assert found.third_party is third
+    ((score, prediction),) = judge_all({0.0: situation}, [PROPOSAL], rollouts, road, Limits(), WEIGHTS)
+    assert prediction.third_party is third
     assert (score == THIRD) is third

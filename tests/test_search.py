@@ -68,9 +68,9 @@ def proposal(planner: Planner = SHIFT, gap: float = 2.0, drift: float = 3.0) -> 
 
 
 def merging() -> Target:
-    other = crossing()
-    way = replace(other.ways[0], conflict=replace(other.ways[0].conflict, kind="merging"))  # type: ignore[type-var]
-    return replace(other, ways=(way,))
+    target = crossing()
+    way = replace(target.ways[0], conflict=replace(target.ways[0].conflict, kind="merging"))  # type: ignore[type-var]
+    return replace(target, ways=(way,))
 
 
 def search_of(
@@ -98,21 +98,21 @@ def sampler(seed: int = 1) -> Sampler:
 
 def test_a_variation_is_another_number_for_the_same_way_to_attack() -> None:
     near, far = proposal(gap=0.5), proposal(gap=3.0)
-    found = sampler().variations([near, far], 5)
-    assert len(found) == 5
-    assert {(p.bv, p.label, p.planner, p.acceleration, p.delay, p.prediction) for p in found} == {
+    variations = sampler().variations([near, far], 5)
+    assert len(variations) == 5
+    assert {(p.bv, p.label, p.planner, p.acceleration, p.delay, p.prediction) for p in variations} == {
         ("bv", "Shift", SHIFT, -6.0, 1.5, None)
     }
-    assert all(p.parameters.keys() == {"gap", "drift"} for p in found)
-    assert len({tuple(p.parameters.values()) for p in found}) == 5
+    assert all(p.parameters.keys() == {"gap", "drift"} for p in variations)
+    assert len({tuple(p.parameters.values()) for p in variations}) == 5
     assert near.parameters["gap"] == 0.5  # as it was
     assert sampler().variations([], 5) == []
 
 
 def test_variations_stay_within_the_bounds_and_near() -> None:
     """gap: -3 to 4 m, drift: 2 to 6 s; of a range of 4 s 0.12 are 0.48 s, and 3.92 s are 4 of them from 2.0 s."""
-    found = sampler().variations([proposal(gap=4.0, drift=3.92)], 400)
-    gaps, drifts = (np.array([p.parameters[name] for p in found]) for name in ("gap", "drift"))
+    variations = sampler().variations([proposal(gap=4.0, drift=3.92)], 400)
+    gaps, drifts = (np.array([p.parameters[name] for p in variations]) for name in ("gap", "drift"))
     assert gaps.max() == 4.0 and np.mean(gaps == 4.0) == pytest.approx(0.5, abs=0.1)  # half would be beyond it
     assert gaps.min() > -3.0
     assert drifts.min() >= 2.0 and drifts.max() <= 6.0
@@ -122,8 +122,8 @@ def test_variations_stay_within_the_bounds_and_near() -> None:
 
 def test_they_are_varied_in_turn() -> None:
     first, second = proposal(gap=-3.0), proposal(gap=4.0)
-    found = sampler().variations([first, second], 6)
-    assert [p.parameters["gap"] < 0.5 for p in found] == [True, False] * 3  # 3.5 m are four deviations
+    variations = sampler().variations([first, second], 6)
+    assert [p.parameters["gap"] < 0.5 for p in variations] == [True, False] * 3  # 3.5 m are four deviations
 
 
 def test_a_seed_gives_the_same_variations_and_another_one_others() -> None:
@@ -303,12 +303,12 @@ def test_a_new_intent_gets_a_planner_for_each_mode_that_makes_a_movement() -> No
     rush = (movement("direct", "straight"), movement("weave", "straight"), movement("drift", "none"))
     examples = [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,)), LibraryEntry("Rush", "", ("crossing",), rush)]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
-    found = ExpertGenerator().generate(intent, None, examples)
-    assert [(p.label, p.mode, p.origin, p.parent) for p in found] == [
+    planners = ExpertGenerator().generate(intent, None, examples)
+    assert [(p.label, p.mode, p.origin, p.parent) for p in planners] == [
         (intent.label, "direct", "expert", rush[0].hash),
         (intent.label, "weave", "expert", rush[1].hash),
     ]
-    for planner in found:
+    for planner in planners:
         assert planner.source.startswith(f'# {intent.label}, mode "{planner.mode}"\n')
         assert 'MOVEMENT = "right"' in planner.source
         assert planner.defaults() == {"gap": 2.0, "drift": 3.0}

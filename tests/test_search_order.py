@@ -125,8 +125,8 @@ def empty(share: int = 8) -> AttackSearch:
 def test_families_are_what_applies_to_each_vehicle():
     situation = straight_situation()
     library = [entry("Shift", ("neighbour",)), entry("Oncoming", ("oncoming",))]
-    found = templates_of({0.0: situation}, library)
-    assert {(f.target.relation, f.entry.label) for f in found} == {("neighbour", "Shift")}
+    templates = templates_of({0.0: situation}, library)
+    assert {(f.target.relation, f.entry.label) for f in templates} == {("neighbour", "Shift")}
     assert templates_of({0.0: situation}, library, ["Oncoming"]) == []
 
 
@@ -174,11 +174,11 @@ def test_what_was_learnt_is_one_proposal_more_and_takes_no_draws_from_others():
 
 
 def test_versions_of_a_mode_that_are_there_at_first_have_one_share_and_a_new_one_its_own():
-    situation, known = straight_situation(), learnt_version([entry("Shift", ("neighbour",))])
-    search = search_of(ByGap(), {0.0: situation}, [known], share=3)
+    situation, learnt = straight_situation(), learnt_version([entry("Shift", ("neighbour",))])
+    search = search_of(ByGap(), {0.0: situation}, [learnt], share=3)
     assert len(search.propose(10)) == 3
     most = search.exhausted()
-    assert most == [known.planners[1].hash]  # of 31 candidates 30 are the author's: nearest to 1 m are three of these
+    assert most == [learnt.planners[1].hash]  # of 31 candidates 30 are the author's: nearest to 1 m are three of these
     changed = make_planner("Shift", "side", SHIFT.replace("(2.0,", "(0.5,"), "expert", most[0])
     search.add_version(changed)
     assert [p.planner.hash for p in search.propose(10)] == [changed.hash] * 3
@@ -389,11 +389,11 @@ def test_planners_are_predicted_in_batches_that_fit_the_sandbox():
 
 
 def test_long_vehicles_touch_from_further_away():
-    one = np.array([[0.0]])
-    car = Boxes(one, one, one, one, 5.0, 1.8)
-    bus = Boxes(one + 8.0, one, one, one, 12.0, 2.5)
+    zero = np.array([[0.0]])
+    car = Boxes(zero, zero, zero, zero, 5.0, 1.8)
+    bus = Boxes(zero + 8.0, zero, zero, zero, 12.0, 2.5)
     assert touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
-    assert not touching(car, Boxes(one + 8.6, one, one, one, 12.0, 2.5)).any()
+    assert not touching(car, Boxes(zero + 8.6, zero, zero, zero, 12.0, 2.5)).any()
 
 
 def test_once_no_template_is_left_the_search_ends_however_much_it_may_draw():

@@ -52,12 +52,12 @@ ATTACKS = {
 @pytest.mark.parametrize("attack", ATTACKS)
 @pytest.mark.parametrize("plan", PLANS)
 def test_the_simulation_goes_on(tmp_path: Path, plan: str, attack: str) -> None:
-    told: list[Event] = []
+    sent: list[Event] = []
     with Gate() as gate:
         ego = PLANS[plan]()
         code = f"NAME = {ego.id!r}\n{TRY}{ATTACKS[attack]}" + "while True: client.simulationStep()"
         spec = make_spec(tmp_path, "straight_3lane", TRAFFIC)
-        session = Session(spec, gate, Options(), ego, Events(lambda e: told.append(dict(e))), lambda: None)
+        session = Session(spec, gate, Options(), ego, Events(lambda e: sent.append(dict(e))), lambda: None)
         script = Script(gate.port, connected(code))
         try:
             assert gate.wait_connected(20.0)
@@ -68,5 +68,5 @@ def test_the_simulation_goes_on(tmp_path: Path, plan: str, attack: str) -> None:
             session.close()
     assert session.steps == 150
     if plan != "added by its client":
-        states = [e["state"] for e in told if e["event"] == "ego"]
+        states = [e["state"] for e in sent if e["event"] == "ego"]
         assert states[-1] == "departed", states

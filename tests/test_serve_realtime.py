@@ -74,18 +74,18 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
     """One encounter in real time, with an analyzer that takes ``seconds``; ``kill``: the client, while it thinks."""
     given = load_input(Path("motorway_cut_in_left"))
     settings = load_settings(None, ego="external", trigger=TRIGGER, learn="off")
-    told = Told([], [])
+    log = Told([], [])
     clients: list[subprocess.Popen[bytes]] = []
 
     def tell(event: Mapping[str, Any]) -> None:
-        told.events.append(dict(event))
+        log.events.append(dict(event))
         if kill and event["event"] == "encounter":
             clients[0].kill()
 
     events = Events(tell)
 
     def write(episode: Episode, number: int) -> Mapping[str, Any]:
-        told.episodes.append(episode)
+        log.episodes.append(episode)
         return {"outcome": None, "ending": "", "reason": "", "adversaries": [], "intent": None, "attempts": [],
                 "folder": number}  # fmt: skip
 
@@ -109,36 +109,36 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
             writer.close()
             clients[0].kill()
             clients[0].wait()
-    return told
+    return log
 
 
 def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
-    told = served(tmp_path, MOST_AGE + 0.5)
-    (decided,) = told.of("decided")
-    (dropped,) = told.of("dropped")
+    log = served(tmp_path, MOST_AGE + 0.5)
+    (decided,) = log.of("decided")
+    (dropped,) = log.of("dropped")
     assert decided["age"] > MOST_AGE and decided["seconds"] > MOST_AGE
     assert dropped["reason"] == f"the decision is {decided['age']:.1f} s old"
-    assert told.of("attack") == [] and told.episodes == []
+    assert log.of("attack") == [] and log.episodes == []
 
 
 def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
-    told = served(tmp_path, 0.3)
-    (decided,) = told.of("decided")
+    log = served(tmp_path, 0.3)
+    (decided,) = log.of("decided")
     assert 0.3 <= decided["age"] <= MOST_AGE  # the world went on meanwhile
-    assert told.of("dropped") == []
-    (attack,) = told.of("attack")
+    assert log.of("dropped") == []
+    (attack,) = log.of("attack")
     assert attack["time"] >= TRIGGER + decided["age"] - 0.11
-    (episode,) = told.episodes
+    (episode,) = log.episodes
     assert episode.prefix is not None and episode.prefix.snapshots[-1].time == TRIGGER
     result = episode.refinement.results[0]
     assert result.snapshots[0].time == 3.3 and result.start >= TRIGGER + decided["age"] - 0.01
-    clock = [e["clock"] for e in told.events if e["event"] in ("attack", "released")]
-    times = [e["time"] for e in told.events if e["event"] in ("attack", "released")]
+    clock = [e["clock"] for e in log.events if e["event"] in ("attack", "released")]
+    times = [e["time"] for e in log.events if e["event"] in ("attack", "released")]
     # A second lasts a second; only what a stall of the machine had made late, at most MAKES_UP, is made up for.
     assert clock[1] - clock[0] > times[1] - times[0] - MAKES_UP - 0.01
 
 
 def test_a_client_that_goes_while_we_think_costs_no_attempt(tmp_path: Path) -> None:
-    told = served(tmp_path, 0.5, kill=True)
-    assert [e["reason"] for e in told.of("dropped")] == ["the ego or its client is gone"]
-    assert told.of("attack") == [] and told.episodes == []
+    log = served(tmp_path, 0.5, kill=True)
+    assert [e["reason"] for e in log.of("dropped")] == ["the ego or its client is gone"]
+    assert log.of("attack") == [] and log.episodes == []

@@ -30,8 +30,8 @@ OTHERS = (vehicle("left", "eastbound", 2, 112.0, 15.0), vehicle("right", "eastbo
 
 def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path: Path) -> None:
     """The vehicle on the left cuts in; the one on the right keeps beside the ego."""
-    told: list[dict[str, Any]] = []
-    events = Events(lambda event: told.append(dict(event)))
+    sent: list[dict[str, Any]] = []
+    events = Events(lambda event: sent.append(dict(event)))
     spec, settings = make_spec(tmp_path, "straight_3lane", OTHERS), load_settings(None, duration=5.0, adversaries=2)
     road = read_network(spec.network)
     plan = EgoPlan("ego", "calm", lambda: EgoRoute(("eastbound",), 0.0, 1, 100.0, 15.0))
@@ -48,14 +48,14 @@ def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path:
             (result,) = live.attempt([both])
             assert result.driven.ending in ("contact", "time_limit"), result.driven.message
             assert result.verdict is not None
-            (attack,) = (e for e in told if e["event"] == "attack")
+            (attack,) = (e for e in sent if e["event"] == "attack")
             assert (attack["adversary"], attack["composition"]) == ("left", "Pinch")
             assert attack["supports"] == [both.supports[0].as_adversary()]
-            assert ["left", "right"] in [e["adversary"] for e in told if e["event"] == "owners"]
-            assert [e["vehicle"] for e in told if e["event"] == "released"] == ["left", "right"]
+            assert ["left", "right"] in [e["adversary"] for e in sent if e["event"] == "owners"]
+            assert [e["vehicle"] for e in sent if e["event"] == "released"] == ["left", "right"]
             assert abs(session.snapshot.raw["right"][1] - session.snapshot.raw["ego"][1]) > 2.0  # it kept its lane
             session.tick()
-            assert [e["adversary"] for e in told if e["event"] == "owners"][-1] == []
+            assert [e["adversary"] for e in sent if e["event"] == "owners"][-1] == []
             assert collided(session, ("left", "right"), with_ego=True) == {}
             ego = session.state("ego")
             onto = Pose(ego.x, ego.y + 1.0, ego.heading, ego.speed)

@@ -42,10 +42,12 @@ while True:
 
 @pytest.fixture
 def hunter(request: pytest.FixtureRequest) -> Iterator[subprocess.Popen[str]]:
-    with subprocess.Popen([sys.executable, "-c", HUNTER, str(request.param)], stdout=subprocess.PIPE, text=True) as one:
-        assert one.stdout is not None and one.stdout.readline() == "ready\n"
-        yield one
-        one.kill()
+    with subprocess.Popen(
+        [sys.executable, "-c", HUNTER, str(request.param)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        yield process
+        process.kill()
 
 
 def can_be_private(folder: Path) -> bool:
@@ -54,10 +56,10 @@ def can_be_private(folder: Path) -> bool:
         return sumo.is_private
 
 
-def driven(folder: Path, told: list[Event], *, private: bool) -> float:
+def driven(folder: Path, sent: list[Event], *, private: bool) -> float:
     """Time [s] after ten steps of a simulation with a client as the ego's driver."""
     with Gate() as gate:
-        events = Events(lambda e: told.append(dict(e)))
+        events = Events(lambda e: sent.append(dict(e)))
         sumo, ours = shared_sumo(
             spec(folder).arguments(), gate, own=("ego",), kept=("ego",), events=events, private=private
         )
@@ -79,9 +81,9 @@ def driven(folder: Path, told: list[Event], *, private: bool) -> float:
 def test_nobody_finds_a_sumo_with_a_network_of_its_own(tmp_path: Path, hunter: subprocess.Popen[str]) -> None:
     if not can_be_private(tmp_path):
         pytest.skip("this system allows no network namespace")
-    told: list[Event] = []
-    assert driven(tmp_path, told, private=True) == 1.0
-    assert told == []
+    sent: list[Event] = []
+    assert driven(tmp_path, sent, private=True) == 1.0
+    assert sent == []
     with SumoProcess(spec(tmp_path).arguments(), private=True) as sumo:
         sumo.dial(20.0).close()
         with pytest.raises(ConnectionRefusedError):
@@ -91,9 +93,9 @@ def test_nobody_finds_a_sumo_with_a_network_of_its_own(tmp_path: Path, hunter: s
 @pytest.mark.parametrize("hunter", [1], indirect=True)
 def test_a_stranger_that_is_faster_costs_a_start_of_sumo(tmp_path: Path, hunter: subprocess.Popen[str]) -> None:
     """Where the system allows no namespace. The faster one depends on the machine; either way the simulation runs."""
-    told: list[Event] = []
-    assert driven(tmp_path, told, private=False) == 1.0
-    assert [e["event"] for e in told] in ([], ["stranger"])
+    sent: list[Event] = []
+    assert driven(tmp_path, sent, private=False) == 1.0
+    assert [e["event"] for e in sent] in ([], ["stranger"])
 
 
 def test_a_stranger_at_a_port_is_seen() -> None:
@@ -109,13 +111,13 @@ def test_a_stranger_at_a_port_is_seen() -> None:
 @pytest.mark.parametrize("hunter", [1000], indirect=True)
 def test_after_some_tries_the_run_ends_with_a_sentence(tmp_path: Path, hunter: subprocess.Popen[str]) -> None:
     """A stranger that never has enough; the run may be faster once in a while."""
-    told: list[Event] = []
+    sent: list[Event] = []
     with Gate() as gate:
-        events = Events(lambda e: told.append(dict(e)))
+        events = Events(lambda e: sent.append(dict(e)))
         try:
             sumo, ours = shared_sumo(spec(tmp_path).arguments(), gate, own=(), kept=(), events=events, private=False)
         except SimulationError as error:
-            assert f"{TRIES} times in a row" in str(error) and len(told) == TRIES
+            assert f"{TRIES} times in a row" in str(error) and len(sent) == TRIES
         else:
             gate.detach()
             ours.close()

@@ -274,8 +274,8 @@ def test_a_composition_is_learnt_by_a_success_found_by_its_description_and_forgo
         assert bank.record_composition(SQUEEZE, [False, True])
         assert compositions(bank) == [replace(SQUEEZE, succeeded=1)]
         text = "A vehicle cuts in from the right while another vehicle blocks the left side."
-        found = retrieve_composition(bank, "Pinch", text)
-        assert found is not None and found.label == "Squeeze"
+        nearest = retrieve_composition(bank, "Pinch", text)
+        assert nearest is not None and nearest.label == "Squeeze"
         assert retrieve_composition(bank, "U-turn", "The vehicle turns round on a bridge at night.") is None
         bank.record_composition(SQUEEZE, [False] * FORGET)
         assert compositions(bank) == []
@@ -308,12 +308,12 @@ def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     (attempt,) = episode.refinement.attempts
     assert attempt.ending in ("contact", "time_limit"), attempt.message
     with staged(tmp_path / "run", force=False) as folder:
-        told = write_run(folder, episode, figure=False)
+        document = write_run(folder, episode, figure=False)
         folder.keep(force=False)
-    assert [(a["id"], a["role"]) for a in told["adversaries"]] == [
+    assert [(a["id"], a["role"]) for a in document["adversaries"]] == [
         ("left_ahead", "collider"), ("right_behind", "block_right"),
     ]  # fmt: skip
-    assert told["attempts"][0]["composition"] == "Pinch"
+    assert document["attempts"][0]["composition"] == "Pinch"
     again = read_manifest(tmp_path / "run")
     assert again.proposal.members == both.members
     repeated = app.replay(again)

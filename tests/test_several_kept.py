@@ -25,21 +25,21 @@ def test_a_case_holds_all_adversaries_and_regress_repeats_them(program: Program)
     suite = kept(program.folder)
     case = read_case(suite / "pinch")
     (support,) = case.proposal.supports
-    wanted = pinch(COLLIDER, SUPPORT)
+    proposal = pinch(COLLIDER, SUPPORT)
     assert (support.bv, support.duty, support.parameters) == (
-        SUPPORT, Duty.BLOCK_RIGHT, wanted.supports[0].parameters
+        SUPPORT, Duty.BLOCK_RIGHT, proposal.supports[0].parameters
     )  # fmt: skip
-    assert [p.planner for p in case.proposal.members] == [p.planner for p in wanted.members]
+    assert [p.planner for p in case.proposal.members] == [p.planner for p in proposal.members]
     assert case.proposal.composition == "Pinch"
     assert case.relations == {COLLIDER: "neighbour", SUPPORT: "neighbour"}
 
-    found = json.loads((pinched() / "outcome.json").read_text())
+    original = json.loads((pinched() / "outcome.json").read_text())
     done = program("regress", suite, "--ego", "idm", "--workers", "1", "--out", "out")
     assert (done.status, done.err) == (3, "")
     (measured,) = json.loads((program.folder / "out" / "regress.json").read_text())["cases"]
-    assert found["outcome"]["contact_time"] == measured["contact_time"] is not None
+    assert original["outcome"]["contact_time"] == measured["contact_time"] is not None
     run = program.folder / "out" / "runs" / "pinch"
-    assert json.loads((run / "outcome.json").read_text())["adversaries"] == found["adversaries"]
+    assert json.loads((run / "outcome.json").read_text())["adversaries"] == original["adversaries"]
     states = [gzip.decompress((folder / "states.csv.gz").read_bytes()) for folder in (pinched(), run)]
     assert states[0] == states[1]
 

@@ -35,19 +35,19 @@ def holds(scenario: ShippedScenario, folder: Path) -> None:
         scenario.name, until="serious", learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name,
         adversaries=scenario.adversaries,
     )  # fmt: skip
-    told = run.outcome.document
-    relations = {vehicle["id"]: vehicle["relation"] for vehicle in told["encounter"]["ranking"]}
-    assert told["intent"]["label"] == scenario.intents[0]
-    assert relations[told["intent"]["bv"]] == scenario.relation
-    assert told["outcome"]["level"] == scenario.level
+    document = run.outcome.document
+    relations = {vehicle["id"]: vehicle["relation"] for vehicle in document["encounter"]["ranking"]}
+    assert document["intent"]["label"] == scenario.intents[0]
+    assert relations[document["intent"]["bv"]] == scenario.relation
+    assert document["outcome"]["level"] == scenario.level
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_name_says_of_which_kind_the_best_attack_is(name: str) -> None:
     scenario = SHIPPED[name]
-    said = [words for part, words in WORDS.items() if part in name]
-    assert said, "the name says nothing of the attack"
-    for words in said:
+    meanings = [words for part, words in WORDS.items() if part in name]
+    assert meanings, "the name says nothing of the attack"
+    for words in meanings:
         assert words & {scenario.intents[0], scenario.relation}
 
 

@@ -54,8 +54,8 @@ def test_distances_by_hand() -> None:
 def test_a_word_nobody_knows_makes_the_distance_larger() -> None:
     metric = TfIdf()
     metric.fit([("brakes", ""), ("left turn", "")])
-    known = metric.distances("brakes", "")[0]
-    assert known == pytest.approx(0.0, abs=1e-12)
+    distance = metric.distances("brakes", "")[0]
+    assert distance == pytest.approx(0.0, abs=1e-12)
     assert metric.distances("brakes xylophone", "")[0] > 0.05
 
 

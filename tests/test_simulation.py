@@ -80,9 +80,9 @@ def test_an_injected_pose_speed_and_acceleration_are_there_after_the_next_step(t
             simulation.inject({"leader": Pose(150.0 + 1.2 * k, -2.0 + 0.1 * k, 0.1, speed)})
             simulation.step()
             recording.append(simulation.read())
-            now = simulation.state(recording.snapshots[-1], "leader", recording.acceleration("leader"))
-            assert (now.x, now.y, now.heading) == pytest.approx((150.0 + 1.2 * k, -2.0 + 0.1 * k, 0.1), abs=1e-6)
-            assert now.speed == pytest.approx(speed, abs=1e-12)
+            state = simulation.state(recording.snapshots[-1], "leader", recording.acceleration("leader"))
+            assert (state.x, state.y, state.heading) == pytest.approx((150.0 + 1.2 * k, -2.0 + 0.1 * k, 0.1), abs=1e-6)
+            assert state.speed == pytest.approx(speed, abs=1e-12)
         (track,) = recording.tracks(simulation.fleet.sizes, {"leader": Role.ADVERSARY}, ["leader"])
         assert track.acceleration == pytest.approx([0.0, 4.0, -7.0])
         assert recording.acceleration("leader") == pytest.approx(-7.0)
@@ -143,9 +143,9 @@ def test_an_unplanned_left_turn_through_a_junction_is_exact(tmp_path: Path) -> N
                 pose = Pose(1.6, 12.4 + 0.8 * (k - 27), math.pi / 2, 8.0)
             simulation.inject({"bv": pose})
             simulation.step()
-            now = simulation.state(simulation.read(), "bv")
-            assert (now.x, now.y, now.heading) == pytest.approx((pose.x, pose.y, pose.heading), abs=1e-6)
-        assert now.lane == "north_out_1"
+            state = simulation.state(simulation.read(), "bv")
+            assert (state.x, state.y, state.heading) == pytest.approx((pose.x, pose.y, pose.heading), abs=1e-6)
+        assert state.lane == "north_out_1"
 
 
 def test_a_leader_moved_to_the_next_lane_leaves_no_ghost_behind(tmp_path: Path) -> None:
@@ -328,21 +328,21 @@ def test_snapshots_become_tracks_of_box_centres() -> None:
 def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> None:
     """From 17 m/s with 9 m/s2 at most, asked for a standstill or behind a vehicle that is suddenly there; then it is
     SUMO's again, with the 4.5 m/s2 of its type."""
-    for asked in (0.0, 17.0):
+    for speed in (0.0, 17.0):
         with running(pair(tmp_path)) as simulation:
             own = simulation.model("ego").deceleration
-            if asked:
+            if speed:
                 simulation.set_speed("leader", 0.0)
                 for _ in range(12):
                     simulation.step()
             speeds = [simulation.read().raw["ego"][3]]
             for _ in range(10):
-                simulation.set_speed("ego", asked)
+                simulation.set_speed("ego", speed)
                 simulation.step()
                 speeds.append(simulation.read().raw["ego"][3])
             steps = [a - b for a, b in itertools.pairwise(speeds)]
             assert max(steps) <= 0.9 + 1e-6
-            assert max(steps) > (0.89 if not asked else 0.5)  # more than its own 0.45
+            assert max(steps) > (0.89 if not speed else 0.5)  # more than its own 0.45
             assert simulation.model("ego").deceleration == own == pytest.approx(4.5)
             simulation.set_speed("ego", None)
             simulation.step()

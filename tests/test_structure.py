@@ -54,7 +54,7 @@ def module_name(path: Path) -> str:
 
 def imported(tree: ast.AST) -> list[str]:
     """Every module imported at run time, anywhere in a file; what only type checkers see does not count."""
-    found: list[str] = []
+    modules: list[str] = []
     stack: list[ast.AST] = [tree]
     while stack:
         node = stack.pop()
@@ -62,13 +62,13 @@ def imported(tree: ast.AST) -> list[str]:
             stack.extend(node.orelse)
             continue
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            modules += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             module = node.module or ""
-            found += [f"{module}.{alias.name}" for alias in node.names] if module == TOP else [module]
+            modules += [f"{module}.{alias.name}" for alias in node.names] if module == TOP else [module]
         stack.extend(ast.iter_child_nodes(node))
-    return found
+    return modules
 
 
 def wrong_imports(source: str, module: str) -> list[str]:
@@ -76,10 +76,10 @@ def wrong_imports(source: str, module: str) -> list[str]:
     me = part_of(module)
     wrong = []
     for name in imported(ast.parse(source)):
-        other = part_of(name)
-        if me is None or other is None or other == me or other.startswith("__version"):
+        target = part_of(name)
+        if me is None or target is None or target == me or target.startswith("__version"):
             continue
-        if level_of(other) > level_of(me) or (level_of(other) == level_of(me) and (me, other) not in SIDEWAYS):
+        if level_of(target) > level_of(me) or (level_of(target) == level_of(me) and (me, target) not in SIDEWAYS):
             wrong.append(name)
     return wrong
 
@@ -90,12 +90,12 @@ def source_files() -> list[Path]:
 
 def tracked_texts() -> dict[str, str]:
     """What git would keep, as text; outside a checkout whatever lies in the folder."""
-    asked = subprocess.run(
+    listing = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if asked.returncode == 0:
-        paths = [ROOT / line for line in asked.stdout.splitlines()]
+    if listing.returncode == 0:
+        paths = [ROOT / line for line in listing.stdout.splitlines()]
     else:
         paths = [path for path in ROOT.rglob("*") if not SKIPPED.intersection(path.relative_to(ROOT).parts)]
     texts = {}
@@ -140,8 +140,8 @@ def test_every_folder_is_a_package() -> None:
 
 def test_nothing_is_tied_to_one_machine() -> None:
     homes = re.compile(r"(?<![\w.:/-])/(?:" + "|".join(("work", "root", "home", "Users", "tmp")) + r")/\w")
-    found = {name: match.group() for name, text in tracked_texts().items() if (match := homes.search(text))}
-    assert found == {}
+    matches = {name: match.group() for name, text in tracked_texts().items() if (match := homes.search(text))}
+    assert matches == {}
 
 
 def test_nothing_is_downloaded_from_an_address_of_ours() -> None:

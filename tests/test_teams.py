@@ -81,12 +81,12 @@ def test_a_model_is_asked_for_compositions_only_where_several_adversaries_are_al
     bank = replace(PINCH, label="Squeeze")
     two = analyzer_prompt(prompts, {0.0: SCENE}, [SHIFT], Limits(), teamwork=Teamwork(2, ("right",), (bank,)))
     assert two.system == alone.system and two.user.startswith(alone.user)
-    asked = two.user.removeprefix(alone.user)
-    assert "up to 2 BVs" in asked
-    assert "BV1: collider, block_right (Escape Block Right), hide (View Screen), open (Gap Opening)" in asked
-    assert "BV2: block_left (Escape Block Left), hide (View Screen), open (Gap Opening)" in asked  # it may not collide
-    assert f"- Squeeze: {WORDS} Parts: collider Shift, block_left Escape Block Left" in asked
-    assert "Blocked Escape" in asked and "Box-in" not in asked  # of three vehicles
+    added = two.user.removeprefix(alone.user)
+    assert "up to 2 BVs" in added
+    assert "BV1: collider, block_right (Escape Block Right), hide (View Screen), open (Gap Opening)" in added
+    assert "BV2: block_left (Escape Block Left), hide (View Screen), open (Gap Opening)" in added  # it may not collide
+    assert f"- Squeeze: {WORDS} Parts: collider Shift, block_left Escape Block Left" in added
+    assert "Blocked Escape" in added and "Box-in" not in added  # of three vehicles
     model = Answers(Analysis(intents=[]), answer())
     analyzer(model, None).analyze({0.0: SCENE}, [SHIFT])
     analyzer(model, Teamwork(2)).analyze({0.0: SCENE}, [SHIFT])
@@ -141,8 +141,8 @@ def test_a_composition_that_the_bank_knows_is_retrieved_and_another_one_is_compo
         assert known_casts([proposed], bank) == [proposed]
         bank.record_composition(squeeze, [True])
         assert known_casts([proposed], bank) == [Cast(replace(squeeze, succeeded=1), ("right", ANY, "left"))]
-        other = Cast(replace(PINCH, description="A tractor turns round on a bridge at night."), ("right", "left"))
-        assert known_casts([other], bank) == [other]
+        unknown = Cast(replace(PINCH, description="A tractor turns round on a bridge at night."), ("right", "left"))
+        assert known_casts([unknown], bank) == [unknown]
 
 
 class Near:

@@ -145,11 +145,11 @@ def test_the_shipped_weights_are_small_and_of_this_network() -> None:
 
 def test_a_car_alone_on_a_straight_road_is_expected_to_drive_on_in_its_lane(road: RoadMap) -> None:
     """20 m/s, below the limit of 22: within 8 s it goes 160 m, give or take a car that speeds up or slows down."""
-    found = Predictor().predict(driving((300.0, 0.0, 20.0)), segments_of(road))
-    best = found.place[0, np.argmax(found.probability[0])]
+    prediction = Predictor().predict(driving((300.0, 0.0, 20.0)), segments_of(road))
+    best = prediction.place[0, np.argmax(prediction.probability[0])]
     assert abs(best[-1, 0] - 460.0) < 32.0 and np.abs(best[:, 1]).max() < LANE
     assert (np.diff(best[:, 0]) > 0.0).all()
-    assert found.probability[0].sum() == pytest.approx(1.0) and (found.scale > 0.0).all()
+    assert prediction.probability[0].sum() == pytest.approx(1.0) and (prediction.scale > 0.0).all()
 
 
 def test_a_car_behind_a_standing_one_is_expected_to_slow_down(road: RoadMap) -> None:
@@ -163,8 +163,8 @@ def test_a_car_behind_a_standing_one_is_expected_to_slow_down(road: RoadMap) -> 
 def test_a_scene_that_is_moved_and_rotated_is_predicted_moved_and_rotated(road: RoadMap) -> None:
     agents, segments = driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0), (280.0, -3.2, 18.0)), segments_of(road)
     before = Predictor().predict(agents, segments)
-    moved, other = turned(agents, segments, 2.1, (-700.0, 350.0))
-    after = Predictor().predict(moved, other)
+    moved, moved_segments = turned(agents, segments, 2.1, (-700.0, 350.0))
+    after = Predictor().predict(moved, moved_segments)
     expected = to_world(to_local(before.place.reshape(3, -1, 2), agents), moved).reshape(before.place.shape)
     assert after.place == pytest.approx(expected, abs=0.02)
     assert after.probability == pytest.approx(before.probability, abs=1e-3)
@@ -175,9 +175,9 @@ def test_jax_and_numpy_compute_the_same(road: RoadMap) -> None:
     f = features(driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0)), segments_of(road))
     parameters = read_weights(SHIPPED)
     with jax.default_device(jax.devices("cpu")[0]):
-        ours, theirs = forward(parameters, f), forward(parameters, f, jax.numpy)
-    assert np.asarray(theirs.place)[:2] == pytest.approx(ours.place[:2], abs=2e-2)  # m, of up to 170
-    assert np.asarray(theirs.logit)[:2] == pytest.approx(ours.logit[:2], abs=1e-3)
+        by_numpy, by_jax = forward(parameters, f), forward(parameters, f, jax.numpy)
+    assert np.asarray(by_jax.place)[:2] == pytest.approx(by_numpy.place[:2], abs=2e-2)  # m, of up to 170
+    assert np.asarray(by_jax.logit)[:2] == pytest.approx(by_numpy.logit[:2], abs=1e-3)
 
 
 def test_a_file_that_holds_no_weights_is_refused(tmp_path: Path) -> None:
@@ -218,12 +218,12 @@ def test_a_folder_without_scenes_is_told(tmp_path: Path) -> None:
 
 def test_a_record_gives_the_vehicles_near_its_ego() -> None:
     """Of ``straight``: the ego at 32 m with 12 m/s, its leader, the parked car; not the car that is seen later."""
-    found = scene_of_record(record_of(straight(), "a record"))
-    assert found is not None
-    f, future, known, followed = found
+    scene = scene_of_record(record_of(straight(), "a record"))
+    assert scene is not None
+    f, future, recorded, followed = scene
     assert f.there.sum() == 3.0 and followed is None
     assert f.state[0, 0] == pytest.approx(1.2) and f.state[0, 3:].tolist() == [0.0] * 5  # its light is unknown
-    assert known[0].all() and future[0, -1] == pytest.approx([96.0, 0.0], abs=0.01)
+    assert recorded[0].all() and future[0, -1] == pytest.approx([96.0, 0.0], abs=0.01)
     inner = scene_of_record(record_of(four_way(), "a record"))
     assert inner is not None and (inner[0].lanes[0, :, 4] > 0.0).any()  # lanes on the junction
 
@@ -256,9 +256,9 @@ def test_the_shipped_weights_beat_constant_velocity_and_lane_following(tmp_path:
     scores = {s.predictor: s for s in evaluate(read_weights(SHIPPED), scenes)}
     ours = scores["transformer"]
     assert ours.vehicles > 50
-    for other in ("constant velocity", "lane following"):
-        assert ours.min_ade < 0.8 * scores[other].min_ade and ours.min_fde < 0.8 * scores[other].min_fde
-        assert ours.miss_rate < scores[other].miss_rate
+    for predictor in ("constant velocity", "lane following"):
+        assert ours.min_ade < 0.8 * scores[predictor].min_ade and ours.min_fde < 0.8 * scores[predictor].min_fde
+        assert ours.miss_rate < scores[predictor].miss_rate
 
 
 # -- commands
@@ -268,9 +268,9 @@ def test_the_figures_are_a_table_or_json(made: Path) -> None:
     """In this process: a start of the program would cost more than what is tested."""
     table = CliRunner().invoke(app, ["transformer", "evaluate", str(made)])
     assert table.exit_code == 0 and table.stdout.startswith("| predictor | minADE [m] | minFDE [m] | miss rate |")
-    found = json.loads(CliRunner().invoke(app, ["transformer", "evaluate", str(made), "--json"]).stdout)
-    assert [s["predictor"] for s in found] == ["transformer", "lane following", "constant velocity"]
-    assert f"| lane following | {found[1]['min_ade']:.2f} | {found[1]['min_fde']:.2f} |" in table.stdout
+    figures = json.loads(CliRunner().invoke(app, ["transformer", "evaluate", str(made), "--json"]).stdout)
+    assert [s["predictor"] for s in figures] == ["transformer", "lane following", "constant velocity"]
+    assert f"| lane following | {figures[1]['min_ade']:.2f} | {figures[1]['min_fde']:.2f} |" in table.stdout
 
 
 @pytest.mark.parametrize(
@@ -311,7 +311,7 @@ def test_training_lowers_the_loss_and_goes_on_where_it_stopped(made: Path, tmp_p
     scenes = load(made, TRAIN)
     two = np.arange(2 * BATCH) % len(scenes)  # two steps an epoch, some scenes twice
     few = Scenes(type(scenes.features)(*(v[two] for v in scenes.features)), scenes.future[two], scenes.known[two])
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
 
     def stop(step: int, total: int, value: float) -> None:
         raise KeyboardInterrupt
@@ -321,8 +321,8 @@ def test_training_lowers_the_loss_and_goes_on_where_it_stopped(made: Path, tmp_p
     with pytest.raises(KeyboardInterrupt):
         train(few, tmp_path / "parts", seed=1, epochs=2, progress=stop, keep_every=1)
     for folder in ("whole", "parts"):
-        train(few, tmp_path / folder, seed=1, epochs=2, progress=lambda k, n, _: told.append((k, n)))
-    assert told == [(4, 4), (4, 4)]
+        train(few, tmp_path / folder, seed=1, epochs=2, progress=lambda k, n, _: reported.append((k, n)))
+    assert reported == [(4, 4), (4, 4)]
     weights = [(tmp_path / folder / "weights.npz").read_bytes() for folder in ("whole", "parts")]
     assert weights[0] == weights[1]
     some = type(few.features)(*(np.asarray(v, np.float32) for v in few.features))

@@ -124,8 +124,8 @@ def test_the_series_agree_with_the_states_and_the_extremes(crossing: Run) -> Non
     rows, adversary = crossing.table("criticality.csv.gz"), outcome["adversaries"][0]["id"]
     states = {(r["time"], r["id"]): r for r in crossing.table("states.csv.gz")}
     for row in rows:
-        one, two = states[row["time"], "ego"], states[row["time"], row["id"]]
-        apart = math.hypot(float(one["x"]) - float(two["x"]), float(one["y"]) - float(two["y"]))
+        ego, vehicle = states[row["time"], "ego"], states[row["time"], row["id"]]
+        apart = math.hypot(float(ego["x"]) - float(vehicle["x"]), float(ego["y"]) - float(vehicle["y"]))
         assert float(row["centre_distance"]) == pytest.approx(apart, abs=2e-4)
         assert row["id"] == adversary or apart <= 60.001
     own = [r for r in rows if r["id"] == adversary]
@@ -206,9 +206,9 @@ def test_sigmas_are_read_from_the_demand(tmp_path: Path) -> None:
 def test_without_an_attempt_there_is_nothing_to_say(crossing: Run) -> None:
     empty = Episode(crossing.episode.source, crossing.episode.settings, crossing.episode.task)
     assert judge_best(empty) is None
-    said = figures(None)
-    assert said.pop("markings_crossed") == []
-    assert set(said) <= set(crossing.outcome["outcome"]) and set(said.values()) == {None}
+    columns = figures(None)
+    assert columns.pop("markings_crossed") == []
+    assert set(columns) <= set(crossing.outcome["outcome"]) and set(columns.values()) == {None}
 
 
 def test_a_replay_comes_to_the_same_bytes(crossing: Run, tmp_path: Path) -> None:

@@ -172,8 +172,8 @@ def test_random_traffic_counts(tmp_path: Path) -> None:
     """A straight road of three lanes has no collision; one of bike lanes has no traffic at all."""
     from sumo_adv.simulation.inputs import data_folder
 
-    found = random_traffic(data_folder("networks") / "straight_3lane.net.xml", duration=30.0)
-    assert found["collisions"] == found["teleports"] == 0 and found["events"] == [] and found["vehicles"] > 5
+    counts = random_traffic(data_folder("networks") / "straight_3lane.net.xml", duration=30.0)
+    assert counts["collisions"] == counts["teleports"] == 0 and counts["events"] == [] and counts["vehicles"] > 5
     bikes = straight("bikes")
     for feature in bikes.map_features:
         if feature.HasField("lane"):
@@ -184,12 +184,12 @@ def test_random_traffic_counts(tmp_path: Path) -> None:
 
 def test_teleports_are_read_from_the_warnings() -> None:
     """As SUMO 1.28 words them, between others."""
-    said = (
+    warnings = (
         "Warning: Vehicle 'bv9' performs emergency braking on lane 'w1_0' with decel=9.00, wished=4.50, time=40.00.\n"
         "Warning: Teleporting vehicle 'bv23'; waited too long (yield), lane='w207_0', time=115.90.\n"
         "Warning: Teleporting vehicle 'bv2'; collision with vehicle 'bv3', lane=':n1_0_0', time=7.00.\n"
     )
-    assert _teleports(said)[0] == "teleport (waited too long (yield)) from w207_0 at 115.9 s"
+    assert _teleports(warnings)[0] == "teleport (waited too long (yield)) from w207_0 at 115.9 s"
 
 
 @pytest.mark.parametrize(
@@ -221,11 +221,11 @@ def test_convert_writes_a_folder_a_record(program: Program) -> None:
     write(program.folder / "two.tfrecord", straight(), four_way())
     done = program("convert", "two.tfrecord", "--out", "scenes", "--json", "--no-traffic")
     assert (done.status, done.err) == (0, "")
-    said = json.loads(done.out)
-    assert [(r["scenario_id"], r["folder"], r["cached"]) for r in said["records"]] == [
+    report = json.loads(done.out)
+    assert [(r["scenario_id"], r["folder"], r["cached"]) for r in report["records"]] == [
         ("straight", "scenes/straight", False), ("four_way", "scenes/four_way", False),
     ]  # fmt: skip
-    assert said["failed"] == []
+    assert report["failed"] == []
     for name in ("straight", "four_way"):
         assert lacking(program.folder / "scenes" / name, FILES) == set()
     assert program.leftovers() == ["scenes", "two.tfrecord"]
@@ -243,9 +243,9 @@ def test_convert_keeps_going_or_stops(program: Program) -> None:
     assert stopped.status == 2 and stopped.err.startswith("sumo-adv: Record 1 of three.tfrecord ('nowhere') has no map")
     assert "Traceback" not in stopped.err and len(stopped.err.splitlines()) == 1
     going = program("convert", "three.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
-    said = json.loads(going.out)
-    assert going.status == 0 and [r["scenario_id"] for r in said["records"]] == ["straight", "four_way"]
-    assert [s.split(":")[0] for s in said["failed"]] == ["Record 1 of three.tfrecord ('nowhere') has no map"]
+    report = json.loads(going.out)
+    assert going.status == 0 and [r["scenario_id"] for r in report["records"]] == ["straight", "four_way"]
+    assert [s.split(":")[0] for s in report["failed"]] == ["Record 1 of three.tfrecord ('nowhere') has no map"]
     assert sorted(p.name for p in (program.folder / "b").iterdir()) == ["four_way", "straight"]
 
 
@@ -254,9 +254,9 @@ def test_a_coordinate_at_10_000_km_costs_nothing_and_does_not_stop_the_next_reco
     far.scenario_id, far.map_features[0].lane.polyline[3].x = "far", 1e7
     write(program.folder / "two.tfrecord", far, four_way())
     going = program("convert", "two.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
-    said = json.loads(going.out)
-    assert going.status == 0 and [r["scenario_id"] for r in said["records"]] == ["four_way"]
-    assert "1e+07 m from the origin" in said["failed"][0] and len(going.err.splitlines()) == 1
+    report = json.loads(going.out)
+    assert going.status == 0 and [r["scenario_id"] for r in report["records"]] == ["four_way"]
+    assert "1e+07 m from the origin" in report["failed"][0] and len(going.err.splitlines()) == 1
 
 
 def test_convert_of_nothing_good_fails(program: Program) -> None:

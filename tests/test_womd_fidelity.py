@@ -68,12 +68,12 @@ def test_a_network_that_lies_beside_its_record(tmp_path: Path) -> None:
         tmp_path, edge("e", [(0, 0.3), (300, 0.3)], [(0, 3.8), (150, 3.8)]), edge("back", [(300, 3.5), (0, 3.5)])
     )
     pieces = {12: [Piece("e_0", 0.0, 300.0)], 11: [Piece("e_1", 0.0, 150.0)]}
-    found = lane_deviations(record(straight()), roads, pieces)
-    on = found.xy[:, 1] < 1.0
-    assert np.allclose(found.distance[on], 0.3)
-    rest = found.distance[~on & (found.xy[:, 0] > 155.0)]
+    deviations = lane_deviations(record(straight()), roads, pieces)
+    on = deviations.xy[:, 1] < 1.0
+    assert np.allclose(deviations.distance[on], 0.3)
+    rest = deviations.distance[~on & (deviations.xy[:, 0] > 155.0)]
     assert rest.max() == pytest.approx(3.2)  # the right lane is the nearest that leads there
-    assert found.own[~on & (found.xy[:, 0] > 180.0)].min() == FAR
+    assert deviations.own[~on & (deviations.xy[:, 0] > 180.0)].min() == FAR
     lengths = _lengths(record(straight()), pieces)
     assert lengths["lane_length"] == pytest.approx(600.0) and lengths["represented"] == pytest.approx(0.75)
 
@@ -86,8 +86,8 @@ def test_bike_lanes_are_compared_with_lanes_for_bicycles(tmp_path: Path) -> None
     roads = net(
         tmp_path, edge("car", [(0, 0), (100, 0)], allow="passenger"), edge("b", [(0, -3), (100, -3)], allow="bicycle")
     )
-    found = lane_deviations(record(message), roads, {})
-    assert set(np.round(found.distance, 6)) == {0.0, 3.0}
+    deviations = lane_deviations(record(message), roads, {})
+    assert set(np.round(deviations.distance, 6)) == {0.0, 3.0}
 
 
 def test_length_inside_junctions_counts_a_lane_once() -> None:
@@ -107,8 +107,8 @@ def test_connections_that_can_be_driven(tmp_path: Path) -> None:
         link("a_0", "b_0", ":J_0_0"), link(":J_0_0", "b_0"), link("r_0", "m_0"),
     )  # fmt: skip
     pieces = {1: [Piece("a_0", 0, 120)], 2: [Piece("b_0", 0, 120)], 4: [Piece("r_0", 0, 98)], 5: [Piece("m_0", 0, 30)]}
-    found = connectivity(record(message), roads, pieces)
-    assert (found["wanted"], found["kept"], found["lost"]) == (3, 2, [(5, 2)])
+    connections = connectivity(record(message), roads, pieces)
+    assert (connections["wanted"], connections["kept"], connections["lost"]) == (3, 2, [(5, 2)])
     assert connectivity(record(gap()), roads, {})["wanted"] == 0  # 100 m apart: no connection
 
 
@@ -122,15 +122,15 @@ def test_vehicles_inside_lanes(tmp_path: Path) -> None:
     """The ego drives at the lane's middle, the leader too; the one beside 0.3 m off in a lane of 0.4 m; the parked one
     and the pedestrian do not count. 91 + 91 + 76 states."""
     roads = net(tmp_path, edge("e", [(0, 0), (300, 0)]), edge("thin", [(0, 3.2), (300, 3.2)], width=0.4))
-    found = inside_lanes(record(straight()), roads)
-    assert found == {"states": 258, "inside": pytest.approx(182 / 258), "near_centre": 1.0}
+    shares = inside_lanes(record(straight()), roads)
+    assert shares == {"states": 258, "inside": pytest.approx(182 / 258), "near_centre": 1.0}
 
 
 def test_the_lanes_of_a_track_on_the_record_itself() -> None:
-    found = record(four_way())
-    (whole,) = match(record_graph(found), found.tracks[0])
+    crossing = record(four_way())
+    (whole,) = match(record_graph(crossing), crossing.tracks[0])
     assert whole.driven == (104, 331, 202)
-    (begun_inside,) = match(record_graph(found), found.tracks[1])
+    (begun_inside,) = match(record_graph(crossing), crossing.tracks[1])
     assert begun_inside.driven[-2:] == (302, 203)
 
 
@@ -148,8 +148,8 @@ def test_a_lane_change_is_no_break() -> None:
     """From the right lane of the straight road to the left one, on the record's graph and on SUMO's."""
     message = straight()
     track(message, 9, line((20.0, 0.0), (60.0, 0.0), (90.0, 3.5), (200.0, 3.5)), start=0.0, speed=12.0)
-    found = record(message)
-    (change,) = match(record_graph(found), found.tracks[-1])
+    with_change = record(message)
+    (change,) = match(record_graph(with_change), with_change.tracks[-1])
     assert change.driven == (12, 11)
 
 
@@ -162,6 +162,6 @@ def test_a_lane_change_in_sumo(tmp_path: Path) -> None:
 
 
 def test_a_track_beside_all_lanes_is_on_none(tmp_path: Path) -> None:
-    found = record(straight())
+    straight_road = record(straight())
     roads = net(tmp_path, edge("e", [(0, 30), (300, 30)]), edge("bike", [(0, 0), (300, 0)], allow="bicycle"))
-    assert match(net_graph(roads), found.tracks[0]) == ()
+    assert match(net_graph(roads), straight_road.tracks[0]) == ()

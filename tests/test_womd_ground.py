@@ -96,9 +96,9 @@ def test_left_of_a_corner_is_the_road_around_it() -> None:
     kerb = np.array([(-20.0, 0.0), (0.0, 0.0), (0.0, 20.0)])
     around = box(-9.0, -9.0, 9.0, 9.0)
     assert left_of_edges([kerb], around).area == pytest.approx(9.0 * 9.0)
-    other = left_of_edges([kerb[::-1]], around)
-    assert other.area == pytest.approx(18.0 * 18.0 - 81.0)
-    assert contains_xy(other, [5.0, 5.0, -5.0], [5.0, -5.0, -5.0]).all()
+    right_side = left_of_edges([kerb[::-1]], around)
+    assert right_side.area == pytest.approx(18.0 * 18.0 - 81.0)
+    assert contains_xy(right_side, [5.0, 5.0, -5.0], [5.0, -5.0, -5.0]).all()
 
 
 def test_an_area_is_read_as_it_was_written() -> None:

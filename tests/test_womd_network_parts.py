@@ -113,8 +113,8 @@ def test_a_stop_sign_stops_its_lane_alone_and_signs_all_round_stop_everybody(tmp
         sign.lane.extend(300 + 10 * (n - 101) + j for n in signs for j in range(4) if j != n - 101)
         made = convert_network(record(tmp_path, message), tmp_path / str(len(signs)))
         edge = made.pieces[101][0].sumo_lane.rpartition("_")[0]
-        found = ET.parse(made.path).getroot().findall("connection")
-        outer = [c for c in found if not c.get("from", "").startswith(":")]
+        connections = ET.parse(made.path).getroot().findall("connection")
+        outer = [c for c in connections if not c.get("from", "").startswith(":")]
         states[len(signs)] = ({c.get("state") for c in outer if c.get("from") == edge}, {c.get("state") for c in outer})
     assert states[1][0] == {"s"} and "s" in states[1][1] and "M" in states[1][1]
     assert states[4] == ({"w"}, {"w"})
@@ -177,8 +177,8 @@ def test_a_failing_netconvert_is_one_sentence(tmp_path: Path) -> None:
 def test_a_missing_netconvert_names_the_extra() -> None:
     ask = "import sys\nfrom sumo_adv.simulation.programs import find_netconvert\nsys.path.clear()\nfind_netconvert()"
     done = subprocess.run([sys.executable, "-c", ask], env={"PATH": ""}, capture_output=True, text=True, check=False)
-    said = done.stderr.strip().splitlines()[-1]
-    assert said.startswith("sumo_adv.errors.UsageError") and "sumo-adv[sumo]" in said
+    last_line = done.stderr.strip().splitlines()[-1]
+    assert last_line.startswith("sumo_adv.errors.UsageError") and "sumo-adv[sumo]" in last_line
 
 
 @st.composite
@@ -203,11 +203,11 @@ def topologies(draw: st.DrawFn) -> Any:
                 ends[i, k, inbound] = samples.line(*(reversed(corners) if inbound else corners))
     number = {key: 100 + n for n, key in enumerate(ends)}
     for i, arm in enumerate(arms):
-        for j, other in enumerate(arms):
+        for j, exit_arm in enumerate(arms):
             for k in range(lanes):
                 if i != j and draw(st.booleans()):
                     a, b = ends[i, k, True][-1], ends[j, k, False][0]
-                    curve = samples.curve(tuple(a), arm * math.pi / 12 + math.pi, tuple(b), other * math.pi / 12)
+                    curve = samples.curve(tuple(a), arm * math.pi / 12 + math.pi, tuple(b), exit_arm * math.pi / 12)
                     way = 1000 + len(ways)
                     ways.append((way, curve, number[i, k, True], number[j, k, False]))
                     exits.setdefault(number[i, k, True], []).append(way)

@@ -64,13 +64,13 @@ def test_the_proto_and_the_compiled_module_agree() -> None:
     fields = set(re.findall(r"([A-Za-z0-9_.]+) ([a-z_]+) = (\d+)(?: \[packed = true\])?;", text))
     values = set(re.findall(r"\b([A-Z][A-Z0-9_]+) = (\d+);", text))
     kinds = {1: "double", 2: "float", 3: "int64", 5: "int32", 8: "bool", 9: "string"}
-    found, enums = set(), set()
+    compiled, enums = set(), set()
     for message in scenario_pb2.DESCRIPTOR.message_types_by_name.values():
         for field in message.fields:
             named = field.message_type or field.enum_type
-            found.add((named.name if named else kinds[field.type], field.name, str(field.number)))
+            compiled.add((named.name if named else kinds[field.type], field.name, str(field.number)))
         enums |= {(v.name, str(v.number)) for e in message.enum_types for v in e.values}
-    assert {(kind.rpartition(".")[2], *rest) for kind, *rest in fields} == found
+    assert {(kind.rpartition(".")[2], *rest) for kind, *rest in fields} == compiled
     assert values == enums
 
 
@@ -204,9 +204,9 @@ def test_a_bad_record_is_one_sentence_and_can_be_passed_over(tmp_path: Path, cha
     path.write_bytes(frame(four_way().SerializeToString()) + frame(bad(change)) + frame(merge().SerializeToString()))
     with pytest.raises(UsageError, match=rf"Record 1 of .*a\.tfrecord.*{sentence}") as raised:
         list(read_records(path))
-    told: list[UsageError] = []
-    assert [r.scenario_id for r in read_records(path, told=told.append)] == ["four_way", "merge"]
-    assert [str(error) for error in told] == [str(raised.value)]
+    errors: list[UsageError] = []
+    assert [r.scenario_id for r in read_records(path, told=errors.append)] == ["four_way", "merge"]
+    assert [str(error) for error in errors] == [str(raised.value)]
 
 
 def test_a_wrong_checksum_spoils_its_record_alone(tmp_path: Path) -> None:
@@ -214,9 +214,9 @@ def test_a_wrong_checksum_spoils_its_record_alone(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[5000] ^= 1
     path.write_bytes(bytes(data))
-    told: list[UsageError] = []
-    assert [r.scenario_id for r in read_records(path, told=told.append)] == ["four_way"]
-    assert "Record 0 of" in str(told[0]) and "its checksum is wrong" in str(told[0])
+    errors: list[UsageError] = []
+    assert [r.scenario_id for r in read_records(path, told=errors.append)] == ["four_way"]
+    assert "Record 0 of" in str(errors[0]) and "its checksum is wrong" in str(errors[0])
 
 
 def test_another_message_is_no_scenario(tmp_path: Path) -> None:
@@ -253,11 +253,11 @@ def test_a_speed_limit_of_nothing_is_zero(tmp_path: Path) -> None:
 
 def outcome(path: Path) -> object:
     """What reading comes to: records, or the sentences."""
-    told: list[UsageError] = []
-    records = list(read_records(path, told=told.append))
+    errors: list[UsageError] = []
+    records = list(read_records(path, told=errors.append))
     assert all(isinstance(r, Record) for r in records)
-    assert all(str(error).endswith(".") for error in told)
-    return records, told
+    assert all(str(error).endswith(".") for error in errors)
+    return records, errors
 
 
 SMALL = empty("small")
@@ -297,9 +297,9 @@ def test_a_file_cut_anywhere_is_told(tmp_path_factory: pytest.TempPathFactory, e
     whole = frame(SMALL_BYTES)
     path = tmp_path_factory.getbasetemp() / "cut.tfrecord"
     path.write_bytes(whole + whole[:end])
-    told: list[UsageError] = []
-    records = list(read_records(path, told=told.append))
-    assert len(records) + len(told) == (1 if end == 0 else 2)
+    errors: list[UsageError] = []
+    records = list(read_records(path, told=errors.append))
+    assert len(records) + len(errors) == (1 if end == 0 else 2)
 
 
 @pytest.mark.parametrize("build", WITH_MAP, ids=lambda build: build.__name__)

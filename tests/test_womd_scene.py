@@ -89,9 +89,9 @@ def test_parked_is_what_stands_on_no_lane(tmp_path: Path) -> None:
 
 
 def test_the_scenario_of_the_straight_road(tmp_path: Path) -> None:
-    found, roads = record(straight()), two_lanes(tmp_path)
+    recorded, roads = record(straight()), two_lanes(tmp_path)
     graph = net_graph(roads)
-    write_scene(found, roads, {t.id: match(graph, t) for t in found.tracks if t.kind == 1}, tmp_path)
+    write_scene(recorded, roads, {t.id: match(graph, t) for t in recorded.tracks if t.kind == 1}, tmp_path)
     scenario = load_scenario(tmp_path / "scenario.toml")
     assert scenario.network == tmp_path / "network.net.xml" and scenario.background is None
     assert scenario.ego.id == "1" and scenario.window.warm_up == pytest.approx(1.0)
@@ -108,9 +108,9 @@ def test_a_replayed_ego_goes_among_replayed_vehicles(tmp_path: Path) -> None:
     write_scene(record(straight()), two_lanes(tmp_path), {}, tmp_path)
     spec = scenario_playback(load_scenario(tmp_path / "scenario.toml"))
     backgrounds = {
-        (asked, replayed): found.background
-        for asked in (None, "sumo", "log") for replayed in (False, True)
-        if (found := with_background(spec, asked, replayed=replayed)) is not None  # type: ignore[arg-type]
+        (background, replayed): chosen.background
+        for background in (None, "sumo", "log") for replayed in (False, True)
+        if (chosen := with_background(spec, background, replayed=replayed)) is not None  # type: ignore[arg-type]
     }  # fmt: skip
     assert backgrounds == {
         (None, False): "sumo", (None, True): "log", ("sumo", False): "sumo", ("sumo", True): "sumo",
@@ -118,8 +118,8 @@ def test_a_replayed_ego_goes_among_replayed_vehicles(tmp_path: Path) -> None:
     }  # fmt: skip
     text = (tmp_path / "scenario.toml").read_text()
     (tmp_path / "scenario.toml").write_text(text.replace("[demand]", 'background = "sumo"\n\n[demand]'))
-    said = with_background(scenario_playback(load_scenario(tmp_path / "scenario.toml")), None, replayed=True)
-    assert said is not None and said.background == "sumo"
+    from_file = with_background(scenario_playback(load_scenario(tmp_path / "scenario.toml")), None, replayed=True)
+    assert from_file is not None and from_file.background == "sumo"
 
 
 def test_the_tracks_of_the_straight_road(tmp_path: Path) -> None:

@@ -81,12 +81,12 @@ def lane(
 
 def beside(left: Any, right: Any, left_id: int, right_id: int, a: tuple[int, int], b: tuple[int, int]) -> None:
     """Make two lanes neighbours over index ranges: ``a`` of the left lane, ``b`` of the right one."""
-    for made, other, own, theirs in (
+    for made, neighbour_id, own, neighbour_range in (
         (left.right_neighbors, right_id, a, b), (right.left_neighbors, left_id, b, a),
     ):  # fmt: skip
         made.add(
-            feature_id=other, self_start_index=own[0], self_end_index=own[1], neighbor_start_index=theirs[0],
-            neighbor_end_index=theirs[1],
+            feature_id=neighbour_id, self_start_index=own[0], self_end_index=own[1],
+            neighbor_start_index=neighbour_range[0], neighbor_end_index=neighbour_range[1],
         )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ STEP = 1.0  # m
 
 def lane_centres(file: Path) -> list[NDArray[np.float64]]:
     """Centre lines (n, 2) [m] of all lanes to the right of a reference line, which is where netconvert puts them."""
-    found = []
+    centres = []
     for road in ElementTree.parse(file).getroot().iter("road"):
         length = float(road.get("length", "nan"))
         stations = np.append(np.arange(0.0, length, STEP), length - 1e-6)
@@ -27,9 +27,9 @@ def lane_centres(file: Path) -> list[NDArray[np.float64]]:
             width = np.array([_width(lane, s) for s in stations])
             away = -(edge + width / 2)
             x, y, heading = poses.T
-            found.append(np.column_stack((x - away * np.sin(heading), y + away * np.cos(heading))))
+            centres.append(np.column_stack((x - away * np.sin(heading), y + away * np.cos(heading))))
             edge += width
-    return found
+    return centres
 
 
 def _pose(road: Element, s: float) -> tuple[float, float, float]:

@@ -68,9 +68,9 @@ def replayed(file: Path) -> dict[str, Motion]:
     """Every entity's motion in a file that replays all vehicles."""
     root = ElementTree.parse(file).getroot()
     begin = float(properties(root)["begin"])
-    found = {}
+    motions = {}
     for scenario_object in root.iterfind("Entities/ScenarioObject"):
         name = scenario_object.attrib["name"]
         (trajectory,) = [t for event in events(root, name) for t in event.iter("Trajectory")]
-        found[name] = motion(root, name, trajectory, begin)
-    return found
+        motions[name] = motion(root, name, trajectory, begin)
+    return motions

@@ -62,10 +62,10 @@ def main() -> None:
     crashes = sum(thinned(replace(plan, plain=True), first, CHUNK, args.others, args.out) for first in parts)
     driven = len(parts) * CHUNK
     hours = driven * plain.hours / plain.runs
-    found = rate(np.ones(crashes), np.full(crashes, hours / crashes))
+    thinned_rate = rate(np.ones(crashes), np.full(crashes, hours / crashes))
     same = thinned(replace(plan, plain=True), 0, plain.runs, args.others, args.out)
     print(f"thinned    {driven} plain runs, {crashes} collisions ({same} in the first {plain.runs}):")
-    print("\n".join(covered(estimates, found)))
+    print("\n".join(covered(estimates, thinned_rate)))
     half = float(np.median(_column(estimates, "half_width")))
     needed = crashes_for(half) / crashes * driven * plain.km / plain.runs
     times = needed / float(np.mean([each["km"] for each in estimates]))
@@ -100,8 +100,8 @@ def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
             return [dict(runner.run(job, last=True).row or {}) for job in jobs]
 
         pilot = blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)))
-        found = blocks("runs", runs, learnt(counts_of(pilot), chances(plan.factor)))
-    document = estimated(plan, records_of(found), records_of(pilot)).document()
+        rows = blocks("runs", runs, learnt(counts_of(pilot), chances(plan.factor)))
+    document = estimated(plan, records_of(rows), records_of(pilot)).document()
     write_text(file, json_text(document, 1))
     return document
 
@@ -110,12 +110,12 @@ def table(estimates: Sequence[Mapping[str, Any]], plain: Estimate) -> list[str]:
     """The estimates against plain runs, and how far the ego drove for each. Rates are of collisions in 1000 h."""
     truth = plain.per_hour["collision"]
     value, half = _column(estimates, "rate"), _column(estimates, "half_width")
-    driven, wanted = float(np.mean([each["km"] for each in estimates])), float(np.median(half))
-    spread, as_said = value.std(ddof=1) / value.mean(), wanted / norm.ppf(0.975)
+    driven, median_half = float(np.mean([each["km"] for each in estimates])), float(np.median(half))
+    spread, as_said = value.std(ddof=1) / value.mean(), median_half / norm.ppf(0.975)
     return [
         f"estimates  {len(value)} of {estimates[0]['pilot']} + {estimates[0]['runs']} runs: mean "
         f"{value.mean() * 1e3:.4g}, standard error {1e3 * value.std(ddof=1) / len(value) ** 0.5:.2g}, "
-        f"median half width {wanted:.0%}, {driven:.1f} km each",
+        f"median half width {median_half:.0%}, {driven:.1f} km each",
         f"spread     of their values {spread:.0%}, as the half widths say {as_said:.0%}",
         f"plain      {plain.runs} runs, {truth.crashes} collisions, {truth.crashes / plain.runs:.2g} a run, "
         f"{plain.km:.0f} km",
