@@ -209,7 +209,7 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -
         try:
             command, arguments = control.recv()
         except EOFError:
-            return
+            os._exit(0)  # nothing is left to write, and an interpreter that ends in good order keeps the front waiting
         said = Path(log).stat().st_size
         try:
             reply = ("value", handlers[command](*arguments))
