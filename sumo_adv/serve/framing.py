@@ -55,7 +55,8 @@ def make_command(number: int, payload: bytes = b"") -> bytes:
 
 def make_message(*commands: bytes) -> bytes:
     """A message of commands, or of answers."""
-    return _INT.pack(4 + sum(map(len, commands))) + b"".join(commands)
+    body = b"".join(commands)
+    return _INT.pack(4 + len(body)) + body
 
 
 def make_status(number: int, result: int = OK, text: str = "") -> bytes:

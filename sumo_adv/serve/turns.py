@@ -12,7 +12,7 @@ from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_comma
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
 from sumo_adv.serve.older_clients import OlderClients
-from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
+from sumo_adv.serve.policy import CONTEXTS, GETTERS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
 from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
 from sumo_adv.serve.shapes import Misfit
 from sumo_adv.serve.subscriptions import Subscriptions
@@ -222,17 +222,24 @@ class Turns:
         reason = self.policy.refusal(command)
         if reason is not None:
             return self._refuse(client, command, reason)
+        if number in GETTERS:
+            return self._asked(command)
         if number in SUBSCRIPTIONS and (reason := self._subscriptions.deadly(command)):
             return make_message(make_status(number, framing.ERROR, reason))
         if gone := removed(command):
             self._subscriptions.end_of(*gone)
-        answer = self._link.ask(make_message(command.raw))
-        self._begin_turn()
+        answer = self._asked(command)
         if framing.accepted(answer):
             if number in SETTERS:
                 self.policy.took(command)
             elif number in SUBSCRIPTIONS or number in CONTEXTS:
                 self._subscriptions.note(command)
+        return answer
+
+    def _asked(self, command: Command) -> bytes:
+        """SUMO's answer to a command; from then on it is the client's turn."""
+        answer = self._link.ask(make_message(command.raw))
+        self._begin_turn()
         return answer
 
     def _count(self) -> None:
