@@ -255,7 +255,7 @@ class Line:
             return True
 
     def hang_up(self) -> None:
-        """End the connection from any thread: the other end gets what was sent, and the reader here is woken."""
+        """End the connection, from any thread. The other end gets what was sent before, and a read here returns."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 

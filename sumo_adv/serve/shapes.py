@@ -161,9 +161,9 @@ def name_end(payload: bytes, at: int) -> int:
 
 def context_fits(payload: bytes, at: int, domain: int) -> bool:
     """Whether the variables from their count at ``at`` on are ones that the objects of a getter's domain have."""
-    known = CONTEXTUAL.get(domain)
-    wanted = payload[at + 1 :]
-    return known is not None and at < len(payload) == at + 1 + payload[at] and known.issuperset(wanted)
+    allowed = CONTEXTUAL.get(domain)
+    variables = payload[at + 1 :]
+    return allowed is not None and at < len(payload) == at + 1 + payload[at] and allowed.issuperset(variables)
 
 
 def get_shapes(number: int, variable: int) -> Shapes:

@@ -267,13 +267,15 @@ class Turns:
             return self._refuse(client, command, "A step needs a time in seconds.")
         count = 1
         if until:
-            now = self._link.now()
+            present = self._link.now()
             self._begin_turn()
-            if until > now + LONGEST_STEP:
+            if until > present + LONGEST_STEP:
                 return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
-            if until <= now:
-                return self._shown(self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", now)))))
-            count = max(1, math.ceil((until - now) / self._link.step_length() - 1e-6))
+            if until <= present:
+                return self._shown(
+                    self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
+                )
+            count = max(1, math.ceil((until - present) / self._link.step_length() - 1e-6))
         return self._shown(self._steps(client, count))
 
     def _steps(self, client: Client, count: int) -> bytes:
@@ -310,11 +312,13 @@ class Turns:
     def _send_client_away(self) -> None:
         client, parting = self._seat.client, self._parting
         kind = EventKind.RESTARTED if parting else EventKind.ENDED
-        what = "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
+        reason = (
+            "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
+        )
         if client is None or (parting and self._keep):
-            self._seat.tell(GateEvent(kind, f"{what}."))
+            self._seat.tell(GateEvent(kind, f"{reason}."))
             return
-        self._seat.leave(client, kind, f"{what}; the client at {client.peer} may connect again.")
+        self._seat.leave(client, kind, f"{reason}; the client at {client.peer} may connect again.")
 
 
 def _joined(answers: list[bytes]) -> bytes:
