@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 from sumo_adv.errors import BankError, UsageError
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
     from sumo_adv.agents.agents import Agents
     from sumo_adv.agents.prompts import Prompts
     from sumo_adv.benchmark.jobs import Parts as BenchParts
@@ -195,19 +197,19 @@ def play(
 
     Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
     """
-    from sumo_adv.episode.loop import run_episode
-    from sumo_adv.episode.task import make_task
-    from sumo_adv.report.outcome import MODEL_FILE
+    with new_engine() as engine:  # first: it loads its modules while this process loads others
+        from sumo_adv.episode.loop import run_episode
+        from sumo_adv.episode.task import make_task
+        from sumo_adv.report.outcome import MODEL_FILE
 
-    task = replace(make_task(given, settings, scratch), ego_given=ego)
-    with (
-        open_for_run(settings) as bank,
-        new_sandbox(settings) as sandbox,
-        open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
-        new_engine() as engine,
-    ):
-        episode = run_episode(given, settings, task, engine, agents, bank, tell)
-        played()
+        task = replace(make_task(given, settings, scratch), ego_given=ego)
+        with (
+            open_for_run(settings) as bank,
+            new_sandbox(settings) as sandbox,
+            open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
+        ):
+            episode = run_episode(given, settings, task, engine, agents, bank, tell)
+            played()
     return episode
 
 
@@ -262,11 +264,17 @@ def check_driver(
 
 def new_engine() -> Engine:
     """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
-    from sumo_adv.episode.worker import body
     from sumo_adv.simulation.engine import Engine, deaf
 
     with _without_main(), deaf():
-        return Engine(body)
+        return Engine(_episode_body)
+
+
+def _episode_body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
+    """The commands of an episode's engine, which only its own process loads."""
+    from sumo_adv.episode.worker import body
+
+    return body(slots)
 
 
 @contextmanager

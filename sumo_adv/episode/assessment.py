@@ -54,11 +54,11 @@ def observed_motion(
     track = tracks[0].between(result.start, math.inf) if tracks else None
     if track is None or len(track.time) < 2:
         return None
-    now, dt = found.situations[delay], settings.step_length
+    situation, dt = found.situations[delay], settings.step_length
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
-    path, station = now.baseline.path, 0.0
-    places = [(float(now.baseline.s[k]), 0.0) for k in missing]
-    speeds = np.concatenate([now.baseline.v[: len(missing)], track.speed])
+    path, station = situation.baseline.path, 0.0
+    places = [(float(situation.baseline.s[k]), 0.0) for k in missing]
+    speeds = np.concatenate([situation.baseline.v[: len(missing)], track.speed])
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=station, reach=REACH)
         places.append((station, offset))

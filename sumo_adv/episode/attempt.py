@@ -131,8 +131,8 @@ class OngoingAttempt:
         return self._ended("time_limit") if steps >= self._steps else None
 
     def _ended(self, ending: str) -> Driven:
-        said = [c.message for c in self._adversaries.values() if c is not None]
-        message = " ".join(words for words in said if words)
+        messages = [c.message for c in self._adversaries.values() if c is not None]
+        message = " ".join(words for words in messages if words)
         beyond = {name: self._beyond(name) for name in self._adversaries if ending == "contact" and self._here(name)}
         return Driven(ending, message, beyond)
 

@@ -33,9 +33,9 @@ class BankView:
         """The view of the bank as it is now, in the encounter of an episode."""
         settings, agents = episode.settings, episode.agents
         library, _ = read_library(bank, planned.scene, settings.seed, planned.found.situations)
-        known = [e for e in library if not composed(e)]  # the expert composes the others anyway
-        found = templates_of(planned.found.situations, known)
-        templates = [(t.delay, t.target.state.id, t.entry.label, t.planner.hash) for t in found]
+        plain = [e for e in library if not composed(e)]  # the expert composes the others anyway
+        all_templates = templates_of(planned.found.situations, plain)
+        templates = [(t.delay, t.target.state.id, t.entry.label, t.planner.hash) for t in all_templates]
         shown = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
         counts = shown or settings.recall == "scene"
         return cls(

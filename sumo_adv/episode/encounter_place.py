@@ -55,8 +55,8 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] 
     if ego.lane in road.lanes and not drive.replayed():
         assert drive.ego is not None
         return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
-    found = road.lane_at(ego.x, ego.y, ego.heading)
-    return None if found is None else (road.lanes[found[0]], found[1])
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading)
+    return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
 def _two_way(road: RoadMap, lane: Lane) -> bool:

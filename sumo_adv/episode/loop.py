@@ -123,9 +123,9 @@ def replay_episode(
     """The encounter again, with one given attempt and nothing else: no analyzer, no bank; ``skips`` as recorded."""
     episode = Episode(source, settings, task)
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
-    found = recorded_encounter(episode, engine, proposal, skips)
-    if found is not None:
-        attack_once(episode, engine, sandbox, found, proposal)
+    encounter = recorded_encounter(episode, engine, proposal, skips)
+    if encounter is not None:
+        attack_once(episode, engine, sandbox, encounter, proposal)
     return episode
 
 
@@ -150,15 +150,15 @@ def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, ski
         UsageError: the recorded start or vehicle is none of the encounter's.
     """
     for _ in range(skips + 1):
-        found = seek(episode, engine, lambda *_: None)
-        if found is None:
+        encounter = seek(episode, engine, lambda *_: None)
+        if encounter is None:
             return None
-    assert found is not None
-    if proposal.delay not in found.situations:
+    assert encounter is not None
+    if proposal.delay not in encounter.situations:
         raise UsageError(
             f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
         )
     for bv in proposal.bvs:
-        if bv not in found.situations[proposal.delay].targets:
+        if bv not in encounter.situations[proposal.delay].targets:
             raise UsageError(f"The manifest's vehicle '{bv}' is none of the run's, so it cannot be replayed.")
-    return found
+    return encounter

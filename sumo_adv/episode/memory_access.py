@@ -69,12 +69,12 @@ def unprotected_library() -> tuple[LibraryEntry, ...]:
 
 def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[LibraryEntry]:
     """A library with a shipped intent; if the library has it, with the planners of it that the library lacks."""
-    known = next((e for e in entries if e.label == shipped.label), None)
-    if known is None:
+    held = next((e for e in entries if e.label == shipped.label), None)
+    if held is None:
         return [*entries, shipped]
-    hashes = {p.hash for p in known.planners}
-    more = replace(known, planners=(*known.planners, *(p for p in shipped.planners if p.hash not in hashes)))
-    return [more if e is known else e for e in entries]
+    hashes = {p.hash for p in held.planners}
+    more = replace(held, planners=(*held.planners, *(p for p in shipped.planners if p.hash not in hashes)))
+    return [more if e is held else e for e in entries]
 
 
 def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
@@ -87,14 +87,14 @@ def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ())
 
     A scenario may name intents that the bank lacks or has retired, if the program ships them.
     """
-    known = [record.label for record in bank.intents() if record.status == "active"]
-    known += [entry.label for entry in unprotected_library()]
+    labels = [record.label for record in bank.intents() if record.status == "active"]
+    labels += [entry.label for entry in unprotected_library()]
     if not settings.intents:
-        labels = {canonical(label) for label in (*COMPOSED, *known)}
-        unknown = [n for n in scenario if canonical(n) not in labels and bank.intent(n) is None]
+        allowed = {canonical(label) for label in (*COMPOSED, *labels)}
+        unknown = [n for n in scenario if canonical(n) not in allowed and bank.intent(n) is None]
         if unknown:
-            select(known, [n for n in unknown if canonical(n) not in shipped_labels()])
-    return select(known, settings.intents, settings.exclude, scenario)
+            select(labels, [n for n in unknown if canonical(n) not in shipped_labels()])
+    return select(labels, settings.intents, settings.exclude, scenario)
 
 
 @lru_cache(maxsize=1)
@@ -199,20 +199,20 @@ def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
     The bank's parts and modes then count. A part is carried out by the vehicle that was proposed for its role, or by
     any that fits if none was.
     """
-    found = []
+    replaced = []
     for cast in casts:
-        known = retrieve_composition(bank, cast.composition.label, cast.composition.description)
-        if known is not None:
+        composition = retrieve_composition(bank, cast.composition.label, cast.composition.description)
+        if composition is not None:
             left = [(p.duty, bv) for p, bv in zip(cast.composition.parts, cast.vehicles, strict=True)]
             vehicles = []
-            for part in known.parts:
+            for part in composition.parts:
                 match = next((each for each in left if each[0] is part.duty), None)
                 if match is not None:
                     left.remove(match)
                 vehicles.append(ANY if match is None else match[1])
-            cast = Cast(known, tuple(vehicles))
-        found.append(cast)
-    return found
+            cast = Cast(composition, tuple(vehicles))
+        replaced.append(cast)
+    return replaced
 
 
 def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSignature) -> dict[str, str]:

@@ -38,18 +38,18 @@ def minimise_episode(
         raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
     episode = Episode(source, settings, task)
     began = time.perf_counter()
-    found = recorded_encounter(episode, engine, proposal, skips)
-    if found is None:
+    encounter = recorded_encounter(episode, engine, proposal, skips)
+    if encounter is None:
         raise UsageError(f"The encounter did not come back ({episode.reason}), so there is nothing to minimise.")
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "minimised from a manifest")
     episode.intents, level, done = (episode.intent,), settings.until.level, episode.refinement
     reached, met = settings.goal.reached, settings.goal.met
-    runner = AttemptRunner(engine, sandbox, found, settings.seed)
+    runner = AttemptRunner(engine, sandbox, encounter, settings.seed)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
         result = runner.attempt([p])[0]
         phase = "replay" if not done.attempts else "minimise"
-        attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, found, settings), result, runner)
+        attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, encounter, settings), result, runner)
         done.attempts.append(attempt)
         done.results.append(result)
         tell("attempt", attempt)
@@ -60,8 +60,10 @@ def minimise_episode(
         raise UsageError(
             f"The attack reaches the level {first.verdict.level}, not {settings.goal}; choose a lower --until."
         )
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
-    starts = [delay for delay, now in found.situations.items() if now.targets.keys() >= set(proposal.bvs)]
+    predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
+    starts = [
+        delay for delay, situation in encounter.situations.items() if situation.targets.keys() >= set(proposal.bvs)
+    ]
     search = Minimiser(predictor, proposal, math.inf, level, starts, settings.seed)
     search.harshness = before = _harshness(search, first, result, settings)
     done.chosen, done.ending, episode.ending = 0, Ending.CRITICAL, Ending.CRITICAL

@@ -66,10 +66,10 @@ def find_attackable(
     """
     selection_of(episode, bank)  # refuses misspelt names before anything is simulated
     while True:
-        found = seek(episode, engine, tell)
-        if found is None:
+        encounter = seek(episode, engine, tell)
+        if encounter is None:
             return None
-        planned = with_predictions(episode, found, sandbox, bank)
+        planned = with_predictions(episode, encounter, sandbox, bank)
         episode.stopped = planned.predictor.stopped
         if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
             return planned
@@ -86,8 +86,8 @@ def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, 
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
-    search, known = searched(episode, found, predictor, library, bank, weights)
-    return PlannedEncounter(found, predictor, library, scene, search, known)
+    search, recalled = searched(episode, found, predictor, library, bank, weights)
+    return PlannedEncounter(found, predictor, library, scene, search, recalled)
 
 
 def searched(
@@ -97,15 +97,15 @@ def searched(
     """The search with its predictions of an encounter. With ``recall = scene`` it starts with the candidate that
     succeeded in a similar scene instead. The intent of that candidate, or None, comes second."""
     settings, driver = episode.settings, found.first.baseline.model
-    known = recall(episode, found, library, bank) if settings.recall == "scene" else None
+    recalled = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
         predictor, found.situations, library,
         weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
-        recalled=None if known is None else known[1], adversaries=settings.adversaries,
+        recalled=None if recalled is None else recalled[1], adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
     )  # fmt: skip
-    return search, None if known is None else known[0]
+    return search, None if recalled is None else recalled[0]
 
 
 def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
@@ -151,18 +151,18 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
         episode.forked = engine.request("forks")
         episode.timing["start"] = time.perf_counter() - began
         began = time.perf_counter()
-    found = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
+    encounter = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
     episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
-    if isinstance(found, NoEncounter):
-        episode.ending, episode.reason, episode.found = found.ending, found.reason, None
+    if isinstance(encounter, NoEncounter):
+        episode.ending, episode.reason, episode.found = encounter.ending, encounter.reason, None
         episode.intents = ()  # they belong to an encounter that was passed over
         return None
-    episode.found, episode.prefix = found, engine.request("prefix")
-    episode.lanes = engine.request("lanes", *found.area)
-    if found.below_threshold is not None:
+    episode.found, episode.prefix = encounter, engine.request("prefix")
+    episode.lanes = engine.request("lanes", *encounter.area)
+    if encounter.below_threshold is not None:
         episode.notes.append(
             f"No moment of the recording reaches the risk {ON_RECORDED:.2f}, at which an encounter begins; "
-            f"the best one ({found.below_threshold:.2f}, at {found.time:.1f} s) is attacked."
+            f"the best one ({encounter.below_threshold:.2f}, at {encounter.time:.1f} s) is attacked."
         )
-    tell("encounter", found)
-    return found
+    tell("encounter", encounter)
+    return encounter

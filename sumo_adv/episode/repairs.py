@@ -82,12 +82,12 @@ class Repairs:
         return self._in_vain
 
     def _ask(self, attempt: Attempt, tried: Tried) -> Change | None:
-        p, found = attempt.proposal, self._found
+        p, encounter = attempt.proposal, self._found
         own = [(a, r) for a, r in tried if a.proposal.planner.hash == p.planner.hash and a.proposal.bv == p.bv]
         own.sort(key=lambda each: (each[0] is not attempt, rank(each[0].verdict)))
-        reports = [report_of(a, r, found, self._settings) for a, r in own]
+        reports = [report_of(a, r, encounter, self._settings) for a, r in own]
         entry = next(e for e in self._library if e.label == p.label)
-        scene = scene_of(p.bv, entry, [a for a, _ in tried], found, self._library)
+        scene = scene_of(p.bv, entry, [a for a, _ in tried], encounter, self._library)
         return self._agents.modify(p.planner, reports, scene)
 
     def _as_candidates(self, change: Change, p: Proposal) -> list[Proposal]:

@@ -148,9 +148,9 @@ class RightOfWay:
                 continue
             if line.letter == "w" and not entered and foe.stood() <= self._stood[line.link]:
                 continue
-            mine = line.room + meeting.at - line.begin
+            to_meeting = line.room + meeting.at - line.begin
             at_line = _seconds(line.room, speed)
-            across = _seconds(mine + length + CLEARANCE, speed, line.limit)
+            across = _seconds(to_meeting + length + CLEARANCE, speed, line.limit)
             gone = to_clear / max(foe.speed, HALTING)
             if across + margin > _seconds(to_zone, foe.speed) and gone > at_line:
                 return True

@@ -131,11 +131,11 @@ class RoadNow(Road):
 
     @cached_property
     def limits(self) -> tuple[SpeedLimit, ...]:
-        found: list[SpeedLimit] = []
+        limits: list[SpeedLimit] = []
         for stretch in self._stretches[0]:
-            if not found or found[-1].speed != stretch.lane.speed:
-                found.append(SpeedLimit(stretch.ahead, stretch.lane.speed))
-        return tuple(found)
+            if not limits or limits[-1].speed != stretch.lane.speed:
+                limits.append(SpeedLimit(stretch.ahead, stretch.lane.speed))
+        return tuple(limits)
 
     @cached_property
     def stop_lines(self) -> tuple[StopLine, ...]:
@@ -154,15 +154,15 @@ class RoadNow(Road):
 
     @cached_property
     def conflicts(self) -> tuple[Conflict, ...]:
-        here, found = self._now(), []
+        here, conflicts = self._now(), []
         for junction in self._stretches[1]:
             own = self._line(junction, 0.0)
             for meeting in here.meetings.of(junction.link):
                 ahead = junction.ahead + meeting.at
                 if 0.0 <= ahead <= SEEN:
                     yields = here.rule.yields(own, meeting, self._letter(meeting.other))
-                    found.append(Conflict(ahead, meeting.lane, meeting.x, meeting.y, yields, meeting.joins))
-        return tuple(sorted(found, key=lambda c: c.ahead))
+                    conflicts.append(Conflict(ahead, meeting.lane, meeting.x, meeting.y, yields, meeting.joins))
+        return tuple(sorted(conflicts, key=lambda c: c.ahead))
 
     @cached_property
     def _met(self) -> frozenset[str]:
@@ -226,14 +226,14 @@ class RoadNow(Road):
         """The vehicles that come to a junction of the path, or are on it."""
         here, ahead = self._now(), {junction.link[0] for junction in self._stretches[1]}
         raw, ego = here.drive.snapshot.raw, self._ego
-        found: list[Foe] = []
+        foes: list[Foe] = []
         for name in here.drive.near(ego, SEEN):
             at = self._approach(name)
             if at is None or at[0][0] not in ahead:
                 continue
             length = here.drive.simulation.fleet.sizes[name][0]
-            found.append(Foe(name, *at, length, raw[name][3], _Stood(here.drive, name), self._letter(at[0])))
-        return found
+            foes.append(Foe(name, *at, length, raw[name][3], _Stood(here.drive, name), self._letter(at[0])))
+        return foes
 
     def _approach(self, name: str) -> tuple[Link, float] | None:
         """The way over a junction that a vehicle is on or comes to next, and the metres from its front to the way's

@@ -35,14 +35,14 @@ class RoadNear:
             return self._lanes[2]
         path = _Direction(np.vstack([lane.shape for lane in route]))
         on = {lane.id for lane in route}
-        found = []
+        lanes = []
         for lane in self._road.passenger_lanes_within(*ego, REACH):
             relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
             row = self._road.edges[lane.edge]
             right = row[lane.index - 1] if lane.index > 0 else None
             left = row[lane.index + 1] if lane.index + 1 < len(row) else None
-            found.append(Lane(lane.id, lane.shape, lane.width, lane.speed, relation, left, right, lane.internal))
-        self._lanes = (key, ego, tuple(found))
+            lanes.append(Lane(lane.id, lane.shape, lane.width, lane.speed, relation, left, right, lane.internal))
+        self._lanes = (key, ego, tuple(lanes))
         return self._lanes[2]
 
     def edges(self, ego: tuple[float, float], route: Sequence[str]) -> tuple[Floats, ...]:
@@ -70,9 +70,9 @@ class _Direction:
         """``beside``, ``oncoming`` or ``crossing``."""
         from shapely import LineString, Point, shortest_line
 
-        other = LineString(shape)
-        a, b = (Point(p) for p in shortest_line(self._line, other).coords)
-        turn = abs(wrap(_heading(other, b) - _heading(self._line, a)))
+        line = LineString(shape)
+        a, b = (Point(p) for p in shortest_line(self._line, line).coords)
+        turn = abs(wrap(_heading(line, b) - _heading(self._line, a)))
         return "beside" if turn < SAME else "oncoming" if turn > math.pi - SAME else "crossing"
 
 

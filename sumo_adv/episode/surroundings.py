@@ -121,8 +121,8 @@ class SensesNow:
         snapshots = self._drive.recording.snapshots
         if len(snapshots) < 2 or vehicle not in snapshots[-2].raw:
             return 0.0
-        now, before = (heading_of(s.raw[vehicle][2]) for s in (snapshots[-1], snapshots[-2]))
-        return wrap(now - before) / self._drive.recording.step_length
+        newest, before = (heading_of(s.raw[vehicle][2]) for s in (snapshots[-1], snapshots[-2]))
+        return wrap(newest - before) / self._drive.recording.step_length
 
     def indicator(self, vehicle: str) -> str | None:
         """See ``Vehicle.indicator``."""

@@ -73,10 +73,10 @@ class WarmSandboxes:
 
     def of(self, settings: Settings) -> Sandbox:
         """The sandbox of an episode with these settings."""
-        wanted = settings.bubblewrap
-        if wanted not in self._by_bubblewrap:
-            self._by_bubblewrap[wanted] = Sandbox(bubblewrap=wanted)
-        return self._by_bubblewrap[wanted]
+        bubblewrap = settings.bubblewrap
+        if bubblewrap not in self._by_bubblewrap:
+            self._by_bubblewrap[bubblewrap] = Sandbox(bubblewrap=bubblewrap)
+        return self._by_bubblewrap[bubblewrap]
 
     def close(self) -> None:
         """End the processes of all of them."""

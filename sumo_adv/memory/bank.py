@@ -152,8 +152,8 @@ class MemoryBank:
                 for record in self._active()
                 for planner in self.planners(record.label)
             }
-            known = [(e, active.get((e.label, e.planner_hash))) for e in self._content.evidence if e.success]
-            self._scenes = SceneIndex([e for e, planner in known if planner is not None and allows(planner, e)])
+            successes = [(e, active.get((e.label, e.planner_hash))) for e in self._content.evidence if e.success]
+            self._scenes = SceneIndex([e for e, planner in successes if planner is not None and allows(planner, e)])
         return self._scenes.nearest(signature, limit)
 
     def settings(self, prefix: str) -> dict[str, object]:

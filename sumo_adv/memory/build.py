@@ -99,8 +99,8 @@ def _read_toml(file: Path) -> dict[str, Any]:
         table = parse_toml(_read_text(file, MAX_TEXT_BYTES))
     except ValueError as error:
         raise BankError(f"{file} cannot be read as TOML: {error}.") from error
-    known = {**_KEYS, **_MORE_KEYS}
-    if not set(_KEYS) <= set(table) <= set(known) or any(not isinstance(v, known[k]) for k, v in table.items()):
+    types = {**_KEYS, **_MORE_KEYS}
+    if not set(_KEYS) <= set(table) <= set(types) or any(not isinstance(v, types[k]) for k, v in table.items()):
         raise BankError(
             f"{file} must hold label and description (texts) and applies (a list), may hold {', '.join(_MORE_KEYS)},"
             f" and has {sorted(table)}."
@@ -205,9 +205,9 @@ def _shared(file: Path, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, s
 def _filled(path: Path, text: str, label: str, words: Mapping[str, str]) -> str:
     """The shared text with ``$label`` and its other ``$`` words replaced; ``words`` must give exactly those others."""
     template = Template(text)
-    wanted = set(template.get_identifiers()) - {"label"}
-    if not template.is_valid() or wanted != words.keys():
-        raise BankError(f"{path} needs the words {sorted(wanted)} in [shared], and is given {sorted(words)}.")
+    needed = set(template.get_identifiers()) - {"label"}
+    if not template.is_valid() or needed != words.keys():
+        raise BankError(f"{path} needs the words {sorted(needed)} in [shared], and is given {sorted(words)}.")
     return template.substitute(words, label=label)
 
 
@@ -236,16 +236,16 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
 
     Raises BankError, also for a label that the bank lacks or a target that exists.
     """
-    wanted = {canonical(label): label for label in labels}
-    sources = [source for source in bank.sources() if canonical(source.intent.label) in wanted]
-    lacking = wanted.keys() - {canonical(source.intent.label) for source in sources}
+    chosen = {canonical(label): label for label in labels}
+    sources = [source for source in bank.sources() if canonical(source.intent.label) in chosen]
+    lacking = chosen.keys() - {canonical(source.intent.label) for source in sources}
     if lacking or not sources:
-        named = ", ".join(repr(wanted[key]) for key in sorted(lacking)) or "nothing"
+        named = ", ".join(repr(chosen[key]) for key in sorted(lacking)) or "nothing"
         there = ", ".join(record.label for record in bank.intents())
         raise BankError(f"The bank has no intent {named}; it has: {there}.")
     if target.exists():
         raise BankError(f"{target} exists; give the path of a new bank.")
-    left_out = {canonical(record.label) for record in bank.intents()} - wanted.keys()
+    left_out = {canonical(record.label) for record in bank.intents()} - chosen.keys()
     composed = {
         c.key: plain_composition(c)
         for c in all_compositions(bank)
@@ -303,13 +303,13 @@ def verify_same(folder: Path, bank_path: Path, parse: Parse) -> list[str]:
     sources = read_sources(folder, parse)
     with MemoryBank.open(bank_path, read_only=True) as bank:
         held = {source.intent.label: source for source in bank.sources()}
-        found = {label: source.intent for label, source in held.items()}
-        wanted = {source.intent.label: source for source in sources}
-        differences = [f"The bank lacks the intent {label!r}." for label in wanted if label not in found]
-        differences += [f"The sources lack the intent {label!r}." for label in found if label not in wanted]
-        for label, source in wanted.items():
-            if label in found:
-                differences += _compare(source, found[label], held[label].planners)
+        intents = {label: source.intent for label, source in held.items()}
+        by_label = {source.intent.label: source for source in sources}
+        differences = [f"The bank lacks the intent {label!r}." for label in by_label if label not in intents]
+        differences += [f"The sources lack the intent {label!r}." for label in intents if label not in by_label]
+        for label, source in by_label.items():
+            if label in intents:
+                differences += _compare(source, intents[label], held[label].planners)
         if {c.key: c for c in all_compositions(bank)} != {c.key: c for c in read_compositions(folder)}:
             differences.append("The bank holds other compositions than the sources.")
         if len(bank.evidence()) != sum(len(source.evidence) for source in sources):
@@ -325,7 +325,7 @@ def _compare(source: Source, found: IntentRecord, planners: Iterable[Planner]) -
     differences = (
         [] if found == source.intent else [f"The intent {label!r} differs in description, relations or status."]
     )
-    wanted = {planner.hash: planner for planner in source.planners}
+    expected = {planner.hash: planner for planner in source.planners}
     stored = {planner.hash: planner for planner in planners}
     for planner in source.planners:
         if planner.hash not in stored:
@@ -333,6 +333,6 @@ def _compare(source: Source, found: IntentRecord, planners: Iterable[Planner]) -
         elif stored[planner.hash] != planner:
             differences.append(f"The planner {planner.mode!r} of {label!r} differs in mode, parameters or origin.")
     for planner in planners:
-        if planner.hash not in wanted:
+        if planner.hash not in expected:
             differences.append(f"The sources lack the planner {planner.mode!r} of {label!r} as the bank has it.")
     return differences

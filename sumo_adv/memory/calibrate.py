@@ -128,11 +128,11 @@ def top1(measured: Measured) -> float:
 
 def auc(measured: Measured) -> float:
     """Chance that a known one is nearer to the bank than a novel one, ties counting half."""
-    known, novel = measured.distance[measured.known], measured.distance[~measured.known]
-    ordered = np.sort(novel)
-    above = novel.size - np.searchsorted(ordered, known, side="right")
-    ties = novel.size - above - np.searchsorted(ordered, known, side="left")
-    return float(np.sum(above + 0.5 * ties) / (known.size * novel.size))
+    of_known, of_novel = measured.distance[measured.known], measured.distance[~measured.known]
+    ordered = np.sort(of_novel)
+    above = of_novel.size - np.searchsorted(ordered, of_known, side="right")
+    ties = of_novel.size - above - np.searchsorted(ordered, of_known, side="left")
+    return float(np.sum(above + 0.5 * ties) / (of_known.size * of_novel.size))
 
 
 def recognised(measured: Measured, epsilon: float) -> float:
@@ -185,9 +185,13 @@ def _figures(measured: Measured, epsilon: float, seed: int) -> SetFigures:
 def _interval(measured: Measured, statistic: Callable[[Measured], float], seed: int) -> tuple[float, float]:
     """Percentile bootstrap, resampling known and novel ones each among themselves."""
     rng = np.random.default_rng(seed)
-    known, novel = np.flatnonzero(measured.known), np.flatnonzero(~measured.known)
+    known_rows, novel_rows = np.flatnonzero(measured.known), np.flatnonzero(~measured.known)
     values = [
-        statistic(measured.take(np.concatenate((rng.choice(known, known.size), rng.choice(novel, novel.size)))))
+        statistic(
+            measured.take(
+                np.concatenate((rng.choice(known_rows, known_rows.size), rng.choice(novel_rows, novel_rows.size)))
+            )
+        )
         for _ in range(RESAMPLES)
     ]
     tail = 50.0 * (1.0 - CONFIDENCE)

@@ -25,12 +25,12 @@ def all_compositions(bank: MemoryBank) -> list[Composition]:
 
 def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Composition | None:
     """The composition of a bank that means the same by its own label or description; None if none is near enough."""
-    known = compositions(bank)
-    same = next((c for c in known if canonical(c.label) == canonical(label)), None)
-    if same is not None or not known:
+    candidates = compositions(bank)
+    same = next((c for c in candidates if canonical(c.label) == canonical(label)), None)
+    if same is not None or not candidates:
         return same
     similarity = TextAndSlots()
-    similarity.fit([(c.label, c.description) for c in known])
+    similarity.fit([(c.label, c.description) for c in candidates])
     distances = similarity.distances(label, description)
     nearest = int(distances.argmin())
-    return known[nearest] if distances[nearest] <= bank.epsilon()[0] else None
+    return candidates[nearest] if distances[nearest] <= bank.epsilon()[0] else None

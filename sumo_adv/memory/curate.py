@@ -40,19 +40,19 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
     places = {record.label: i for i, record in enumerate(bank.intents())}
     sources = {source.intent.label: source for source in bank.sources() if source.intent.status == "active"}
     texts: dict[str, list[str]] = {}
-    found: dict[tuple[str, str], MergeProposal] = {}
+    proposals: dict[tuple[str, str], MergeProposal] = {}
     for label, source in sources.items():
         for planner in source.planners:
             texts.setdefault(planner.hash, []).append(label)
-        for other, distance in bank.retrieve(label, source.intent.description).nearest:
-            common = set(source.intent.applies) & set(sources[other].intent.applies)
-            if other != label and common and distance <= DUPLICATE * bank.epsilon()[0]:
-                into, later = sorted((label, other), key=places.__getitem__)
-                found[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
+        for neighbour, distance in bank.retrieve(label, source.intent.description).nearest:
+            common = set(source.intent.applies) & set(sources[neighbour].intent.applies)
+            if neighbour != label and common and distance <= DUPLICATE * bank.epsilon()[0]:
+                into, later = sorted((label, neighbour), key=places.__getitem__)
+                proposals[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
     for labels in texts.values():
         for later in labels[1:]:
-            found[later, labels[0]] = MergeProposal(later, labels[0], 0.0, "they have a planner with the same text")
-    return sorted(found.values(), key=lambda proposal: (proposal.distance, proposal.label, proposal.into))
+            proposals[later, labels[0]] = MergeProposal(later, labels[0], 0.0, "they have a planner with the same text")
+    return sorted(proposals.values(), key=lambda proposal: (proposal.distance, proposal.label, proposal.into))
 
 
 def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:

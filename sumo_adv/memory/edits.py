@@ -76,8 +76,8 @@ def _absorb_one(
         rows.insert_intent(connection, source.intent, now)
     else:
         label = content.intents[key].label
-    known = content.planners.get(key, [])
-    hashes, modes = {planner.hash for planner in known}, {planner.mode for planner in known}
+    held_planners = content.planners.get(key, [])
+    hashes, modes = {planner.hash for planner in held_planners}, {planner.mode for planner in held_planners}
     planners = [planner for planner in source.planners if planner.hash not in hashes]
     for planner in planners:
         named = replace(planner, mode=free_mode(planner.mode, modes)) if unique_modes else planner
@@ -86,11 +86,11 @@ def _absorb_one(
         rows.insert_planner(connection, label, named, now, status)
     count = 0
     for evidence in source.evidence:
-        mine = replace(evidence, label=label)
-        if held[evidence_key(mine)] > 0:
-            held[evidence_key(mine)] -= 1
+        relabelled = replace(evidence, label=label)
+        if held[evidence_key(relabelled)] > 0:
+            held[evidence_key(relabelled)] -= 1
         else:
-            rows.insert_evidence(connection, mine, now, wake=False)
+            rows.insert_evidence(connection, relabelled, now, wake=False)
             count += 1
     return Absorbed(int(fresh), len(planners), count)
 
@@ -115,22 +115,22 @@ def evidence_key(evidence: Evidence) -> str:
 def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> None:
     """See ``MemoryBank.merge``."""
     content = rows.read(connection)
-    one, other = _known(content, label), _known(content, into)
-    source, target = canonical(one.label), canonical(other.label)
+    merged, kept = _known(content, label), _known(content, into)
+    source, target = canonical(merged.label), canonical(kept.label)
     if source == target:
         raise BankError(f"{label!r} and {into!r} are the same intent; name two.")
-    if other.status != "active":
-        raise BankError(f"The intent {other.label!r} is retired; merge into an active one.")
+    if kept.status != "active":
+        raise BankError(f"The intent {kept.label!r} is retired; merge into an active one.")
     modes = {planner.mode for planner in content.planners[target]}
     hashes = {planner.hash: planner.mode for planner in content.planners[target]}
     became = dict[str, str]()  # mode -> mode of the same planner afterwards
     for planner in content.planners[source]:
         retired = (source, planner.hash) in content.retired
         if planner.hash not in hashes:
-            named = replace(planner, label=other.label, mode=free_mode(planner.mode, modes))
+            named = replace(planner, label=kept.label, mode=free_mode(planner.mode, modes))
             modes.add(named.mode)
             hashes[planner.hash] = named.mode
-            rows.insert_planner(connection, other.label, named, now, "retired" if retired else "active")
+            rows.insert_planner(connection, kept.label, named, now, "retired" if retired else "active")
         elif not retired:
             _set_planner(connection, target, planner.hash, "active")
         became[planner.mode] = hashes[planner.hash]
@@ -141,10 +141,10 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     )
     connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
     _set_intent(connection, source, "retired")
-    rows.write_setting(connection, f"{rows.MERGED}{source}", other.label)
+    rows.write_setting(connection, f"{rows.MERGED}{source}", kept.label)
     for key, value in content.settings.items():
         if key.startswith(COMPOSITION):
-            after = renamed(composition_of(value), one.label, other.label, became)
+            after = renamed(composition_of(value), merged.label, kept.label, became)
             rows.write_setting(connection, key, plain_composition(after))
 
 

@@ -45,11 +45,11 @@ class Embedded:
         """Take the (label, description) pairs of the bank; vectors of known entries are reused. Raises ModelError."""
         texts = [_text(*entry) for entry in entries]
         lacking = list(dict.fromkeys(text for text in texts if text not in self._vectors))
-        known = {text: self._vectors[text] for text in texts if text in self._vectors}
+        vectors = {text: self._vectors[text] for text in texts if text in self._vectors}
         if lacking:
-            known.update(zip(lacking, self._embed(lacking), strict=True))
-        self._vectors = known
-        self._matrix = np.stack([known[text] for text in texts]) if texts else np.zeros((0, 0))
+            vectors.update(zip(lacking, self._embed(lacking), strict=True))
+        self._vectors = vectors
+        self._matrix = np.stack([vectors[text] for text in texts]) if texts else np.zeros((0, 0))
 
     def distances(self, label: str, description: str) -> Floats:
         """1 - cosine to each fitted entry, brought into [0, 1], shape (n,). Raises ModelError."""

@@ -59,20 +59,20 @@ def read_evidence(
         head = tuple(next(lines, ()))
         if head != COLUMNS:
             raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
-        found: list[Evidence] = []
+        evidence: list[Evidence] = []
         for row in lines:
-            if len(found) >= MOST_ROWS:
+            if len(evidence) >= MOST_ROWS:
                 raise BankError(f"{where} has more than {MOST_ROWS} rows; leave old ones out.")
             if row and row[0] in left_out:
                 continue
             try:
-                found.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
+                evidence.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
             except (ValueError, KeyError, TypeError, RecursionError, BankError) as error:
-                said = str(error).rstrip(".")
-                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {said}.") from error
+                fault = str(error).rstrip(".")
+                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {fault}.") from error
     except csv.Error as error:
         raise BankError(f"{where} cannot be read as CSV: {error}.") from error
-    return tuple(found)
+    return tuple(evidence)
 
 
 def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> Evidence:

@@ -52,8 +52,8 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
     With ``force`` an earlier export there is replaced. Raises BankError, also where anything else is in the folder.
     """
     if folder.exists() and not (force and _is_export(folder)):
-        said = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
-        raise BankError(f"The folder {folder} {said}.")
+        sentence = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
+        raise BankError(f"The folder {folder} {sentence}.")
     sources = sorted(bank.sources(), key=lambda source: canonical(source.intent.label))
     slugs: set[str] = set()
     with sentences(folder):
@@ -147,8 +147,8 @@ def _composition(c: Composition) -> str:
         f"succeeded = {c.succeeded}", f"failed = {c.failed}",
     ]  # fmt: skip
     for part in c.parts:
-        told = {"role": str(part.duty), "intent": part.intent, "mode": part.mode}
-        lines += ["", "[[compositions.parts]]", *(f"{key} = {toml_text(value)}" for key, value in told.items())]
+        fields = {"role": str(part.duty), "intent": part.intent, "mode": part.mode}
+        lines += ["", "[[compositions.parts]]", *(f"{key} = {toml_text(value)}" for key, value in fields.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -185,7 +185,7 @@ def _toml(source: Source, names: dict[str, str]) -> str:
             "parent": planner.parent,
             "status": "retired" if planner.hash in source.retired else None,
         }
-        told = [f"{key} = {toml_text(value)}" for key, value in more.items() if value is not None]
-        if told:
-            lines += ["", f"[planners.{name}]", *told]
+        fields = [f"{key} = {toml_text(value)}" for key, value in more.items() if value is not None]
+        if fields:
+            lines += ["", f"[planners.{name}]", *fields]
     return "\n".join(lines) + "\n"

@@ -82,9 +82,9 @@ def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
     try:
         yield
     except (ValueError, TypeError, RecursionError, BankError) as error:
-        said = str(error).rstrip(".")
+        fault = str(error).rstrip(".")
         path = connection.execute("PRAGMA database_list").fetchone()[2]
-        raise BankError(f"The memory bank {path} is damaged in {row}: {said[:300]}; {REPAIR}.") from error
+        raise BankError(f"The memory bank {path} is damaged in {row}: {fault[:300]}; {REPAIR}.") from error
 
 
 def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:

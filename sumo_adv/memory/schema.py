@@ -23,10 +23,10 @@ Schema = frozenset[tuple[str, str, str, str]]
 
 def check_schema(connection: sqlite3.Connection, name: str, version: int) -> None:
     """Refuse a file with another schema than that of ``version``. No table is read. Raises BankError, sqlite3.Error."""
-    found, wanted = _schema(connection), _schema_of(version)
-    if found != wanted:
-        which = sorted(f"{kind} {each}" for kind, each, *_ in found ^ wanted)[0]
-        raise BankError(f"The memory bank {name} is not laid out as one (it differs in the {which}); {REPAIR}.")
+    present, expected = _schema(connection), _schema_of(version)
+    if present != expected:
+        difference = sorted(f"{kind} {each}" for kind, each, *_ in present ^ expected)[0]
+        raise BankError(f"The memory bank {name} is not laid out as one (it differs in the {difference}); {REPAIR}.")
 
 
 def check_references(connection: sqlite3.Connection, name: str) -> None:

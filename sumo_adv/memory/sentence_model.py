@@ -40,8 +40,8 @@ class SentenceModel:
             self._tiny = float(config.get("layer_norm_eps", 1e-12))
             self._words = _tokenizer(folder)
             positions = len(self._tensor("embeddings.position_embeddings.weight"))
-            told = _json(folder / "sentence_bert_config.json", there=False).get("max_seq_length") or positions
-            self._most = max(3, min(positions, int(told)))
+            longest = _json(folder / "sentence_bert_config.json", there=False).get("max_seq_length") or positions
+            self._most = max(3, min(positions, int(longest)))
             self._first_token = bool(
                 _json(folder / "1_Pooling" / "config.json", there=False).get("pooling_mode_cls_token")
             )
@@ -91,8 +91,8 @@ class SentenceModel:
         return centred / scale * self._tensor(f"{name}.weight") + self._tensor(f"{name}.bias")
 
     def _tensor(self, name: str) -> Weights:
-        found = self._tensors.get(name)
-        return self._tensors[f"bert.{name}"] if found is None else found
+        tensor = self._tensors.get(name)
+        return self._tensors[f"bert.{name}"] if tensor is None else tensor
 
 
 def _why(error: Exception) -> str:
@@ -129,11 +129,11 @@ def _tensors(file: Path) -> tuple[Mapping[str, Weights], str]:
     if not 0 < size <= min(LARGEST_HEADER, len(raw) - 8):
         raise ValueError(f"{file.name} is no safetensors file")
     header: dict[str, Any] = json.loads(raw[8 : 8 + size])
-    found = {}
-    for name, told in header.items():
-        if name == "__metadata__" or told["dtype"] not in TYPES:
+    tensors = {}
+    for name, entry in header.items():
+        if name == "__metadata__" or entry["dtype"] not in TYPES:
             continue  # whole numbers such as position ids are not needed
-        begin, end = told["data_offsets"]
-        values = np.frombuffer(raw[8 + size + begin : 8 + size + end], np.dtype(TYPES[told["dtype"]]))
-        found[name] = values.astype(np.float32).reshape(told["shape"])
-    return found, hashlib.sha256(raw).hexdigest()
+        begin, end = entry["data_offsets"]
+        values = np.frombuffer(raw[8 + size + begin : 8 + size + end], np.dtype(TYPES[entry["dtype"]]))
+        tensors[name] = values.astype(np.float32).reshape(entry["shape"])
+    return tensors, hashlib.sha256(raw).hexdigest()

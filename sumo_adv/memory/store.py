@@ -32,8 +32,8 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
     }
     if code is None and isinstance(error, sqlite3.OperationalError):
         code = sqlite3.SQLITE_CORRUPT  # Python's own error: text that is no UTF-8
-    said = sentences.get(code & 0xFF) if isinstance(code, int) else None
-    return BankError(f"The memory bank {path} {said or f'failed: {error}'}.")
+    sentence = sentences.get(code & 0xFF) if isinstance(code, int) else None
+    return BankError(f"The memory bank {path} {sentence or f'failed: {error}'}.")
 
 
 @contextlib.contextmanager

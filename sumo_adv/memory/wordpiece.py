@@ -25,10 +25,10 @@ class WordPiece:
 
     def numbers(self, text: str, most: int) -> list[int]:
         """The numbers of ``text`` between [CLS] and [SEP], at most ``most`` in all."""
-        found: list[int] = []
+        pieces: list[int] = []
         for word in self._words(text):
-            found += self._pieces(word)
-        return [self._vocabulary["[CLS]"], *found[: most - 2], self._vocabulary["[SEP]"]]
+            pieces += self._pieces(word)
+        return [self._vocabulary["[CLS]"], *pieces[: most - 2], self._vocabulary["[SEP]"]]
 
     def _words(self, text: str) -> list[str]:
         parts: list[str] = []
@@ -47,18 +47,18 @@ class WordPiece:
     def _pieces(self, word: str) -> list[int]:
         if len(word) > LONGEST_WORD:
             return [self._unknown]
-        found: list[int] = []
+        pieces: list[int] = []
         at = 0
         while at < len(word):
             for end in range(len(word), at, -1):
                 number = self._vocabulary.get(("##" if at else "") + word[at:end])
                 if number is not None:
-                    found.append(number)
+                    pieces.append(number)
                     at = end
                     break
             else:
                 return [self._unknown]
-        return found
+        return pieces
 
 
 def _is_sign(c: str) -> bool:

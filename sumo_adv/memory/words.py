@@ -33,9 +33,9 @@ def stem(word: str) -> str:
     if len(word) <= 3:
         return word
     word = _past_or_progressive(_singular(word))
-    for suffix, other in _SUFFIXES:
+    for suffix, ending in _SUFFIXES:
         if word.endswith(suffix) and len(_MEASURE.findall(word[: -len(suffix)])) >= 1 and len(word) - len(suffix) >= 4:
-            word = word[: -len(suffix)] + other
+            word = word[: -len(suffix)] + ending
             break
     if word.endswith("y") and _VOWEL.search(word[:-1]):
         word = word[:-1] + "i"

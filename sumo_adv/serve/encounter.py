@@ -38,7 +38,8 @@ LOST = "The ego's client was lost or late."
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An encounter as it was foreseen at its trigger. ``tracks``: everybody near, the last second and what follows."""
+    """An encounter as it was foreseen at its trigger. ``tracks``: of the vehicles near, over the last second
+    and as predicted."""
 
     found: FoundEncounter
     ranking: Sequence[RankedVehicle]
@@ -76,7 +77,7 @@ class LiveAttempts:
         self._count = 0
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
-        """The results, in order; a proposal that nobody asks the result of is not driven."""
+        """The results, in order. A proposal is driven when its result is asked for."""
         for proposal in proposals:
             if self._count and self._again is not None:
                 self.session = self._again()
@@ -93,18 +94,18 @@ class LiveAttempts:
         return {}
 
     def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
-        found, settings, bvs = self._scene.found, self._settings, proposal.bvs
-        trigger = len(session.recording.snapshots) - settings.steps(session.now - found.time)
+        encounter, settings, bvs = self._scene.found, self._settings, proposal.bvs
+        trigger = len(session.recording.snapshots) - settings.steps(session.now - encounter.time)
         self.prefixes.append(session.recording.snapshots[:trigger])
         start, verdict = session.now, None
         session.attended, session.adversaries = True, bvs
         edges = {bv: session.simulation.route(bv)[0] for bv in bvs if bv in session.snapshot.raw}
         try:
-            while session.now < found.time + proposal.delay - 1e-6 and session.snapshot.raw.keys() >= set(bvs):
+            while session.now < encounter.time + proposal.delay - 1e-6 and session.snapshot.raw.keys() >= set(bvs):
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = gate_verdict(session, found, settings, trigger, bvs, start, driven)
+            verdict = gate_verdict(session, encounter, settings, trigger, bvs, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:

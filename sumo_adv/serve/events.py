@@ -1,4 +1,4 @@
-"""What happens while a server runs, told to whoever listens: the terminal, a file of JSON lines, the status page."""
+"""What happens while a server runs, for those that listen: the terminal, a file of JSON lines, the status page."""
 
 from __future__ import annotations
 

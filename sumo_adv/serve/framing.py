@@ -55,7 +55,8 @@ def make_command(number: int, payload: bytes = b"") -> bytes:
 
 def make_message(*commands: bytes) -> bytes:
     """A message of commands, or of answers."""
-    return _INT.pack(4 + sum(map(len, commands))) + b"".join(commands)
+    body = b"".join(commands)
+    return _INT.pack(4 + len(body)) + body
 
 
 def make_status(number: int, result: int = OK, text: str = "") -> bytes:
@@ -254,7 +255,7 @@ class Line:
             return True
 
     def hang_up(self) -> None:
-        """End the connection from any thread: the other end gets what was sent, and the reader here is woken."""
+        """End the connection, from any thread. The other end gets what was sent before, and a read here returns."""
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 

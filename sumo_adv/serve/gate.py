@@ -113,9 +113,9 @@ class Gate:
         """What the port opens beyond this machine, in a sentence."""
         if _is_loopback(self._host):
             return None
-        who = ", ".join(map(str, self._allow))
+        allowed = ", ".join(map(str, self._allow))
         return (
-            f"Port {self.port} of {self._host} is open to {who}: TraCI has no log-in and no encryption, "
+            f"Port {self.port} of {self._host} is open to {allowed}: TraCI has no log-in and no encryption, "
             "so any program there can read the simulation and drive the ego."
         )
 

@@ -43,21 +43,21 @@ def send_connections(talk: socket.socket, port: int) -> None:
     """Connect to the port as soon as a program listens, and send the connections, unless the other end goes first."""
     made: list[socket.socket] = []
     while len(made) < CLIENTS:
-        one = socket.socket()
-        one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection = socket.socket()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
-            one.bind(("127.0.0.1", 0))
-            if one.getsockname()[1] == port:  # the kernel could connect such a one to itself
+            connection.bind(("127.0.0.1", 0))
+            if connection.getsockname()[1] == port:  # the kernel could connect such a one to itself
                 raise ConnectionRefusedError
-            one.connect(("127.0.0.1", port))
+            connection.connect(("127.0.0.1", port))
         except OSError:
-            one.close()
+            connection.close()
             if select.select([talk], [], [], _RETRY)[0]:
                 return
             time.sleep(_RETRY)
         else:
-            made.append(one)
-    socket.send_fds(talk, [PRIVATE], [one.fileno() for one in made])
+            made.append(connection)
+    socket.send_fds(talk, [PRIVATE], [connection.fileno() for connection in made])
 
 
 def main(parent: int, talk_fd: int, command: list[str]) -> None:

@@ -78,11 +78,11 @@ class Link:
         """Wait until SUMO has come to us, calling ``talk`` whenever the line that ``listen`` names can be received."""
         self._send(_TIME)
         while True:
-            ours, theirs = self._line.ready(listen(), framing.SLICE)
-            if ours:
+            sumo_ready, client_ready = self._line.ready(listen(), framing.SLICE)
+            if sumo_ready:
                 self._receive()
                 return
-            if theirs:
+            if client_ready:
                 talk()
             self._idle()
 

@@ -37,14 +37,14 @@ class OlderClients:
             return command
         try:
             end = shapes.name_end(command.payload, 16)
-            wanted = shapes.subscribed(command.payload, end, _SUBSCRIPTION - 0x30)
+            variables = shapes.subscribed(command.payload, end, _SUBSCRIPTION - 0x30)
         except shapes.Misfit:
             return command
-        kept = [variable for variable in wanted if variable[0] != _NEXT_STOPS]
+        kept = [variable for variable in variables if variable[0] != _NEXT_STOPS]
         name = command.payload[20:end]
-        if not wanted:  # it ends; others only add to what is subscribed to already
+        if not variables:  # it ends; others only add to what is subscribed to already
             self._names.discard(name)
-        if len(kept) == len(wanted) or any(variable[0] == _STOPS for variable in kept):
+        if len(kept) == len(variables) or any(variable[0] == _STOPS for variable in kept):
             return command
         self._names.add(name)
         kept.append(bytes((_STOPS,)) + _NO_LIMIT)

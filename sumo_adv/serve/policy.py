@@ -120,7 +120,7 @@ class Policy:
         domain = SETTERS[number]
         end = shapes.name_end(payload, 1)
         variable, name = payload[0], payload[5:end]
-        wanted = shapes.set_shapes(number, variable)
+        expected = shapes.set_shapes(number, variable)
         if len(name) > shapes.LONGEST_NAME:
             return _TOO_LONG
         if domain in NEVER:
@@ -133,7 +133,7 @@ class Policy:
             return _ODD_NAME
         if not (domain in self._rules.also or self._may(domain, variable, name)):
             return f"{domain} {_said(name)!r} is not the client's: it may set its own vehicle and what it added."
-        if wanted is None or not shapes.fits(payload, end, wanted):
+        if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
         if variable == _COPY and domain == "vehicletype":
             return self._copy(payload[end + 5 :])
@@ -214,8 +214,8 @@ def _filter_fits(payload: bytes) -> bool:
     kind = payload[0]
     if kind == 0x01:  # lanes: a count and as many bytes
         return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
-    wanted = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
-    return shapes.fits(payload, 1, (wanted,))
+    shape = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
+    return shapes.fits(payload, 1, (shape,))
 
 
 def _misfit(number: int) -> str:

@@ -34,7 +34,7 @@ from sumo_adv.simulation.scan import scan_demand
 
 INSERTED_EGO, DEFAULT_TYPE = "ego", "DEFAULT_VEHTYPE"
 WARM_UP = 20.0  # s of traffic before an ego on drawn routes departs
-COOL_DOWN, PASSED_OVER = 5.0, 2.0  # s without an encounter after one, and after one that was passed over
+COOL_DOWN, PASSED_OVER = 5.0, 2.0  # s without an encounter: after an attack, after an encounter passed over
 MOST_AGE = 4.0  # s a decision may be old, where the world does not wait for it
 FRUITLESS = 3  # simulations in a row without an encounter, after which it is of no use to go on
 """Where the simulation ends (its demand, or ``--end``) the next one begins with the next seed."""
@@ -104,7 +104,7 @@ class Server:
                 raise
             self.reason = str(error)
             return Ending.SIMULATION_FAILED
-        except Exception as error:  # a fault of ours: what was found so far is kept, and the sentence names it
+        except Exception as error:  # a fault of ours: earlier results are kept, and the sentence names the fault
             self.reason = fault_sentence(error)
             return Ending.SIMULATION_FAILED
         finally:
@@ -171,9 +171,9 @@ class Server:
             route = task.ego
             return EgoPlan(INSERTED_EGO, kind, lambda: route)
         draw = random.Random(task.spec.seed)
-        found = journeys(task.spec.network, draw)
-        weights = [j.lanes for j in found]
-        return EgoPlan(INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(found, weights)[0].edges, 0.0), WARM_UP)
+        drawn = journeys(task.spec.network, draw)
+        weights = [j.lanes for j in drawn]
+        return EgoPlan(INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(drawn, weights)[0].edges, 0.0), WARM_UP)
 
     def _in_demand(self, task: Task, vehicle: str) -> bool:
         return any(scan_demand(file).has(vehicle) for file in (*task.spec.routes, *task.spec.additional))
@@ -196,10 +196,10 @@ class Server:
 
     def _encounter(self, session: Session, watch: EncounterMonitor, scene: Scene, passed: list[str]) -> bool:
         """Decide and attack; False if it was passed over or dropped."""
-        parts, found = self._parts, scene.found
+        parts, encounter = self._parts, scene.found
         parts.events.tell(
-            "encounter", time=found.time, number=self._number + 1, ego=found.ego,
-            ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in found.ranking],
+            "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
+            ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         )  # fmt: skip
         episode = self._episode(scene)
         try:
@@ -224,11 +224,11 @@ class Server:
         return True
 
     def _episode(self, scene: Scene) -> Episode:
-        parts, found = self._parts, scene.found
+        parts, encounter = self._parts, scene.found
         episode = Episode(
             parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
         )
-        episode.found, episode.lanes = found, parts.road.strips(*found.area)
+        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
         return episode
 
     def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
@@ -284,7 +284,8 @@ class Server:
     # -- the decision -------------------------------------------------------------------------------------------
 
     def _decided(self, session: Session, episode: Episode, scene: Scene) -> Decision:
-        """What is to be tried. The world waits for it; with ``real_time`` it goes on meanwhile.
+        """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
+        meanwhile.
 
         Raises:
             ModelError: a model plays a part and failed.
@@ -320,7 +321,7 @@ class Server:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """The predictions of an encounter, and the library to try from; None if nothing is to be tried."""
+    """The predictions of an encounter, and the library to try from, None if there is no candidate."""
 
     planned: PlannedEncounter
     entries: Sequence[LibraryEntry] | None

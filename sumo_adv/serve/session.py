@@ -1,7 +1,7 @@
 """One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
 
-We are SUMO's first client: a step is our turn, then the ego's client's, then SUMO moves.  Whoever waits (we for the
-client, the client for a decision of ours) stops simulated time, unless ``real_time`` is asked for.
+We are SUMO's first client: a step is our turn, then the ego's client's, then SUMO moves.  While one of the two
+waits (we for the client, the client for a decision of ours), simulated time stands, unless ``real_time`` is set.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ KEPT = 15.0  # s of states that are kept while nothing happens
 STAND_IN_BRAKING = 4.5  # m/s2
 ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
 DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
-SLICE = 0.2  # s between looks at whether somebody wants us to stop
+SLICE = 0.2  # s between two looks whether we are to stop
 
 
 class EgoLost(Exception):
@@ -65,18 +65,18 @@ class Pace:
 
     def wait(self) -> None:
         """Until the next step is due."""
-        now = time.monotonic()
-        due = now if self._next is None else self._next
-        if due > now:
-            time.sleep(due - now)
-        elif now - due > 1.0:
+        time_now = time.monotonic()
+        due = time_now if self._next is None else self._next
+        if due > time_now:
+            time.sleep(due - time_now)
+        elif time_now - due > 1.0:
             self.slips += 1
-            due = now
+            due = time_now
         self._next = due + self.step
 
 
 class Session(Drive):
-    """A drive whose ego somebody else has. ``attended``: the ego's client is needed, its loss raises EgoLost."""
+    """A drive in which a client drives the ego. ``attended``: the ego's client is needed, its loss raises EgoLost."""
 
     def __init__(
         self, spec: SimulationSpec, gate: Gate, options: Options, ego: EgoPlan, events: Events,
@@ -114,7 +114,7 @@ class Session(Drive):
     # -- stepping -----------------------------------------------------------------------------------------------
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
-        """One step of everybody.
+        """One step of all vehicles.
 
         Raises:
             EgoLost: the client did not make this step, and ``attended``.
@@ -167,7 +167,7 @@ class Session(Drive):
         )  # fmt: skip
 
     def deserted(self) -> bool:
-        """Whether nobody but the ego is on the road or still to come."""
+        """Whether no vehicle but the ego is on the road or still to come."""
         return self.simulation.expected() <= (self.present_since is not None or self._pending)
 
     def remove(self, vehicle: str) -> None:
@@ -260,7 +260,7 @@ class Session(Drive):
     # -- memory -------------------------------------------------------------------------------------------------
 
     def _forget(self) -> None:
-        """Keep the last seconds alone, and the sizes of who is in them."""
+        """Keep only the last seconds, and the sizes of the vehicles in them."""
         kept = round(KEPT / self.spec.step_length)
         if len(self.recording.snapshots) >= 2 * kept:
             self.recording.forget(kept)

@@ -140,6 +140,8 @@ class Misfit(Exception):
 
 def fits(payload: bytes, at: int, shapes: Shapes) -> bool:
     """Whether what begins at byte ``at`` has one of the shapes, to the last byte."""
+    if shapes is NONE:
+        return at == len(payload)
     return any(_ends(payload, at, shape) == len(payload) for shape in shapes)
 
 
@@ -159,9 +161,9 @@ def name_end(payload: bytes, at: int) -> int:
 
 def context_fits(payload: bytes, at: int, domain: int) -> bool:
     """Whether the variables from their count at ``at`` on are ones that the objects of a getter's domain have."""
-    known = CONTEXTUAL.get(domain)
-    wanted = payload[at + 1 :]
-    return known is not None and at < len(payload) == at + 1 + payload[at] and known.issuperset(wanted)
+    allowed = CONTEXTUAL.get(domain)
+    variables = payload[at + 1 :]
+    return allowed is not None and at < len(payload) == at + 1 + payload[at] and allowed.issuperset(variables)
 
 
 def get_shapes(number: int, variable: int) -> Shapes:

@@ -46,11 +46,11 @@ class Subscriptions:
         """What SUMO would complain of, if it would be too long for it: it puts a sentence a variable into one error."""
         end = shapes.name_end(command.payload, 16)
         getter = command.number - GETTER_TO_SUBSCRIPTION
-        wanted = shapes.subscribed(command.payload, end, getter)
-        if len(wanted) < 2:
+        variables = shapes.subscribed(command.payload, end, getter)
+        if len(variables) < 2:
             return ""
         name = command.payload[16:end]
-        questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in wanted)
-        said = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
-        whole = f"Could not add subscription. {' '.join(said).strip()}"
+        questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in variables)
+        complaints = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
+        whole = f"Could not add subscription. {' '.join(complaints).strip()}"
         return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""

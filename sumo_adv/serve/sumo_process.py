@@ -58,22 +58,22 @@ class SumoProcess:
         self._talk: socket.socket | None = None
         program = str(find_sumo())
         command = [program, *arguments, "--remote-port", str(self.port), "--num-clients", str(CLIENTS)]
-        theirs: socket.socket | None = None
+        child_end: socket.socket | None = None
         if sys.platform.startswith("linux"):
             if private:
-                self._talk, theirs = socket.socketpair()
-            talk = -1 if theirs is None else theirs.fileno()
+                self._talk, child_end = socket.socketpair()
+            talk = -1 if child_end is None else child_end.fileno()
             command = [sys.executable, "-I", "-S", str(Path(leash.__file__)), str(os.getpid()), str(talk), *command]
         try:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                pass_fds=() if theirs is None else (theirs.fileno(),),
+                pass_fds=() if child_end is None else (child_end.fileno(),),
             )  # fmt: skip
         except OSError as error:
             raise SimulationError(f"The program {program} could not be started ({error.strerror}).") from error
         finally:
-            if theirs is not None:
-                theirs.close()
+            if child_end is not None:
+                child_end.close()
         self._said: deque[str] = deque(maxlen=KEPT_LINES)
         self._ear = threading.Thread(target=self._listen, name="sumo-words", daemon=True)
         self._ear.start()
@@ -113,11 +113,11 @@ class SumoProcess:
         if not self._made:
             self._talk.settimeout(_RETRY)
             try:
-                said, files, _, _ = socket.recv_fds(self._talk, len(leash.PRIVATE), CLIENTS)
+                message, files, _, _ = socket.recv_fds(self._talk, len(leash.PRIVATE), CLIENTS)
             except TimeoutError:
                 return None
             self._made = [socket.socket(fileno=file) for file in files]
-            if said == leash.OPEN:
+            if message == leash.OPEN:
                 self._talk.close()
                 self._talk = None
         return self._made.pop(0) if self._made else None
@@ -157,8 +157,8 @@ class SumoProcess:
     @property
     def last_error(self) -> str:
         """What SUMO complained of last, but for calls it refused; or nothing."""
-        said = [line.removeprefix("Error: ") for line in list(self._said) if line.startswith("Error:")]
-        return " ".join(line for line in said if not line.startswith(_REFUSALS))[-300:]
+        errors = [line.removeprefix("Error: ") for line in list(self._said) if line.startswith("Error:")]
+        return " ".join(line for line in errors if not line.startswith(_REFUSALS))[-300:]
 
     def why_ended(self) -> str:
         """``last_error`` of a SUMO that is about to end."""

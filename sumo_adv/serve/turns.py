@@ -12,7 +12,7 @@ from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_comma
 from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link, SumoGone
 from sumo_adv.serve.older_clients import OlderClients
-from sumo_adv.serve.policy import CONTEXTS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
+from sumo_adv.serve.policy import CONTEXTS, GETTERS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
 from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
 from sumo_adv.serve.shapes import Misfit
 from sumo_adv.serve.subscriptions import Subscriptions
@@ -222,17 +222,24 @@ class Turns:
         reason = self.policy.refusal(command)
         if reason is not None:
             return self._refuse(client, command, reason)
+        if number in GETTERS:
+            return self._asked(command)
         if number in SUBSCRIPTIONS and (reason := self._subscriptions.deadly(command)):
             return make_message(make_status(number, framing.ERROR, reason))
         if gone := removed(command):
             self._subscriptions.end_of(*gone)
-        answer = self._link.ask(make_message(command.raw))
-        self._begin_turn()
+        answer = self._asked(command)
         if framing.accepted(answer):
             if number in SETTERS:
                 self.policy.took(command)
             elif number in SUBSCRIPTIONS or number in CONTEXTS:
                 self._subscriptions.note(command)
+        return answer
+
+    def _asked(self, command: Command) -> bytes:
+        """SUMO's answer to a command; from then on it is the client's turn."""
+        answer = self._link.ask(make_message(command.raw))
+        self._begin_turn()
         return answer
 
     def _count(self) -> None:
@@ -260,13 +267,15 @@ class Turns:
             return self._refuse(client, command, "A step needs a time in seconds.")
         count = 1
         if until:
-            now = self._link.now()
+            present = self._link.now()
             self._begin_turn()
-            if until > now + LONGEST_STEP:
+            if until > present + LONGEST_STEP:
                 return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
-            if until <= now:
-                return self._shown(self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", now)))))
-            count = max(1, math.ceil((until - now) / self._link.step_length() - 1e-6))
+            if until <= present:
+                return self._shown(
+                    self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
+                )
+            count = max(1, math.ceil((until - present) / self._link.step_length() - 1e-6))
         return self._shown(self._steps(client, count))
 
     def _steps(self, client: Client, count: int) -> bytes:
@@ -303,11 +312,13 @@ class Turns:
     def _send_client_away(self) -> None:
         client, parting = self._seat.client, self._parting
         kind = EventKind.RESTARTED if parting else EventKind.ENDED
-        what = "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
+        reason = (
+            "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
+        )
         if client is None or (parting and self._keep):
-            self._seat.tell(GateEvent(kind, f"{what}."))
+            self._seat.tell(GateEvent(kind, f"{reason}."))
             return
-        self._seat.leave(client, kind, f"{what}; the client at {client.peer} may connect again.")
+        self._seat.leave(client, kind, f"{reason}; the client at {client.peer} may connect again.")
 
 
 def _joined(answers: list[bytes]) -> bytes:

@@ -75,8 +75,10 @@ class EncounterMonitor:
             away, faster = apart(tracks, session.state(name), session.now)
             if away > STRAYED[0] or faster > STRAYED[1]:
                 return f"{name} is {away:.1f} m and {faster:.1f} m/s from where it was foreseen"
-        now = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
-        return "" if now.get(bv) == relation else f"{bv} is no longer {relation} but {now.get(bv, 'out of reach')}"
+        present = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
+        return (
+            "" if present.get(bv) == relation else f"{bv} is no longer {relation} but {present.get(bv, 'out of reach')}"
+        )
 
     def _fresh(self) -> EncounterDetector:
         settings = self._settings

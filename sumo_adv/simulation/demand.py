@@ -56,12 +56,12 @@ def generate(
     if density is not None and not 0.0 < density < float("inf"):
         raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
     draw = random.Random(seed)
-    found = journeys(network, draw)
+    routes = journeys(network, draw)
     if density is None:
-        density = default_density(found)
+        density = default_density(routes)
     lines = [_HEADER]
     for number, depart in enumerate(_departures(draw, density, begin, end)):
-        journey = draw.choices(found, weights=[journey.lanes for journey in found])[0]
+        journey = draw.choices(routes, weights=[journey.lanes for journey in routes])[0]
         lines.append(
             f'    <vehicle id="bv{number}" type="bv" depart="{depart:.2f}" departLane="best" departPos="base" '
             f'departSpeed="max"><route edges={quoteattr(" ".join(journey.edges))}/></vehicle>\n'
@@ -79,12 +79,12 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
     """
     if density is not None and not 0.0 < density < float("inf"):
         raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
-    found = journeys(network, random.Random(0))
-    wanted = default_density(found) if density is None else density
-    lanes = sum(journey.lanes for journey in found)
+    routes = journeys(network, random.Random(0))
+    per_minute = default_density(routes) if density is None else density
+    lanes = sum(journey.lanes for journey in routes)
     lines = [_HEADER.replace('speedDev="0"', 'speedDev="0.1"')]
-    for number, journey in enumerate(found):
-        every = wanted * journey.lanes / lanes / 60.0
+    for number, journey in enumerate(routes):
+        every = per_minute * journey.lanes / lanes / 60.0
         lines.append(
             f'    <flow id="bv{number}" type="bv" begin="0" end="{end:g}" period="exp({every:.6g})" '
             f'departLane="random" departPos="base" departSpeed="max">'
@@ -114,14 +114,14 @@ def journeys(network: Path, draw: random.Random) -> list[Journey]:
     origins = [edge for edge in edges if not _passable(edge.getIncoming())]
     origins = [edge for edge in origins if edge.getLength() >= MIN_ORIGIN] or origins
     destinations = [edge for edge in edges if not _passable(edge.getOutgoing())]
-    found = _routes(net, _pairs(origins, destinations, draw), fringe=True)
-    covered = {edge for journey in found for edge in journey.edges}
+    routes = _routes(net, _pairs(origins, destinations, draw), fringe=True)
+    covered = {edge for journey in routes for edge in journey.edges}
     length = sum(edge.getLength() for edge in edges)
-    if sum(edge.getLength() for edge in edges if edge.getID() in covered) < FRINGE_COVER * length or not found:
-        found += _routes(net, _pairs(edges, edges, draw), fringe=False)
-    if not found:
+    if sum(edge.getLength() for edge in edges if edge.getID() in covered) < FRINGE_COVER * length or not routes:
+        routes += _routes(net, _pairs(edges, edges, draw), fringe=False)
+    if not routes:
         raise UsageError(f"No route leads through the network {network}: give a demand of your own.")
-    return found
+    return routes
 
 
 def _passable(neighbours: Any) -> list[Any]:
@@ -143,7 +143,7 @@ def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> 
 
 def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Journey]:
     """The quickest route of every pair that has one, is long enough and does not turn round on the way."""
-    found = []
+    routes = []
     for origin, destination in pairs:
         route, _ = net.getFastestPath(origin, destination, vClass="passenger")
         if route is None or (not fringe and sum(edge.getLength() for edge in route) < INNER_LENGTH):
@@ -152,8 +152,8 @@ def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Jou
             continue
         lanes = sum(lane.allows("passenger") for lane in route[0].getLanes())
         yields = any(link.getState() != "M" for a, b in pairwise(route) for link in a.getConnections(b))
-        found.append(Journey(tuple(str(edge.getID()) for edge in route), lanes, yields, fringe))
-    return found
+        routes.append(Journey(tuple(str(edge.getID()) for edge in route), lanes, yields, fringe))
+    return routes
 
 
 def _departures(draw: random.Random, density: float, begin: float, end: float) -> list[float]:

@@ -55,8 +55,8 @@ class Engine:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         control.close()
-        for _, theirs in pairs:
-            theirs.close()
+        for _, child_end in pairs:
+            child_end.close()
 
     def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
         """Have the engine do something, answering its questions meanwhile.
@@ -209,12 +209,12 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -
         try:
             command, arguments = control.recv()
         except EOFError:
-            return
-        said = Path(log).stat().st_size
+            os._exit(0)  # nothing is left to write, and an interpreter that ends in good order keeps the front waiting
+        log_size = Path(log).stat().st_size
         try:
             reply = ("value", handlers[command](*arguments))
         except SumoAdvError as error:
-            reply = ("error", _with_words(error, log, said))
+            reply = ("error", _with_words(error, log, log_size))
         except Exception as error:
             reply = ("error", _failed("The simulation", error))
             import traceback
@@ -231,9 +231,9 @@ def _failed(what: str, error: BaseException) -> SimulationError:
 def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
     """SUMO says what is wrong on stderr only: put its last error since byte ``start`` into the sentence."""
     words = Path(log).read_bytes()[start:].decode(errors="replace")
-    said = [line[7:] for line in words.splitlines() if line.startswith("Error: ")]
-    if isinstance(error, SimulationError) and said and said[-1] not in str(error):
-        return SimulationError(f"{str(error).rstrip('.')}: {said[-1].strip()[:300]}")
+    errors = [line[7:] for line in words.splitlines() if line.startswith("Error: ")]
+    if isinstance(error, SimulationError) and errors and errors[-1] not in str(error):
+        return SimulationError(f"{str(error).rstrip('.')}: {errors[-1].strip()[:300]}")
     return error
 
 
@@ -341,5 +341,5 @@ def _death(status: int, *, repeated: bool) -> str:
         return f"A forked attempt ended without a result (exit status {status}){again}."
     name = signal.Signals(-status).name
     crash = name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
-    what = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
-    return f"{what} ({name}){again}."
+    sentence = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
+    return f"{sentence} ({name}){again}."

@@ -44,8 +44,8 @@ def write_scenario(
     seen, persons = _read(recording)
     road = read_network(network)
     if ego not in seen:
-        known = ", ".join(sorted(seen)[:5])
-        raise UsageError(f"There is no vehicle '{ego}' in {recording}; it has {known}{' ..' if len(seen) > 5 else ''}.")
+        named = ", ".join(sorted(seen)[:5])
+        raise UsageError(f"There is no vehicle '{ego}' in {recording}; it has {named}{' ..' if len(seen) > 5 else ''}.")
     log = _log(recording, seen, persons, _sizes(types))
     routes = {name: _edges(states, road) for name, states in seen.items() if name not in persons}
     if not routes[ego]:
@@ -63,16 +63,16 @@ def _read(recording: Path) -> tuple[Seen, set[str]]:
     """Attributes by id and time [s], and which ids are persons'."""
     seen: Seen = {}
     persons: set[str] = set()
-    now = math.nan
+    timestep = math.nan
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal now
+        nonlocal timestep
         if tag == "timestep":
-            now = float(attributes["time"])
-            if not abs(now) < LATEST:
+            timestep = float(attributes["time"])
+            if not abs(timestep) < LATEST:
                 raise ValueError(f"a timestep at {attributes['time'][:40]}")
         elif tag in ("vehicle", "person"):
-            seen.setdefault(attributes["id"], {})[now] = attributes
+            seen.setdefault(attributes["id"], {})[timestep] = attributes
             if tag == "person":
                 persons.add(attributes["id"])
 
@@ -87,13 +87,13 @@ def _read(recording: Path) -> tuple[Seen, set[str]]:
 
 def _sizes(types: Sequence[Path]) -> dict[str, Size]:
     """Length and width [m] by vType."""
-    found: dict[str, Size] = {}
+    sizes: dict[str, Size] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "vType":
             length, width = (attributes.get(k, d) for k, d in (("length", CAR[0]), ("width", CAR[1])))
-            found[attributes["id"]] = float(length), float(width)
-            if not all(0.0 < size < LARGEST for size in found[attributes["id"]]):
+            sizes[attributes["id"]] = float(length), float(width)
+            if not all(0.0 < size < LARGEST for size in sizes[attributes["id"]]):
                 raise ValueError(f"its size is {length} m by {width} m")
 
     for file in types:
@@ -101,7 +101,7 @@ def _sizes(types: Sequence[Path]) -> dict[str, Size]:
             parse(file, start)
         except (KeyError, ValueError) as error:
             raise UsageError(f"{file} has a vType that cannot be used ({error}).") from error
-    return found
+    return sizes
 
 
 def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Size]) -> TrackLog:

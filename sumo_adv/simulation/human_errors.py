@@ -87,26 +87,26 @@ class HumanErrors:
 
     def possible(self, vehicle: str, raw: RawState) -> tuple[ErrorKind, ...]:
         """The errors that a driver can begin now, in a state ``raw`` of the newest snapshot."""
-        lane, found = raw[4], list[ErrorKind]()
+        lane, kinds = raw[4], list[ErrorKind]()
         if vehicle in self.active:
             return ()
         if raw[3] > MOVING:
-            found += [ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING]
+            kinds += [ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING]
         if not lane or lane.startswith(":"):
-            return tuple(found)
+            return tuple(kinds)
         if raw[3] > MOVING:
             edge, _, index = lane.rpartition("_")
             lanes = self._lanes.get(edge)
             if lanes is None:
                 lanes = self._lanes[edge] = int(self._api.edge.getLaneNumber(edge))
-            found += [kind for kind, side in SIDE.items() if 0 <= int(index) + side < lanes]
+            kinds += [kind for kind, side in SIDE.items() if 0 <= int(index) + side < lanes]
         end = self._ends.get(lane)
         if end is None:
             leads_on = bool(self._api.lane.getLinks(lane))
             end = self._ends[lane] = float(self._api.lane.getLength(lane)) if leads_on else float("inf")
         if end < float("inf") and end - self._simulation.lane_position(vehicle) < AT_LINE:
-            found += self._at_line(vehicle)
-        return tuple(found)
+            kinds += self._at_line(vehicle)
+        return tuple(kinds)
 
     def _at_line(self, vehicle: str) -> tuple[ErrorKind, ...]:
         links = self._api.vehicle.getNextLinks(vehicle)
@@ -136,10 +136,10 @@ class HumanErrors:
 
     def before_step(self) -> None:
         """Carry the errors on, and end each after its time."""
-        now, v = self._simulation.time, self._api.vehicle
+        time, v = self._simulation.time, self._api.vehicle
         there = set(v.getIDList()) if self.active else set()
         for vehicle, error in list(self.active.items()):
-            after = now - error.since
+            after = time - error.since
             if vehicle not in there:
                 del self.active[vehicle]
             elif after >= LASTS[error.kind] - 1e-6:

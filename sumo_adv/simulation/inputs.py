@@ -78,18 +78,18 @@ def load_input(path: Path) -> RunInput:
 
     Raises UsageError for anything missing, damaged, undrivable or mismatched.
     """
-    found = resolve(path)
-    lower = found.name.lower()
+    file = resolve(path)
+    lower = file.name.lower()
     if ".tfrecord" in lower:
-        raise UsageError(f"{found} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
+        raise UsageError(f"{file} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
     if lower.endswith(".toml"):
-        return _from_scenario(found)
+        return _from_scenario(file)
     if lower.endswith((".sumocfg", ".sumo.cfg")):
-        return _from_configuration(found)
+        return _from_configuration(file)
     if lower.endswith(_NETWORK_SUFFIXES):
-        scan_network(found)
-        return RunInput(name=input_name(found), source=found, network=found, files=(found,))
-    raise UsageError(f"{found} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+        scan_network(file)
+        return RunInput(name=input_name(file), source=file, network=file, files=(file,))
+    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
 
 
 def input_name(path: Path) -> str:
@@ -163,24 +163,24 @@ def _from_configuration(path: Path) -> RunInput:
 
 def _configuration_options(path: Path) -> dict[str, str]:
     """The options we keep from a .sumocfg, by our own short names."""
-    found: dict[str, str] = {}
+    options: dict[str, str] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         value = (attributes.get("value") or attributes.get("v") or "").strip()
         if tag in _OPTIONS and value:
-            found[_OPTIONS[tag]] = value
+            options[_OPTIONS[tag]] = value
 
     parse(path, start)
-    return found
+    return options
 
 
 def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
     """SUMO's file list (commas, semicolons or blanks between), counted from the configuration's folder."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for name in value.replace(";", ",").split(","):
         whole = configuration.parent / name.strip()
-        found += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
-    return tuple(found)
+        paths += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
+    return tuple(paths)
 
 
 def _from_scenario(path: Path) -> RunInput:

@@ -18,12 +18,12 @@ def load_libsumo() -> ModuleType:
     try:
         import libsumo
     except ImportError as error:
-        said = " ".join(str(error).split())
-        mend = (
+        fault = " ".join(str(error).split())
+        remedy = (
             f"install its system libraries (Debian: apt-get install {SYSTEM_LIBRARIES})"
-            if ".so" in said
+            if ".so" in fault
             else "install it again (pip install --force-reinstall libsumo)"
         )
-        raise SimulationError(f"SUMO's library libsumo does not load ({said}): {mend}.") from error
+        raise SimulationError(f"SUMO's library libsumo does not load ({fault}): {remedy}.") from error
     module: ModuleType = libsumo
     return module

@@ -61,20 +61,20 @@ class Meetings:
     def of(self, link: Link) -> tuple[Meeting, ...]:
         """The meetings on a way, in its direction. None with ways that begin in the same lane: they part."""
         if link not in self._found:
-            others = (other for other in self._at.get(link[0], ()) if other != link)
-            found = [m for other in others for m in self._between(link, other)]
-            self._found[link] = tuple(sorted(found, key=lambda m: m.at))
+            others = (crossed for crossed in self._at.get(link[0], ()) if crossed != link)
+            meetings = [m for crossed in others for m in self._between(link, crossed)]
+            self._found[link] = tuple(sorted(meetings, key=lambda m: m.at))
         return self._found[link]
 
     def _between(self, mine: Link, other: Link) -> Iterator[Meeting]:
         """The first place where two ways meet, if they do."""
         from shapely import LineString
 
-        one, two = self.ways[mine], self.ways[other]
+        way, other_way = self.ways[mine], self.ways[other]
         a, b = self.line(mine), self.line(other)
         if np.hypot(*(a[0] - b[0])) < 0.1:
             return
-        joins = one.to == two.to
+        joins = way.to == other_way.to
         if joins:
             x, y = a[-1]
         else:
@@ -83,8 +83,8 @@ class Meetings:
                 return
             x, y = min(points, key=lambda p: float(along(a, *p)))
         at, other_at = float(along(a, x, y)), float(along(b, x, y))
-        lane = min(two.via, key=lambda n: _distance(self._road.lanes[n].shape, x, y))
-        yield Meeting(other, lane, at, other_at, float(x), float(y), joins, other[1] in one.yields_to)
+        lane = min(other_way.via, key=lambda n: _distance(self._road.lanes[n].shape, x, y))
+        yield Meeting(other, lane, at, other_at, float(x), float(y), joins, other[1] in way.yields_to)
 
 
 def _points(shape: Any) -> list[tuple[float, float]]:

@@ -160,21 +160,21 @@ class RoadMap:
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
-        found = [(offset, "same") for _, offset in self._beside(lane)]
+        offsets = [(offset, "same") for _, offset in self._beside(lane)]
         left = sum(self.lanes[n].width for n in self.edges[lane.edge][lane.index + 1 :]) + lane.width / 2
         opposite = self.opposite_offset(x, y, heading)
         if opposite is not None and opposite < left + 2.6:
-            found.append((opposite, "opposite"))
-        return found
+            offsets.append((opposite, "opposite"))
+        return offsets
 
     def _beside(self, lane: Lane) -> Iterator[tuple[Lane, float]]:
         """The lanes of its edge, up to two to each side, and their offsets [m, left positive]."""
         row = [self.lanes[n] for n in self.edges[lane.edge]]
-        for i, other in enumerate(row):
-            if i == lane.index or abs(i - lane.index) > 2 or not other.passenger:
+        for i, neighbour in enumerate(row):
+            if i == lane.index or abs(i - lane.index) > 2 or not neighbour.passenger:
                 continue
             between = sum(o.width for o in row[min(i, lane.index) + 1 : max(i, lane.index)])
-            yield other, math.copysign(between + (other.width + lane.width) / 2, i - lane.index)
+            yield neighbour, math.copysign(between + (neighbour.width + lane.width) / 2, i - lane.index)
 
     def lane_shifts(self, lane_id: str, x: Floats, y: Floats) -> list[tuple[float, Floats]]:
         """By how much SUMO takes a vehicle on the lanes beside a lane to be further ahead than at the places ``(n,)``
@@ -196,17 +196,17 @@ class RoadMap:
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
         junction, then the straightest.
         """
-        found: list[Way] = []
+        ways: list[Way] = []
         for chain, first, junction, bay in self._chains(lane_id, position, reach, route):
             points = np.vstack([self.lanes[n].shape for n in chain])
             path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
-            found.append(Way(tuple(chain), movement, path, junction, rule, first, bay))
-            if len(found) == MAX_PATHS:
+            ways.append(Way(tuple(chain), movement, path, junction, rule, first, bay))
+            if len(ways) == MAX_PATHS:
                 break
-        return found
+        return ways
 
     def _chains(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
@@ -330,7 +330,7 @@ def _share(shape: Floats, x: Floats, y: Floats) -> Floats:
 
 
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
-    found = []
+    connections = []
     for c in lane.getOutgoing():
         via, name = [], c.getViaLaneID()
         while name:
@@ -342,8 +342,8 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
             link, yields_to = _right_of_way(lane, via)
             light = (c.getTLSID() or "", int(c.getTLLinkIndex()))
             to, state = c.getToLane().getID(), c.getState() or "M"
-            found.append(Connection(to, tuple(via), movement, state, link, yields_to, light))
-    return tuple(found)
+            connections.append(Connection(to, tuple(via), movement, state, link, yields_to, light))
+    return tuple(connections)
 
 
 def _right_of_way(lane: Any, via: Sequence[str]) -> tuple[tuple[str, int], frozenset[int]]:

@@ -42,8 +42,8 @@ class Playback:
         log = read_tracks(spec.tracks) if spec.tracks is not None else None
         self.spec = spec
         self.log: TrackLog | None = None if log is None else log.resampled(begin, step)
-        known = log is not None and ego is not None and ego in log.tracks
-        self.hand_over = (log.first(ego) if known and log and ego else begin) + (warm_up if log is not None else 0.0)
+        logged = log is not None and ego is not None and ego in log.tracks
+        self.hand_over = (log.first(ego) if logged and log and ego else begin) + (warm_up if log is not None else 0.0)
         tracks = {} if self.log is None else self.log.tracks
         recorded = {name: Recorded(track, begin, step) for name, track in tracks.items()}
         self._vehicles = {name: r for name, r in recorded.items() if r.track.kind == "vehicle"}
@@ -137,12 +137,12 @@ class Playback:
                     self._gone.append(name)
                 continue
             pose = Pose(pose.x, pose.y, pose.heading, max(0.0, pose.speed))
-            mine = self._hands_over(pose, now) and name not in self._kept and name in self.spec.routes
+            released = self._hands_over(pose, now) and name not in self._kept and name in self.spec.routes
             if not here:
-                if mine and not self._room(vehicle, pose, raw):
+                if released and not self._room(vehicle, pose, raw):
                     continue
                 self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
-            elif mine and raw[name][4] in self._lanes:
+            elif released and raw[name][4] in self._lanes:
                 self._free.add(name)
                 self._stage.hand_over(name, raw[name][3], self.spec.routes[name])
                 continue
@@ -216,16 +216,16 @@ class Playback:
 
         SUMO clips the speed of a moved vehicle in some steps in which it comes onto another lane.
         """
-        found = dict(raw)
+        states = dict(raw)
         for name, pose in self._moved.items():
             if name in raw:
                 x, y, angle_deg, _, lane = raw[name]
-                found[name] = (x, y, angle_deg, pose.speed, lane)
+                states[name] = (x, y, angle_deg, pose.speed, lane)
         for name, box in self._boxes.items():
             there = box.pose(time)
             if there is not None and name not in self._free:
-                found[name] = raw_of(there.x, there.y, there.heading, there.speed, box.length)
-        return found
+                states[name] = raw_of(there.x, there.y, there.heading, there.speed, box.length)
+        return states
 
     # -- what the log says --------------------------------------------------------------------------------------------
 

@@ -13,8 +13,8 @@ from sumo_adv.errors import UsageError
 
 def find_sumo() -> Path:
     """The program ``sumo``. Raises UsageError if it is not installed."""
-    if found := _find("sumo"):
-        return found
+    if program := _find("sumo"):
+        return program
     raise UsageError(
         "The program sumo was not found: install it with pip install 'sumo-adv[sumo]', or set SUMO_HOME to where it is."
     )
@@ -22,8 +22,8 @@ def find_sumo() -> Path:
 
 def find_netconvert() -> Path:
     """The program ``netconvert``. Raises UsageError if it is not installed."""
-    if found := _find("netconvert"):
-        return found
+    if program := _find("netconvert"):
+        return program
     raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
 
 
@@ -36,5 +36,5 @@ def _find(program: str) -> Path | None:
     for folder in homes:
         if (folder / "bin" / name).is_file():
             return folder / "bin" / name
-    found = shutil.which(name)
-    return None if found is None else Path(found)
+    on_path = shutil.which(name)
+    return None if on_path is None else Path(on_path)

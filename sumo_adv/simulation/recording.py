@@ -31,8 +31,8 @@ class Recording:
         """The last step's change of speed over time [m/s2]; 0 for a vehicle that has just come."""
         if len(self.snapshots) < 2:
             return 0.0
-        now, before = self.snapshots[-1].raw.get(vehicle), self.snapshots[-2].raw.get(vehicle)
-        return 0.0 if now is None or before is None else (now[3] - before[3]) / self.step_length
+        newest, before = self.snapshots[-1].raw.get(vehicle), self.snapshots[-2].raw.get(vehicle)
+        return 0.0 if newest is None or before is None else (newest[3] - before[3]) / self.step_length
 
     def tracks(
         self, sizes: Mapping[str, tuple[float, float]], roles: Mapping[str, Role], only: Sequence[str] | None = None
@@ -50,10 +50,10 @@ def tracks_of(
 ) -> list[Track]:
     """Tracks from snapshots; acceleration is the difference of speeds over the step (0 at the first state)."""
     rows: dict[str, list[tuple[float, RawState]]] = {}
-    wanted = None if only is None else set(only)
+    names = None if only is None else set(only)
     for snapshot in snapshots:
         for name, raw in snapshot.raw.items():
-            if wanted is None or name in wanted:
+            if names is None or name in names:
                 rows.setdefault(name, []).append((snapshot.time, raw))
     return [_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items()]
 

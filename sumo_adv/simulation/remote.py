@@ -57,13 +57,13 @@ class Remote:
         names, questions = self._names(), self._questions
         if len(questions) > 2 * len(names) + 100:  # vehicles that have left
             questions.clear()
-        asked = []
+        messages = []
         for name in names:
             question = questions.get(name)
             if question is None:
                 question = questions[name] = b"".join(getter(VEHICLE_GET, v, name) for v in STATE)
-            asked.append(question)
-        return self._states(names, self._exchange(b"".join(asked))) if asked else {}
+            messages.append(question)
+        return self._states(names, self._exchange(b"".join(messages))) if messages else {}
 
     def close(self) -> None:
         """Say goodbye to SUMO; it may be gone."""
@@ -114,8 +114,8 @@ class Remote:
         """Where the numbers of a vehicle lie if its id has ``size`` bytes."""
         place = self._places.get(size)
         if place is None:
-            two, one = (STATUS + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))
-            place = self._places[size] = struct.Struct(f"!{two}xdd{one}xd{one}xd{one}xd")
+            two_numbers, one_number = (STATUS + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))
+            place = self._places[size] = struct.Struct(f"!{two_numbers}xdd{one_number}xd{one_number}xd{one_number}xd")
         return place
 
     def _exchange(self, commands: bytes) -> bytes:

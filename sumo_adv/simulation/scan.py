@@ -124,15 +124,15 @@ def scan_demand(path: Path) -> DemandScan:
 
 def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
     """The edges of every route that has a name of its own. Raises UsageError if a file is damaged."""
-    found: dict[str, tuple[str, ...]] = {}
+    routes: dict[str, tuple[str, ...]] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "route" and "id" in attributes:
-            found[attributes["id"]] = tuple(attributes.get("edges", "").split())
+            routes[attributes["id"]] = tuple(attributes.get("edges", "").split())
 
     for file in files:
         parse(file, start)
-    return found
+    return routes
 
 
 def first_departure(files: Sequence[Path]) -> float:
@@ -141,9 +141,9 @@ def first_departure(files: Sequence[Path]) -> float:
 
     def see(tag: str, attributes: dict[str, str]) -> None:
         if tag in _DRIVING:
-            said = attributes.get("depart", attributes.get("begin", ""))
+            text = attributes.get("depart", attributes.get("begin", ""))
             with contextlib.suppress(UsageError):  # "triggered" and the like are no times
-                time = seconds(files[0], "departure", said)
+                time = seconds(files[0], "departure", text)
                 times.extend([] if time is None else [time])
 
     for file in files:

@@ -20,7 +20,7 @@ def read_buildings(files: Iterable[Path]) -> tuple[Floats, ...]:
 
     Polygons in degrees (``geo``) are left out.
     """
-    found = []
+    outlines = []
     for file in files:
         with gzip.open(file, "rb") if file.suffix == ".gz" else file.open("rb") as stream:
             for _, element in ElementTree.iterparse(stream):
@@ -30,8 +30,8 @@ def read_buildings(files: Iterable[Path]) -> tuple[Floats, ...]:
                     continue
                 points = [tuple(map(float, p.split(",")[:2])) for p in element.get("shape", "").split()]
                 if len(points) > 2:
-                    found.append(np.array(points))
-    return tuple(found)
+                    outlines.append(np.array(points))
+    return tuple(outlines)
 
 
 class Sight:

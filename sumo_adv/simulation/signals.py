@@ -30,12 +30,12 @@ class SignalLog:
 
     def states(self, time: float) -> dict[str, str]:
         """The state of every light with a row at or before ``time`` [s]."""
-        found = {}
+        shown = {}
         for name, (times, states) in self.lights.items():
             k = bisect_right(times, time + 1e-6)
             if k:
-                found[name] = states[k - 1]
-        return found
+                shown[name] = states[k - 1]
+        return shown
 
 
 def read_signals(path: Path) -> SignalLog:

@@ -260,10 +260,10 @@ class Simulation:
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
-        known = self.fleet.classes.get(vehicle)
-        if known is None:
-            known = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
-        return known
+        kind = self.fleet.classes.get(vehicle)
+        if kind is None:
+            kind = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
+        return kind
 
     def model(self, vehicle: str) -> DriverModel:
         """An unknown driver with the vehicle's car-following numbers in SUMO, predicted as IDM."""
@@ -352,9 +352,9 @@ class Simulation:
     def _deceleration(self, vehicle: str) -> float:
         """Its ``decel`` [m/s2] while no speed is asked for."""
         v = self._sumo.vehicle
-        now = float(v.getDecel(vehicle))
-        if now != v.getEmergencyDecel(vehicle):
-            return now
+        present = float(v.getDecel(vehicle))
+        if present != v.getEmergencyDecel(vehicle):
+            return present
         return float(self._sumo.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
 
     def change_lane(self, vehicle: str, lane: int, duration: float = 3.0) -> None:

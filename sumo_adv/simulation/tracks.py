@@ -161,9 +161,9 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row
         raise _wrong(path, line, f"has {len(fields)} fields, not {len(COLUMNS)}")
     _, name, kind, valid, *numbers = fields
     if not name or kind not in KINDS or valid not in ("0", "1"):
-        what = "id" if not name else "kind" if kind not in KINDS else "valid"
-        wanted = {"id": "one", "kind": f"one of {', '.join(KINDS)}", "valid": "0 or 1"}[what]
-        raise _wrong(path, line, f"has no usable {what}, which must be {wanted}")
+        column = "id" if not name else "kind" if kind not in KINDS else "valid"
+        rule = {"id": "one", "kind": f"one of {', '.join(KINDS)}", "valid": "0 or 1"}[column]
+        raise _wrong(path, line, f"has no usable {column}, which must be {rule}")
     time = round(_number(path, line, "time", fields[0]), 6)
     if valid == "0":
         return time, name, kind, None
@@ -189,18 +189,18 @@ def _wrong(path: Path, line: int, what: str) -> UsageError:
 
 def _grid(path: Path, times: set[float]) -> Floats:
     """The even grid that holds all times; its step is the least difference of two."""
-    found = np.array(sorted(times))
-    if len(found) == 1:
-        return found
-    step, span = float(np.diff(found).min()), float(found[-1] - found[0])
+    grid = np.array(sorted(times))
+    if len(grid) == 1:
+        return grid
+    step, span = float(np.diff(grid).min()), float(grid[-1] - grid[0])
     if span / step > MOST_STEPS:
         raise UsageError(f"The tracks {path} span too much time for their step of {step:g} s; write an even grid.")
-    places = (found - found[0]) / step
+    places = (grid - grid[0]) / step
     off = np.abs(places - np.rint(places)) * step
     if off.max() > SAME_TIME:
-        worst = float(found[int(off.argmax())])
+        worst = float(grid[int(off.argmax())])
         raise UsageError(f"The tracks {path} are not on an even time grid: {worst:g} s is off the step of {step:g} s.")
-    return np.linspace(found[0], found[-1], round(span / step) + 1)
+    return np.linspace(grid[0], grid[-1], round(span / step) + 1)
 
 
 def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> LoggedTrack:
