@@ -123,11 +123,12 @@ class PredictedEgos:
         self.disturbed |= others < next_v - NOTICED
         bound = np.minimum(bound, others)
         self._leaders.step(now, sumo_s, front_d, speed)
-        pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
-        free = np.minimum(self._driver.free(self.v), pace)
-        v = np.where(
-            self.disturbed, np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt), next_v
-        )
+        v = next_v
+        if self.disturbed.any():
+            pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
+            free = np.minimum(self._driver.free(self.v), pace)
+            wanted = np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt)
+            v = np.where(self.disturbed, wanted, next_v)
         v = np.maximum(v, 0.0)
         next_ahead = sumo_s - self._of_pairs(self.s) + dt * (speed * np.cos(h) - self._of_pairs(v))
         self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
@@ -183,7 +184,9 @@ class PredictedEgos:
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - own_s - self.scenes.ego.length / 2
-        bound = np.where(leads, self._driver.behind(own_v, gap, speed), np.inf)
+        bound = np.full(len(gap), np.inf)
+        if leads.any():
+            bound = np.where(leads, self._driver.behind(own_v, gap, speed), bound)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((own_s, own_v, own_a), adversary, speed))
         if self._guards is not None:
@@ -241,6 +244,8 @@ class PredictedEgos:
         self._was_beside |= beside
         beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
         limits = beside & ahead & (own_v > JAM) & self._has_left & (speed < self._driver.desired_speed)
+        if not limits.any():
+            return np.full(len(own_v), np.inf)
         return np.where(limits, self._driver.staying_behind(own_v, gap, speed), np.inf)
 
 

@@ -137,16 +137,17 @@ class Counterfactual:
             asked = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
             fresh = drivers.alarmed & ~np.isfinite(alarm)
             alarm = np.where(fresh, self.time[k], alarm)
-            acting |= np.isfinite(asked) & (k >= self.given.start)
-            braking = np.minimum(np.where(np.isfinite(asked), asked, np.inf), change[:, k])
-            after = np.clip(speed[:, k] + braking * dt, 0.0, np.maximum(pace[:, k + 1], speed[:, k]))
-            moved = np.where(
-                after > 0.0, (speed[:, k] + after) / 2 * dt, speed[:, k] ** 2 / np.maximum(-2 * braking, 1e-9)
-            )  # fmt: skip
-            moved = np.minimum(moved, (speed[:, k] + after) / 2 * dt)
-            station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
-            speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
-            acceleration = (speed[:, k + 1] - speed[:, k]) / dt
+            brakes, now = np.isfinite(asked), speed[:, k]
+            acting |= brakes & (k >= self.given.start)
+            if acting.any():
+                braking = np.minimum(np.where(brakes, asked, np.inf), change[:, k])
+                after = np.clip(now + braking * dt, 0.0, np.maximum(pace[:, k + 1], now))
+                evenly = (now + after) / 2 * dt
+                moved = np.where(after > 0.0, evenly, now**2 / np.maximum(-2 * braking, 1e-9))
+                moved = np.minimum(moved, evenly)
+                station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
+                speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
+            acceleration = (speed[:, k + 1] - now) / dt
         return station, speed, alarm
 
     def _contact(self, ego: Boxes, station: Floats) -> Floats:
