@@ -96,14 +96,11 @@ class PredictedEgos:
         now: time since the trigger [s]; adversary: station, offset, heading of the box centres in the frame of the
         ego's path; speed [m/s]; each ``(N,)``. at_junction: None if the ways meet at no junction.
         """
+        if not self.reacts:
+            self.step_alone(now)
+            return
         dt = self.scenes.dt
-        if self._observed is not None:
-            self._repeat(now, self._observed)
-            return
         next_s, next_v = self.scenes.profile_now(now + dt)
-        if self.model.kind == "replay":
-            self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
-            return
         if self.model.visible_only and self._each > 1:
             adversary = self._seen(adversary)
         (s, d, h), half = adversary, self._length / 2
@@ -136,6 +133,19 @@ class PredictedEgos:
         self._looks_from = self._lateral_gap.front
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
+
+    @property
+    def reacts(self) -> bool:
+        """Whether the egos' motions depend on the adversaries: they repeat no observed motions and replay no log."""
+        return self._observed is None and self.model.kind != "replay"
+
+    def step_alone(self, now: float) -> None:
+        """Advance egos that do not react by a step; ``now``: time since the trigger [s]."""
+        if self._observed is not None:
+            self._repeat(now, self._observed)
+            return
+        next_s, next_v = self.scenes.profile_now(now + self.scenes.dt)
+        self.s, self.a, self.v = next_s, (next_v - self.v) / self.scenes.dt, next_v
 
     def _seen(self, adversary: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
         """The adversaries as the egos see them. An adversary that others of the same ego hide is ``AWAY``."""

@@ -89,7 +89,10 @@ def predict(
             driven = k
             if touch is not None:
                 over |= touch(ego[k], adversary[k, :, :n], ~over)
-            egos.step(now, ground.relative(motion), motion.v, ground.at_junction(motion))
+            if egos.reacts:
+                egos.step(now, ground.relative(motion), motion.v, ground.at_junction(motion))
+            else:
+                egos.step_alone(now)
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)

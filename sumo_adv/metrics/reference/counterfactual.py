@@ -22,7 +22,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.boxes import first_contact, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
@@ -181,13 +181,11 @@ class Counterfactual:
         near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
         x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
         mine = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
-        time = self.time[: poses.x.shape[-1]]
-        when = first_contact(mine, near, time)
         there, left = self.views.lateral(first)
         behind = (there[row, 1:] < self.paths.station[row, first]) & (
             np.abs(left[row, 1:]) < self.given.lane_half_width
         )
-        return np.asarray(~(np.isfinite(when) & ~behind[None, :]).any(axis=1))
+        return np.asarray(~(touches(mine, near) & ~behind[None, :]).any(axis=1))
 
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
         """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
