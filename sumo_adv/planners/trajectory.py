@@ -230,13 +230,16 @@ def _long_enough(m: Any, span: Any, move: tuple[Any, ...], most: Any, slope: Any
                 break
             span *= STRETCH
         return span
-    rows = np.arange(len(span))
-    for _ in range(STRETCHES):
-        here, short = (q[rows] for q in move), span[rows]
-        rows = rows[_too_sharp(m, _quintic(*here, short), short, most[rows], slope[rows])]
-        if not len(rows):
-            break
-        span[rows] *= STRETCH
+    rows = np.flatnonzero(_too_sharp(m, _quintic(*move, span), span, most, slope))
+    if len(rows):  # for these all durations at once
+        spans = np.full((STRETCHES + 1, len(rows)), STRETCH)
+        spans[0] = span[rows]
+        spans = np.multiply.accumulate(spans)
+        tried, each = spans[:-1].ravel(), np.tile(rows, STRETCHES)
+        quintics = _quintic(*(q[each] for q in move), tried)
+        sharp = _too_sharp(m, quintics, tried, most[each], slope[each]).reshape(STRETCHES, -1)
+        first = np.where(sharp.all(axis=0), STRETCHES, sharp.argmin(axis=0))
+        span[rows] = spans[first, np.arange(len(rows))]
     return span
 
 

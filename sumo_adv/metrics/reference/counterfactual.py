@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -85,8 +86,12 @@ class Counterfactual:
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
         )
         self.paths = EgoPaths(self.ego)
-        visible = seen(self.ego, self.adversary, self.others)
-        self.views = Views(self.paths, self._everybody(visible), self._ego_size(), dt, given.lane_half_width)
+
+    @cached_property
+    def views(self) -> Views:
+        """What drivers see."""
+        visible = self._everybody(seen(self.ego, self.adversary, self.others))
+        return Views(self.paths, visible, self._ego_size(), self.given.dt, self.given.lane_half_width)
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
