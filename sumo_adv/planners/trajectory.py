@@ -222,7 +222,7 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     return motion._replace(pace=pace, clock=v * 0.0, span=span, c=c, target=target)
 
 
-def _long_enough(m: Any, span: Any, move: tuple[Any, ...], most: Any, slope: Any) -> Any:
+def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, slope: Any) -> Any:
     """``span``, or more where the quintics of ``move`` (d0, v0, a0, d1) would be too sharp."""
     if m is Scalar:
         for _ in range(STRETCHES):
@@ -236,8 +236,8 @@ def _long_enough(m: Any, span: Any, move: tuple[Any, ...], most: Any, slope: Any
         spans[0] = span[rows]
         spans = np.multiply.accumulate(spans)
         tried, each = spans[:-1].ravel(), np.tile(rows, STRETCHES)
-        quintics = _quintic(*(q[each] for q in move), tried)
-        sharp = _too_sharp(m, quintics, tried, most[each], slope[each]).reshape(STRETCHES, -1)
+        d0, v0, a0, d1 = (q[each] for q in move)
+        sharp = _too_sharp(m, _quintic(d0, v0, a0, d1, tried), tried, most[each], slope[each]).reshape(STRETCHES, -1)
         first = np.where(sharp.all(axis=0), STRETCHES, sharp.argmin(axis=0))
         span[rows] = spans[first, np.arange(len(rows))]
     return span
