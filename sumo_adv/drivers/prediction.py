@@ -124,8 +124,8 @@ class PredictedEgos:
         if self.disturbed.any():
             pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
             free = np.minimum(self._driver.free(self.v), pace)
-            wanted = np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt)
-            v = np.where(self.disturbed, wanted, next_v)
+            reaction = np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt)
+            v = np.where(self.disturbed, reaction, next_v)
         v = np.maximum(v, 0.0)
         next_ahead = sumo_s - self._of_pairs(self.s) + dt * (speed * np.cos(h) - self._of_pairs(v))
         self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
@@ -157,10 +157,10 @@ class PredictedEgos:
         away = np.empty((len(self.s), each), bool)
         for k in range(each):
             others = [j for j in range(each) if j != k]
-            one, screens = (
+            adversary_box, screens = (
                 Boxes(x[:, q], y[:, q], heading[:, q], 0.0 * x[:, q], length[:, q], width[:, q]) for q in (k, others)
             )  # fmt: skip
-            away[:, k] = hidden(ego, one, screens)[:, 0]
+            away[:, k] = hidden(ego, adversary_box, screens)[:, 0]
         return np.where(away.T.reshape(-1), AWAY, s), d, h
 
     def _repeat(self, now: float, observed: Floats) -> None:

@@ -62,8 +62,8 @@ def axis_separations(a: Boxes, b: Boxes) -> tuple[Floats, Floats, Floats, Floats
 
 def separation(a: Boxes, b: Boxes) -> Floats:
     """The largest of the four axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
-    one, two, three, four = axis_separations(a, b)
-    return np.maximum(np.maximum(one, two), np.maximum(three, four))
+    along_a, across_a, along_b, across_b = axis_separations(a, b)
+    return np.maximum(np.maximum(along_a, across_a), np.maximum(along_b, across_b))
 
 
 def overlaps(a: Boxes, b: Boxes) -> Bools:
@@ -186,8 +186,8 @@ def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
     far = np.maximum(np.hypot(dx, dy), np.hypot(x0 + vx, y0 + vy))
     turning = np.abs(db - da)
     rates = []
-    for c, s, own, other in ((ca, sa, da, np.hypot(lb, wb)), (cb, sb, db, np.hypot(la, wa))):
-        extra = np.abs(own) * (speed * (1 - at) + far) + turning * other
+    for c, s, own_turn, reach_of_other in ((ca, sa, da, np.hypot(lb, wb)), (cb, sb, db, np.hypot(la, wa))):
+        extra = np.abs(own_turn) * (speed * (1 - at) + far) + turning * reach_of_other
         rates.append(extra - np.sign(dx * c + dy * s) * (vx * c + vy * s))
         rates.append(extra - np.sign(dy * c - dx * s) * (vy * c - vx * s))
     apart = np.zeros(len(at), dtype=bool)

@@ -92,8 +92,8 @@ class Predictor:
         for p, (score, valid) in zip(scored, sums.tolist(), strict=True):
             assert p.prediction is not None
             own = p.score if p.uncorrected is not None or p.prediction.hopeless else score
-            told = replace(p.prediction, likely=valid)
-            results.append(replace(p, score=own, nominal=p.nominal_score, prediction=told))
+            expectation = replace(p.prediction, likely=valid)
+            results.append(replace(p, score=own, nominal=p.nominal_score, prediction=expectation))
         return results
 
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:

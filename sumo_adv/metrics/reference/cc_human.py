@@ -108,27 +108,27 @@ class CcHuman:
 
     def step(self, view: View) -> Floats:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
-        now, dt = self._now, self._dt
+        time, dt = self._now, self._dt
         self._follow_drift(view)
         perceived, danger = self._perceived(view), self._is_danger(view)
-        self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, now), np.inf)
-        long_enough = now - self._perceived_since >= PERCEPTION - 1e-9
+        self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
+        long_enough = time - self._perceived_since >= PERCEPTION - 1e-9
         seen = danger & long_enough
-        self._seen_at = np.where(seen, now, self._seen_at)
-        braking = now - self._decided_at >= REACTION - 1e-9
-        lasts = self.danger & (braking | (now - self._seen_at <= LAPSE + 1e-9))
+        self._seen_at = np.where(seen, time, self._seen_at)
+        braking = time - self._decided_at >= REACTION - 1e-9
+        lasts = self.danger & (braking | (time - self._seen_at <= LAPSE + 1e-9))
         self.danger = seen | (lasts & ~self._is_over(view)) if lasts.any() else seen
-        self._last = np.where(self.danger, now, self._last)
-        at_ease = ~self.danger & ((now - self._last > EASE) | ~braking)
-        started = np.where(self.danger, np.minimum(self._decided_at, now), self._decided_at)
+        self._last = np.where(self.danger, time, self._last)
+        at_ease = ~self.danger & ((time - self._last > EASE) | ~braking)
+        started = np.where(self.danger, np.minimum(self._decided_at, time), self._decided_at)
         self._decided_at = np.where(at_ease, np.inf, started)
         shown = self.danger.any(axis=1) & ~np.isfinite(self._first_alarm)
-        self._first_alarm = np.where(shown, now, self._first_alarm)
-        self._now = round(now + dt, 9)
+        self._first_alarm = np.where(shown, time, self._first_alarm)
+        self._now = round(time + dt, 9)
         if not self.danger.any():
             return np.full(len(self.danger), np.nan)
         earliest = np.where(self.danger, self._decided_at, np.inf).min(axis=1, initial=np.inf)
-        pressed = np.where(np.isfinite(earliest), now - earliest - REACTION, -np.inf)
+        pressed = np.where(np.isfinite(earliest), time - earliest - REACTION, -np.inf)
         lost = speed_lost(pressed + dt) - speed_lost(pressed)
         return np.where(lost > 1e-9, -lost / dt, np.nan)
 

@@ -139,20 +139,20 @@ class Counterfactual:
         acceleration = np.zeros(n)
         acting, alarm = np.zeros(n, bool), np.full(n, np.inf)
         for k in range(self.steps - 1):
-            asked = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
+            reaction = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
             fresh = drivers.alarmed & ~np.isfinite(alarm)
             alarm = np.where(fresh, self.time[k], alarm)
-            brakes, now = np.isfinite(asked), speed[:, k]
+            brakes, present = np.isfinite(reaction), speed[:, k]
             acting |= brakes & (k >= self.given.start)
             if acting.any():
-                braking = np.minimum(np.where(brakes, asked, np.inf), change[:, k])
-                after = np.clip(now + braking * dt, 0.0, np.maximum(pace[:, k + 1], now))
-                evenly = (now + after) / 2 * dt
-                moved = np.where(after > 0.0, evenly, now**2 / np.maximum(-2 * braking, 1e-9))
+                braking = np.minimum(np.where(brakes, reaction, np.inf), change[:, k])
+                after = np.clip(present + braking * dt, 0.0, np.maximum(pace[:, k + 1], present))
+                evenly = (present + after) / 2 * dt
+                moved = np.where(after > 0.0, evenly, present**2 / np.maximum(-2 * braking, 1e-9))
                 moved = np.minimum(moved, evenly)
                 station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
                 speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
-            acceleration = (speed[:, k + 1] - now) / dt
+            acceleration = (speed[:, k + 1] - present) / dt
         return station, speed, alarm
 
     def _contact(self, ego: Boxes, station: Floats) -> Floats:
@@ -185,12 +185,12 @@ class Counterfactual:
         there_x, there_y, turned, pace = (v[row][:, part] for v in (o.x, o.y, o.heading, o.speed))
         near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
         x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
-        mine = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
+        ego = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
         there, left = self.views.lateral(first)
         behind = (there[row, 1:] < self.paths.station[row, first]) & (
             np.abs(left[row, 1:]) < self.given.lane_half_width
         )
-        return np.asarray(~(touches(mine, near) & ~behind[None, :]).any(axis=1))
+        return np.asarray(~(touches(ego, near) & ~behind[None, :]).any(axis=1))
 
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
         """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
@@ -216,14 +216,14 @@ def answers(
 ) -> dict[str, Answer]:
     """What each driver makes of the encounters, and the ``unchanged`` ego."""
     check = Counterfactual(given)
-    found = {"unchanged": check.unchanged()}
+    by_driver = {"unchanged": check.unchanged()}
     for name in drivers:
         if name in BRAKERS:
-            found[name] = check.braking(BRAKERS[name])
+            by_driver[name] = check.braking(BRAKERS[name])
     if MANOEUVRE in drivers:
-        alarm = found["cc_human"].alarm if "cc_human" in found else check.roll_out(CcHuman)[2]
-        found[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
-    return found
+        alarm = by_driver["cc_human"].alarm if "cc_human" in by_driver else check.roll_out(CcHuman)[2]
+        by_driver[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
+    return by_driver
 
 
 def _size(value: Floats | float, n: int) -> Floats:

@@ -123,9 +123,9 @@ class Views:
 
 def _change(values: Floats, dt: float) -> Floats:
     """The backward difference over a step, 0 in the first one and after an absence."""
-    found = np.zeros(values.shape)
-    found[..., 1:] = np.diff(values, axis=-1) / dt
-    return np.where(np.isfinite(found), found, 0.0)
+    rates = np.zeros(values.shape)
+    rates[..., 1:] = np.diff(values, axis=-1) / dt
+    return np.where(np.isfinite(rates), rates, 0.0)
 
 
 def _known(values: Floats) -> Floats:
