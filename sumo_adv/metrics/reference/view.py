@@ -102,12 +102,15 @@ class Views:
 
     def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
         """What egos at ``station`` [m], ``speed`` and ``acceleration`` ``(N,)`` see in a step."""
-        there, here, half_along, left, heading, side_gap, near_edge, *motion = (values[step] for values in self._steps)
+        (
+            there, here, half_along, left, heading, side_gap, near_edge,
+            pace, along, towards, crossing, change, yaw_rate,
+        ) = (values[step] for values in self._steps)  # fmt: skip
         away, (ego_length, ego_width) = here - station[:, None], self._size
         return View(
             there & (away > 0), away, left, heading, np.abs(away) - half_along - ego_length / 2, side_gap, near_edge,
-            *motion, self._length, self._width, speed[:, None], acceleration[:, None], ego_length, ego_width,
-            self._half,
+            pace, along, towards, crossing, change, yaw_rate, self._length, self._width, speed[:, None],
+            acceleration[:, None], ego_length, ego_width, self._half,
         )  # fmt: skip
 
     def in_lane_ahead(self, ego_station: Floats) -> Bools:
