@@ -110,7 +110,7 @@ class Path:
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
-        return _place((self.x, self.y, self.heading), (), len(self.x) - 1, np.asarray(s, float), d)
+        return _place((self.x, self.y, self.heading), 0, len(self.x) - 1, np.asarray(s, float), d)
 
     def project(self, x: float, y: float, near: float | None = None, reach: float = 15.0) -> tuple[float, float]:
         """Station and offset of a point. ``near``: search only within ``reach`` metres of that station."""
@@ -148,22 +148,25 @@ class Paths:
     def __init__(self, paths: Sequence[Path]) -> None:
         longest = max(len(p.x) for p in paths)
         tables = [[np.pad(a, (0, longest - len(a)), "edge") for a in (p.x, p.y, p.heading)] for p in paths]
-        self._tables = tuple(np.stack([t[k] for t in tables]) for k in range(3))
+        self._tables = tuple(np.concatenate([t[k] for t in tables]) for k in range(3))
+        self._first = longest * np.arange(len(paths))
         self._last = np.array([len(p.x) - 1 for p in paths])
 
     def at(self, path: Any, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations and offsets of the paths with places ``path``; see :meth:`Path.at`."""
-        return _place(self._tables, (path,), self._last[path], s, d)
+        return _place(self._tables, self._first[path], self._last[path], s, d)
 
 
 def _place(
-    tables: Any, path: tuple[Any, ...], last: Any, s: Floats, d: Floats | float
+    tables: tuple[Floats, ...], first: Any, last: Any, s: Floats, d: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """x, y, heading at stations and offsets; ``path`` says which rows of ``tables`` are meant, if any."""
+    """x, y, heading at stations and offsets. A path begins at the place ``first`` in each of the ``tables`` and has
+    ``last`` more samples."""
     u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
     i = np.minimum(u.astype(np.intp), last - 1)
     w = u - i
-    x, y, heading = (t[*path, i] * (1 - w) + t[*path, i + 1] * w for t in tables)
+    i = i + first
+    x, y, heading = (t.take(i) * (1 - w) + t.take(i + 1) * w for t in tables)
     beyond, cos, sin = s - u * PATH_STEP, np.cos(heading), np.sin(heading)
     return x + beyond * cos - d * sin, y + beyond * sin + d * cos, heading
 

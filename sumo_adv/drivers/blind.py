@@ -59,8 +59,8 @@ class BlindEgo:
             return None
         station, speed = float(self._frame.locate(ego)[0]), max(ego.speed, 0.1)
         bends = self._frame.bend(np.array([station + ego.length / 2 + speed * AHEAD]))[1]
-        wanted = max(min(road.limit, float(np.min(bends))), 0.1)
-        free = self._idm.accel * (1.0 - (ego.speed / wanted) ** self._idm.delta)
+        desired_speed = max(min(road.limit, float(np.min(bends))), 0.1)
+        free = self._idm.accel * (1.0 - (ego.speed / desired_speed) ** self._idm.delta)
         pedal = min(max(free, -self._idm.decel), _stopping(road, ego) if road.must_wait else math.inf)
         ahead = look_ahead(np.array([speed]))
         x, y, _ = self._frame.path.at(station + ahead)

@@ -32,6 +32,7 @@ class CarFollowing:
         self._hardest = model.hardest_braking
         self.tau, self.min_gap, self.desired_speed = model.tau, model.min_gap, max(model.speed, 1.0)
         self._dt = dt
+        self._twice_root = float(2 * np.sqrt(self.acceleration * self.deceleration))
 
     def free(self, v: Floats) -> Floats:
         """The speed after the step without a leader, from a speed ``v``."""
@@ -42,7 +43,7 @@ class CarFollowing:
         """The speed behind leaders at speeds ``leader``; ``gap``: between the bumpers."""
         if self.krauss:
             return self._safe_behind(v, gap - self.min_gap, leader)
-        desired_gap = self.min_gap + np.maximum(0.0, v * self.tau + v * (v - leader) / self._twice_root())
+        desired_gap = self.min_gap + np.maximum(0.0, v * self.tau + v * (v - leader) / self._twice_root)
         return self._idm(v, desired_gap, gap)
 
     def staying_behind(self, v: Floats, gap: Floats, leader: Floats) -> Floats:
@@ -62,7 +63,7 @@ class CarFollowing:
         """The speed ``room`` metres before the place where the driver stops, without a headway (``stopSpeed``)."""
         if self.krauss:
             return self._safe(room, self._dt)
-        desired_gap = v * self.tau + v * v / self._twice_root()
+        desired_gap = v * self.tau + v * v / self._twice_root
         return np.where(room < 0.01, 0.0, self._idm(v, desired_gap, room))
 
     def _safe(self, room: Floats, headway: float) -> Floats:
@@ -96,9 +97,6 @@ class CarFollowing:
     def _idm(self, v: Floats, desired_gap: Floats, gap: Floats) -> Floats:
         a = self.acceleration * (1 - (v / self.desired_speed) ** 4 - (desired_gap / np.maximum(gap, 0.1)) ** 2)
         return np.maximum(v + a * self._dt, 0.0)
-
-    def _twice_root(self) -> float:
-        return float(2 * np.sqrt(self.acceleration * self.deceleration))
 
 
 def brake_gap(v: Floats, deceleration: float, dt: float) -> Floats:

@@ -75,7 +75,7 @@ class FissPlusEgo:
             self._begun = observation.time
             self._planner, self._controller = _planner(ego)
         self._update_map(self._frame, ego, road)
-        others = [self._predict(self._frame, other) for other in observation.others]
+        others = [self._predict(self._frame, vehicle) for vehicle in observation.others]
         since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could tip them
         plan = self._planner.step(since, self._rear_axle(ego), others, road.limit)
         if plan.emergency or len(np.asarray(plan.trajectory.t)) < 2:

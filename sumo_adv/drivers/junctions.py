@@ -88,8 +88,11 @@ class Junctions:
         ego_first &= ~adversary.entered | (v >= adversary.speed)  # if both enter in one step, the slower one yields
         self._ego_first_at = np.where(ego_first, begins, self._ego_first_at)
         self._adversary_entered |= adversary.entered
-        merging, crossing = (f(adversary, begins, front, v) for f in (self._merging, self._crossing))
-        clear = np.where(adversary.merging, merging, crossing)
+        clear = np.full(len(v), np.inf)
+        if (adversary.on_junction & adversary.merging).any():
+            clear = np.where(adversary.merging, self._merging(adversary, begins, front, v), clear)
+        if (adversary.on_junction & ~adversary.merging).any():
+            clear = np.where(adversary.merging, clear, self._crossing(adversary, begins, front, v))
         return np.minimum(clear, self._giving_way(adversary, begins, front, v)) if self._gives_way else clear
 
     def _meeting_junction(self, meets_at: Floats) -> tuple[Floats, Floats]:
@@ -139,21 +142,15 @@ class Junctions:
         room = np.where(np.isfinite(self._line), self._line - front, -FAR)
         left = adversary.meets_at - front
         stops = (room > -0.5) & (room < self._sees) & (room > brake_gap(v, self._driver.deceleration, self._dt))
+        stops &= adversary.goes_first & ~adversary.ran_red & (~adversary.on_junction | adversary.has_bay)
+        stops &= np.isfinite(adversary.meets_at) & (begins == self._begins) & (adversary.rear_to_exit > 0.0)
+        if not stops.any():
+            return np.full(len(v), np.inf)
         arrival = seconds(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION)
         gone = seconds(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION)
         at_line = seconds(room, v, self._driver.acceleration)
         across = seconds(left + 2 * self._half + CLEARANCE, v, self._driver.acceleration)
-        waits = (
-            stops
-            & adversary.goes_first
-            & ~adversary.ran_red
-            & (~adversary.on_junction | adversary.has_bay)
-            & np.isfinite(adversary.meets_at)
-            & (begins == self._begins)
-            & (adversary.rear_to_exit > 0.0)
-            & (across + AHEAD > arrival)
-            & (gone > at_line)
-        )
+        waits = stops & (across + AHEAD > arrival) & (gone > at_line)
         return np.where(waits, self._driver.stopping(v, np.maximum(room - STOPS_BEFORE, 0.0)), np.inf)
 
 

@@ -68,8 +68,8 @@ class LateralGap:
         makes_room &= ~left | ~self._has_right | (overlap < 0.0)
         stays = partly & (inside | (overlap > LATERAL_SPEED * self._dt + NUMERICAL))
         needed = np.clip(self._ego.width / 2 + GAP - np.abs(strip), 0.0, self._room)
-        wanted = np.where(makes_room, np.where(left, -needed, needed), 0.0) - self.front
-        self._speed = np.where(stays, 0.0, lateral_speed(self._speed, wanted, self._dt))
+        shift = np.where(makes_room, np.where(left, -needed, needed), 0.0) - self.front
+        self._speed = np.where(stays, 0.0, lateral_speed(self._speed, shift, self._dt))
         sine = 2.0 * (self.front - self.d) / self._ego.length
         rear = 2.0 * self.d - self.front + v * self._dt * sine
         self.front = self.front + self._speed * self._dt

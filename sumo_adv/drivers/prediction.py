@@ -96,14 +96,11 @@ class PredictedEgos:
         now: time since the trigger [s]; adversary: station, offset, heading of the box centres in the frame of the
         ego's path; speed [m/s]; each ``(N,)``. at_junction: None if the ways meet at no junction.
         """
+        if not self.reacts:
+            self.step_alone(now)
+            return
         dt = self.scenes.dt
-        if self._observed is not None:
-            self._repeat(now, self._observed)
-            return
         next_s, next_v = self.scenes.profile_now(now + dt)
-        if self.model.kind == "replay":
-            self.s, self.a, self.v = next_s, (next_v - self.v) / dt, next_v
-            return
         if self.model.visible_only and self._each > 1:
             adversary = self._seen(adversary)
         (s, d, h), half = adversary, self._length / 2
@@ -123,11 +120,12 @@ class PredictedEgos:
         self.disturbed |= others < next_v - NOTICED
         bound = np.minimum(bound, others)
         self._leaders.step(now, sumo_s, front_d, speed)
-        pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
-        free = np.minimum(self._driver.free(self.v), pace)
-        v = np.where(
-            self.disturbed, np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt), next_v
-        )
+        v = next_v
+        if self.disturbed.any():
+            pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
+            free = np.minimum(self._driver.free(self.v), pace)
+            reaction = np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt)
+            v = np.where(self.disturbed, reaction, next_v)
         v = np.maximum(v, 0.0)
         next_ahead = sumo_s - self._of_pairs(self.s) + dt * (speed * np.cos(h) - self._of_pairs(v))
         self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
@@ -135,6 +133,19 @@ class PredictedEgos:
         self._looks_from = self._lateral_gap.front
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
+
+    @property
+    def reacts(self) -> bool:
+        """Whether the egos' motions depend on the adversaries: they repeat no observed motions and replay no log."""
+        return self._observed is None and self.model.kind != "replay"
+
+    def step_alone(self, now: float) -> None:
+        """Advance egos that do not react by a step; ``now``: time since the trigger [s]."""
+        if self._observed is not None:
+            self._repeat(now, self._observed)
+            return
+        next_s, next_v = self.scenes.profile_now(now + self.scenes.dt)
+        self.s, self.a, self.v = next_s, (next_v - self.v) / self.scenes.dt, next_v
 
     def _seen(self, adversary: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
         """The adversaries as the egos see them. An adversary that others of the same ego hide is ``AWAY``."""
@@ -146,10 +157,10 @@ class PredictedEgos:
         away = np.empty((len(self.s), each), bool)
         for k in range(each):
             others = [j for j in range(each) if j != k]
-            one, screens = (
+            adversary_box, screens = (
                 Boxes(x[:, q], y[:, q], heading[:, q], 0.0 * x[:, q], length[:, q], width[:, q]) for q in (k, others)
             )  # fmt: skip
-            away[:, k] = hidden(ego, one, screens)[:, 0]
+            away[:, k] = hidden(ego, adversary_box, screens)[:, 0]
         return np.where(away.T.reshape(-1), AWAY, s), d, h
 
     def _repeat(self, now: float, observed: Floats) -> None:
@@ -183,7 +194,9 @@ class PredictedEgos:
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - own_s - self.scenes.ego.length / 2
-        bound = np.where(leads, self._driver.behind(own_v, gap, speed), np.inf)
+        bound = np.full(len(gap), np.inf)
+        if leads.any():
+            bound = np.where(leads, self._driver.behind(own_v, gap, speed), bound)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((own_s, own_v, own_a), adversary, speed))
         if self._guards is not None:
@@ -241,6 +254,8 @@ class PredictedEgos:
         self._was_beside |= beside
         beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
         limits = beside & ahead & (own_v > JAM) & self._has_left & (speed < self._driver.desired_speed)
+        if not limits.any():
+            return np.full(len(own_v), np.inf)
         return np.where(limits, self._driver.staying_behind(own_v, gap, speed), np.inf)
 
 

@@ -46,5 +46,5 @@ def read_wishes(driver: Any, spec: str) -> Wishes:
         raise UsageError(
             f"The ego {spec!r} has max_steering = {numbers['max_steering']:g} rad; it must be below pi / 2."
         )
-    asked = {name: bool(getattr(driver, name, False)) for name in ("needs_road", "visible_only", "sees_buildings")}
-    return Wishes(**asked, bicycle=Bicycle(**numbers))
+    flags = {name: bool(getattr(driver, name, False)) for name in ("needs_road", "visible_only", "sees_buildings")}
+    return Wishes(**flags, bicycle=Bicycle(**numbers))

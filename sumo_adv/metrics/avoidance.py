@@ -102,11 +102,11 @@ def _clear(
 def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes:
     """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end."""
     n, last = b.x.shape[0], b.x.shape[1] - 1
-    wanted = np.asarray(index)[:, None] + np.arange(steps + 1)
+    indices = np.asarray(index)[:, None] + np.arange(steps + 1)
     rows = np.arange(n)[:, None]
-    taken = np.clip(wanted, 0, last)
+    taken = np.clip(indices, 0, last)
     x, y, heading, speed = (np.broadcast_to(v, b.x.shape)[rows, taken] for v in (b.x, b.y, b.heading, b.speed))
-    beyond = speed * (np.maximum(wanted - last, 0) * dt)
+    beyond = speed * (np.maximum(indices - last, 0) * dt)
     size = [np.broadcast_to(np.asarray(v, dtype=float), b.x.shape)[:, :1] for v in (b.length, b.width)]
     return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1])
 
@@ -130,8 +130,8 @@ def _straight(b: Boxes) -> Poses:
 
 
 def _hits(a: Poses, b: Poses, half_a: Half, half_b: Half) -> Bools:
-    one, two, three, four = sat(b.x - a.x, b.y - a.y, a.cos, a.sin, b.cos, b.sin, half_a, half_b)
-    return np.asarray((one <= 0) & (two <= 0) & (three <= 0) & (four <= 0))
+    along_a, across_a, along_b, across_b = sat(b.x - a.x, b.y - a.y, a.cos, a.sin, b.cos, b.sin, half_a, half_b)
+    return np.asarray((along_a <= 0) & (across_a <= 0) & (along_b <= 0) & (across_b <= 0))
 
 
 def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
@@ -141,9 +141,9 @@ def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
     plans = list(dict.fromkeys((m.delay, m.braking, m.ramp) for m in table))
     progress = np.stack([_progress(travelled, own.speed, *plan, dt) for plan in plans])
     along = _along(own, travelled, progress)
-    which = np.array([plans.index((m.delay, m.braking, m.ramp)) for m in table])
-    shift, slope = _shift(table, progress[which], dt)
-    x, y, cos, sin = (v[which] for v in (along.x, along.y, along.cos, along.sin))
+    plan_of = np.array([plans.index((m.delay, m.braking, m.ramp)) for m in table])
+    shift, slope = _shift(table, progress[plan_of], dt)
+    x, y, cos, sin = (v[plan_of] for v in (along.x, along.y, along.cos, along.sin))
     turn = 1.0 / np.sqrt(1.0 + slope * slope)
     return Poses(x - shift * sin, y + shift * cos, (cos - sin * slope) * turn, (sin + cos * slope) * turn)
 
@@ -189,9 +189,9 @@ def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Flo
     duration = np.array([[_duration(m.shift)] for m in table])
     u = np.clip((time - np.array([[m.delay] for m in table])) / duration, 0.0, 1.0)
     profile = np.array([[m.shift] for m in table]) * (u**3 * (10 + u * (6 * u - 15)))
-    wanted = np.diff(profile)[:, None, :]
+    full_steps = np.diff(profile)[:, None, :]
     moved = np.diff(progress)
-    steps = np.sign(wanted) * np.minimum(np.abs(wanted), SLOPE * moved)
+    steps = np.sign(full_steps) * np.minimum(np.abs(full_steps), SLOPE * moved)
     slope = steps / np.maximum(moved, 1e-6)
     zero = np.zeros((*steps.shape[:-1], 1))
     return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1), np.concatenate([zero, slope], axis=-1)
@@ -213,11 +213,11 @@ def _clear_of_others(
         if not keep.size:
             continue
         third = _rows(near, keep)
-        which = np.flatnonzero(asked[:, row])
-        mine = Poses(*(v[which, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
+        tried = np.flatnonzero(asked[:, row])
+        ego_poses = Poses(*(v[tried, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
         half_third = np.asarray(third.length) / 2, np.asarray(third.width) / 2
-        touched = _hits(mine, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
-        clear[which, row] = ~touched.any(axis=(1, 2))
+        touched = _hits(ego_poses, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
+        clear[tried, row] = ~touched.any(axis=(1, 2))
     return clear
 
 

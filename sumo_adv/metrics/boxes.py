@@ -62,8 +62,8 @@ def axis_separations(a: Boxes, b: Boxes) -> tuple[Floats, Floats, Floats, Floats
 
 def separation(a: Boxes, b: Boxes) -> Floats:
     """The largest of the four axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
-    one, two, three, four = axis_separations(a, b)
-    return np.maximum(np.maximum(one, two), np.maximum(three, four))
+    along_a, across_a, along_b, across_b = axis_separations(a, b)
+    return np.maximum(np.maximum(along_a, across_a), np.maximum(along_b, across_b))
 
 
 def overlaps(a: Boxes, b: Boxes) -> Bools:
@@ -120,6 +120,28 @@ def sweep(a: Boxes, b: Boxes) -> Floats:
     Returns the fraction in [0, 1] of the interval, inf if there is no contact. Between steps positions and headings run
     linearly, headings the shorter way. No contact longer than a thousandth of the interval is missed; none is invented.
     """
+    near, motion = _near_intervals(a, b)
+    out = np.full(near.shape, np.inf)
+    if near.any():
+        out[near] = _advance(motion, np.arange(len(motion[0])))
+    return out
+
+
+def touches(a: Boxes, b: Boxes) -> Bools:
+    """Whether the boxes touch at any time between the first step and the last one; see :func:`sweep`.
+
+    The leading axes remain. It takes less time than to find out when they touch first.
+    """
+    near, motion = _near_intervals(a, b)
+    touched = np.zeros(near.shape[:-1], bool)
+    if near.any():
+        row = np.nonzero(near.reshape(-1, near.shape[-1]))[0]
+        touched.ravel()[row[np.isfinite(_advance(motion, row))]] = True
+    return touched
+
+
+def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
+    """Which intervals between steps can have a contact, ``(..., n - 1)``, and the motions in these, ``(k,)`` each."""
     shape = np.broadcast_shapes(*(np.shape(v) for box in (a, b) for v in (box.x, box.y, box.heading)))
     ends = [_ends(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading)]
     (x0, x1), (y0, y1), (ha, ha1), (hb, hb1) = ends
@@ -129,11 +151,8 @@ def sweep(a: Boxes, b: Boxes) -> Floats:
     square = vx * vx + vy * vy
     nearest = np.clip(-(x0 * vx + y0 * vy) / np.where(square > 0, square, 1.0), 0.0, 1.0)
     near = np.hypot(x0 + nearest * vx, y0 + nearest * vy) <= reach
-    out = np.full(near.shape, np.inf)
-    if near.any():
-        motion = [v[near] for v in (x0, y0, vx, vy, ha, wrap_below_pi(ha1 - ha), hb, wrap_below_pi(hb1 - hb), *sizes)]
-        out[near] = _advance(motion)
-    return out
+    motion = (x0, y0, vx, vy, ha, wrap_below_pi(ha1 - ha), hb, wrap_below_pi(hb1 - hb), *sizes)
+    return near, [v[near] for v in motion]
 
 
 def _ends(values: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
@@ -141,15 +160,19 @@ def _ends(values: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
     return full[..., :-1], full[..., 1:]
 
 
-def _advance(motion: list[Floats]) -> Floats:
-    """Conservative advancement of ``(k,)`` intervals; see :func:`sweep`."""
-    contact = np.full(len(motion[0]), np.inf)
+def _advance(motion: list[Floats], group: Ints) -> Floats:
+    """Conservative advancement of ``(k,)`` intervals; see :func:`sweep`.
+
+    Intervals of the same ``group`` ``(k,)`` are not advanced further once one of them has a contact.
+    """
+    contact, done = np.full(len(group), np.inf), np.zeros(group.max() + 1, bool)
     active = np.arange(len(contact))
     at = np.zeros(len(contact))
     while active.size:
         separated, safe = _safe_step(at, motion)
         contact[active[~separated]] = at[~separated]
-        go_on = separated & (at < 1.0) & (at + safe <= 1.0 + 1e-12)
+        done[group[active[~separated]]] = True
+        go_on = ~done[group[active]] & (at < 1.0) & (at + safe <= 1.0 + 1e-12)
         active, motion = active[go_on], [v[go_on] for v in motion]
         at = np.minimum(at[go_on] + np.maximum(safe[go_on], LEAST_ADVANCE), 1.0)
     return contact
@@ -163,8 +186,8 @@ def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
     far = np.maximum(np.hypot(dx, dy), np.hypot(x0 + vx, y0 + vy))
     turning = np.abs(db - da)
     rates = []
-    for c, s, own, other in ((ca, sa, da, np.hypot(lb, wb)), (cb, sb, db, np.hypot(la, wa))):
-        extra = np.abs(own) * (speed * (1 - at) + far) + turning * other
+    for c, s, own_turn, reach_of_other in ((ca, sa, da, np.hypot(lb, wb)), (cb, sb, db, np.hypot(la, wa))):
+        extra = np.abs(own_turn) * (speed * (1 - at) + far) + turning * reach_of_other
         rates.append(extra - np.sign(dx * c + dy * s) * (vx * c + vy * s))
         rates.append(extra - np.sign(dy * c - dx * s) * (vy * c - vx * s))
     apart = np.zeros(len(at), dtype=bool)

@@ -40,21 +40,21 @@ def make_case(
     them up to ``start``; the noise there is smoothed, because the gates judge what the adversaries add.
     """
     named = {t.id: t for t in tracks}
-    one, two = named.get(ego), named.get(adversaries[0])
-    if one is None or two is None:
+    ego_track, adversary_track = named.get(ego), named.get(adversaries[0])
+    if ego_track is None or adversary_track is None:
         return None
-    one, two = unbroken(one, start), unbroken(two, start)
-    if any(not len(t.time) or t.time[-1] <= start for t in (one, two)):
+    ego_track, adversary_track = unbroken(ego_track, start), unbroken(adversary_track, start)
+    if any(not len(t.time) or t.time[-1] <= start for t in (ego_track, adversary_track)):
         return None
     others = tuple(
         t for n, t in named.items()
-        if n not in (ego, *adversaries) and len(t.time) >= LEAST_STATES and closest(one, t, start) < NEAR
+        if n not in (ego, *adversaries) and len(t.time) >= LEAST_STATES and closest(ego_track, t, start) < NEAR
     )  # fmt: skip
-    breaches = () if logged is None else log_breaches(two, start, logged)
+    breaches = () if logged is None else log_breaches(adversary_track, start, logged)
     helpers = [unbroken(named[n], start) for n in adversaries[1:] if n in named]
-    driven = [t if logged is None else smoothed(t, start, logged) for t in (two, *helpers) if len(t.time)]
-    two, *helpers = (joined(t, beyond[t.id]) if t.id in beyond else t for t in driven)
-    return Case(one, two, (*others, *helpers), breaches, tuple(helpers))
+    driven = [t if logged is None else smoothed(t, start, logged) for t in (adversary_track, *helpers) if len(t.time)]
+    adversary_track, *helpers = (joined(t, beyond[t.id]) if t.id in beyond else t for t in driven)
+    return Case(ego_track, adversary_track, (*others, *helpers), breaches, tuple(helpers))
 
 
 def unbroken(track: Track, time: float) -> Track:

@@ -76,12 +76,13 @@ def _facing_side(own: Boxes, other: Boxes, across: Bools) -> Ints:
 def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
     """Where two boxes at first contact touch (x, y) [m]: the mean of the corners in (or nearest to) the other box."""
     points = []
-    for own, other in ((a, b), (b, a)):
-        c, s = float(np.cos(other.heading)), float(np.sin(other.heading))
-        for x, y in corners(own):
-            px, py = (x - other.x) * c + (y - other.y) * s, (y - other.y) * c - (x - other.x) * s
-            outside = np.hypot(max(abs(px) - other.length / 2, 0.0), max(abs(py) - other.width / 2, 0.0))
-            points.append((float(outside), float(x), float(y)))
+    for own, partner in ((a, b), (b, a)):
+        c, s = float(np.cos(partner.heading)), float(np.sin(partner.heading))
+        other_x, other_y, length, width = (float(v) for v in (partner.x, partner.y, partner.length, partner.width))
+        for x, y in corners(own).tolist():
+            px, py = (x - other_x) * c + (y - other_y) * s, (y - other_y) * c - (x - other_x) * s
+            outside = np.hypot(max(abs(px) - length / 2, 0.0), max(abs(py) - width / 2, 0.0))
+            points.append((float(outside), x, y))
     least = min(p[0] for p in points)
     touching = [p for p in points if p[0] <= least + 0.02]
     return float(np.mean([p[1] for p in touching])), float(np.mean([p[2] for p in touching]))

@@ -35,17 +35,17 @@ def judge_cut_ins(cases: Floats) -> list[dict[str, str]]:
     bad = (cases[:, :2] < 0) | ~np.isfinite(cases[:, :2])
     if bad.any() or not np.isfinite(cases).all() or (cases[:, 2:] <= 0).any():
         raise UsageError("A cut-in needs speeds of 0 km/h or more, and a gap and a lateral speed above 0.")
-    found: list[dict[str, str]] = [{} for _ in cases]
+    rows_by_case: list[dict[str, str]] = [{} for _ in cases]
     for rows, duration in _batches(cases):
         for row, answer in zip(rows, _batch(cases[rows], duration), strict=True):
-            found[int(row)] = answer
-    return found
+            rows_by_case[int(row)] = answer
+    return rows_by_case
 
 
 def _batches(cases: Floats) -> Iterator[tuple[Ints, float]]:
     """Rows that take about equally long, and for how long [s] they are rolled out."""
-    ego, other, gap, lateral = cases.T
-    closing = np.maximum((ego - other) / 3.6, 1e-9)
+    ego, leader, gap, lateral = cases.T
+    closing = np.maximum((ego - leader) / 3.6, 1e-9)
     until = np.minimum(np.maximum(gap / closing, 0.0), LONGEST)
     until = np.maximum(until, LANE / np.maximum(lateral, 0.05))
     order = np.argsort(until, kind="stable")
@@ -73,27 +73,27 @@ def _batch(cases: Floats, duration: float) -> list[dict[str, str]]:
 def encounters(cases: Floats, duration: float) -> Encounters:
     """The cut-ins of rows of ``COLUMNS``, rolled out for ``duration`` [s]."""
     time = np.arange(round(duration / DT) + 1) * DT
-    ego, other = cases[:, :1] / 3.6, cases[:, 1:2] / 3.6
+    ego, leader = cases[:, :1] / 3.6, cases[:, 1:2] / 3.6
     zero = np.zeros((len(cases), len(time)))
-    mine = Boxes(ego * time, zero, zero, ego + zero, LENGTH, WIDTH)
+    ego_boxes = Boxes(ego * time, zero, zero, ego + zero, LENGTH, WIDTH)
     aside = np.maximum(LANE - cases[:, 3:4] * time, 0.0)
-    theirs = Boxes(cases[:, 2:3] + LENGTH + other * time, aside, zero, other + zero, LENGTH, WIDTH)
+    leader_boxes = Boxes(cases[:, 2:3] + LENGTH + leader * time, aside, zero, leader + zero, LENGTH, WIDTH)
     n = len(cases)
-    return Encounters(mine, theirs, np.zeros(n, int), np.full(n, len(time) - 1), DT, None, LANE / 2)
+    return Encounters(ego_boxes, leader_boxes, np.zeros(n, int), np.full(n, len(time) - 1), DT, None, LANE / 2)
 
 
 def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
     from sumo_adv.metrics.boxes import first_contact
 
     when = first_contact(ego, check.adversary, check.time)
-    found = []
+    kinds = []
     for row, time in enumerate(when):
         if not np.isfinite(time):
-            found.append(NONE)
+            kinds.append(NONE)
             continue
         side, _ = contact_sides(_at(ego, row, float(time)), _at(check.adversary, row, float(time)))
-        found.append("front_to_rear" if side is Side.FRONT else "side")
-    return found
+        kinds.append("front_to_rear" if side is Side.FRONT else "side")
+    return kinds
 
 
 def _at(b: Boxes, row: int, time: float) -> Boxes:

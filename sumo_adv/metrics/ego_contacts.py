@@ -24,9 +24,9 @@ def first_other_contact(ego: Track, others: Sequence[Track], start: float) -> tu
     me, them = on_grid([driven], driven.time), on_grid(near, driven.time)
     times = first_contact(me, them, driven.time)
     for k in np.argsort(times):
-        when, other = float(times[k]), near[int(k)]
+        when, vehicle = float(times[k]), near[int(k)]
         if not np.isfinite(when):
             return None
-        if when > driven.time[0] and not rear_end(at_time(driven, when), at_time(other, when)):
-            return other.id, when
+        if when > driven.time[0] and not rear_end(at_time(driven, when), at_time(vehicle, when)):
+            return vehicle.id, when
     return None

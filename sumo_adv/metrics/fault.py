@@ -131,8 +131,8 @@ def rss_opinion(ego: Track, adversary: Track, contact_time: float, rss: Rss = DE
         spell = len(a.time) - 1
     when = float(a.time[spell])
     if since_across > since_along:
-        mine, theirs = across
-        return SecondOpinion(when, "lateral", ADVERSARY if theirs[spell] >= mine[spell] else EGO)
+        ego_lateral, adversary_lateral = across
+        return SecondOpinion(when, "lateral", ADVERSARY if adversary_lateral[spell] >= ego_lateral[spell] else EGO)
     if not behind[spell]:
         return SecondOpinion(when, "longitudinal", ADVERSARY)
     due = a.time >= when + rss.response

@@ -126,15 +126,15 @@ def _others(e: Encounter, others: Sequence[Track]) -> Boxes | None:
 
 def _sensitivity(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> dict[str, bool]:
     """Both tiers begun 0.4 s earlier and later."""
-    found: dict[str, bool] = {}
+    avoided: dict[str, bool] = {}
     for shift in (-SENSITIVITY, SENSITIVITY):
         answer = avoidance(
             e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY + shift,),
             careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=_others(e, others),
         )  # fmt: skip
-        found[f"careful_{shift:+.1f}"] = bool(answer["careful"][0])
-        found[f"manoeuvre_{shift:+.1f}"] = bool(answer["manoeuvre"][0, 0])
-    return found
+        avoided[f"careful_{shift:+.1f}"] = bool(answer["careful"][0])
+        avoided[f"manoeuvre_{shift:+.1f}"] = bool(answer["manoeuvre"][0, 0])
+    return avoided
 
 
 def _reacting(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> str:
@@ -163,11 +163,11 @@ def _latest(
         on_road=on_road,
         others=_others(e, others),
     )
-    found: list[float | None] = []
+    seconds: list[float | None] = []
     for works in (answer["careful"], answer["manoeuvre"][:, 0]):
         last = np.flatnonzero(works)
-        found.append(float(contact - e.time[steps[last[-1]]]) if last.size else None)
-    return found[0], found[1]
+        seconds.append(float(contact - e.time[steps[last[-1]]]) if last.size else None)
+    return seconds[0], seconds[1]
 
 
 def _repeat(b: Boxes, rows: int) -> Boxes:

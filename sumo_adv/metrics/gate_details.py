@@ -76,8 +76,8 @@ def _third_party(track: Track, others: Sequence[Track], start: float, end: float
     if not others:
         return []
     grid = on_grid(others, track.time)
-    mine = pick(row_of(track), np.zeros(len(others), np.intp))
-    contact = first_contact(mine, grid, track.time)
+    repeated = pick(row_of(track), np.zeros(len(others), np.intp))
+    contact = first_contact(repeated, grid, track.time)
     k = int(np.argmin(np.where(contact > track.time[0], contact, np.inf)))
     if not track.time[0] < contact[k] <= end:
         return []

@@ -221,5 +221,5 @@ def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
     if not others or len(adversary.time) < 2:
         return False
     boxes, around, time = row_of(adversary), on_grid(others, adversary.time), adversary.time
-    row, other = near_pairs(boxes, around, time, np.array([end]))
-    return bool(third_party(pick(boxes, row), pick(around, other), time, np.array(end)).any())
+    row, column = near_pairs(boxes, around, time, np.array([end]))
+    return bool(third_party(pick(boxes, row), pick(around, column), time, np.array(end)).any())

@@ -45,8 +45,8 @@ def outside(track: Track, start: float, end: float, excused: Bools | None = None
         return ()
     judged = (track.time >= start - 5e-4) & (track.time <= end + 5e-4)
     free = np.zeros(len(track.time), bool) if excused is None else excused
-    found = envelope_left(row_of(track), track.time, judged[None], free[None])
-    return tuple(name for name, left in found.items() if left[0])
+    left_by_signal = envelope_left(row_of(track), track.time, judged[None], free[None])
+    return tuple(name for name, left in left_by_signal.items() if left[0])
 
 
 def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict[str, Bools]:
@@ -62,11 +62,11 @@ def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict
         "acceleration": along, "braking": np.where(excused, 0.0, -along),
         "jerk": np.where(excused, 0.0, np.abs(jerk)), "lateral": m.lateral, "yaw_rate": np.abs(m.yaw_rate),
     }  # fmt: skip
-    found = {}
+    left_by_signal = {}
     for name, values in signals.items():
         bound = np.interp(b.speed, (SLOW, FAST), BOUNDS[name])
-        found[name] = (judged & (values > bound + 1e-6)).sum(axis=-1) * dt > ALLOWED + 1e-9
-    return found
+        left_by_signal[name] = (judged & (values > bound + 1e-6)).sum(axis=-1) * dt > ALLOWED + 1e-9
+    return left_by_signal
 
 
 def _mean(values: Floats, dt: float, span: float) -> Floats:

@@ -62,9 +62,9 @@ def preventability(
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
     ruled = has_rule(ego, adversary, contact_time)
-    found = answers(given, [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY], on_road)
+    by_driver = answers(given, [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY], on_road)
     return preventability_of(
-        found, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
+        by_driver, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
     )  # fmt: skip
 
 
@@ -80,13 +80,14 @@ def encounter_of(
     """The encounter of two tracks on their common grid, the ego up to the step in which the contact falls."""
     begin = _begin(ego, adversary)
     dt = float(np.diff(ego.time).min()) if len(ego.time) > 1 else 0.1
-    mine, foe = ego.between(begin, contact_time + dt), adversary.between(begin, np.inf)
-    start = int(np.searchsorted(mine.time, trigger_time - 5e-4))
-    known = begin + dt * np.arange(max(len(mine.time), 2))
-    third = on_grid([t for t in others if len(t.time)], np.round(known, 6)) if others else None
-    onward = None if unattacked is None else onward_of(mine, unattacked)[None]
+    ego_until, foe = ego.between(begin, contact_time + dt), adversary.between(begin, np.inf)
+    start = int(np.searchsorted(ego_until.time, trigger_time - 5e-4))
+    grid = begin + dt * np.arange(max(len(ego_until.time), 2))
+    third = on_grid([t for t in others if len(t.time)], np.round(grid, 6)) if others else None
+    onward = None if unattacked is None else onward_of(ego_until, unattacked)[None]
     return Encounters(
-        row_of(mine), row_of(foe), np.array([start]), np.array([len(mine.time) - 1]), dt, third, lane_half_width, onward
+        row_of(ego_until), row_of(foe), np.array([start]), np.array([len(ego_until.time) - 1]), dt, third,
+        lane_half_width, onward,
     )  # fmt: skip
 
 
@@ -113,15 +114,15 @@ def preventability_of(
 ) -> Preventability:
     """The answers of one encounter in words; times become simulation times."""
     ruled = has_rule(ego, adversary, contact_time)
-    said, alarms = {}, {}
+    answers_by_driver, alarms = {}, {}
     for name in REFERENCE_DRIVERS:
         answer = found.get(name)
         if name in SAME_DIRECTION_ONLY and not ruled:
-            said[name] = NOT_APPLICABLE
+            answers_by_driver[name] = NOT_APPLICABLE
             continue
         if answer is None:
             continue
-        said[name] = AVOIDS if bool(answer.avoids[0]) else COLLIDES
+        answers_by_driver[name] = AVOIDS if bool(answer.avoids[0]) else COLLIDES
         alarm = begin + float(answer.alarm[0])
         if np.isfinite(alarm) and alarm < contact_time:
             alarms[name] = round(alarm, 3)
@@ -132,7 +133,7 @@ def preventability_of(
         why = "unchanged_ego_misses"
     elif not alarms:
         why = "no_hazard"
-    return Preventability(said, alarms, why)
+    return Preventability(answers_by_driver, alarms, why)
 
 
 def has_plan(adversary: Track, contact_time: float) -> bool:
@@ -155,7 +156,7 @@ def with_level(
     contact = verdict.contact_time
     if contact is None:
         return replace(verdict, level=level_of(verdict))
-    found = preventability(
+    prevention = preventability(
         ego, adversary, others, trigger_time=trigger_time, contact_time=contact, on_road=on_road,
         lane_half_width=lane_half_width, unattacked=unattacked,
     )  # fmt: skip
@@ -163,7 +164,8 @@ def with_level(
     strange = outside(adversary, trigger_time, contact, _ahead_in_lane(ego, adversary, lane_half_width))
     strange = () if is_unprotected(adversary) else strange  # the gates' limits are those of a person already
     verdict = replace(
-        verdict, preventability=found, ego_stationary=_stationary(ego, contact), ego_blocking=_blocking(ego, contact),
+        verdict, preventability=prevention, ego_stationary=_stationary(ego, contact),
+        ego_blocking=_blocking(ego, contact),
         humanlike=not strange, beyond_human=strange, contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v,
         adversary_delta_v=impact.adversary_delta_v, severity=str(impact.severity), injury_risk=impact.injury_risk,
         impact_speed=impact.impact_speed,

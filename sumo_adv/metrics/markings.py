@@ -58,20 +58,20 @@ def markings_crossed(
     lane = _lane_of(abreast, offset, open_road)
     inside = _inside_junction(track, [s for s in strips if s.internal])
     off = np.zeros(len(track.time), dtype=bool) if on_road is None else ~np.asarray(on_road(track.x, track.y))
-    found: list[Crossing] = []
+    crossings: list[Crossing] = []
     held = -1
-    for k, (time, now) in enumerate(zip(track.time.tolist(), lane.tolist(), strict=True)):
+    for k, (time, place) in enumerate(zip(track.time.tolist(), lane.tolist(), strict=True)):
         if k and off[k] and not off[k - 1]:
-            found.append(Crossing(time, Marking.ROAD_EDGE))
-        if now < 0:
+            crossings.append(Crossing(time, Marking.ROAD_EDGE))
+        if place < 0:
             held = -1 if inside[k] else held
             continue
-        if held >= 0 and now != held and abreast[held, k]:
-            turn = abs(float(wrap_below_pi(heading[now, k] - heading[held, k])))
+        if held >= 0 and place != held and abreast[held, k]:
+            turn = abs(float(wrap_below_pi(heading[place, k] - heading[held, k])))
             if turn < SAME_DIRECTION or turn > OPPOSITE_DIRECTION:
-                found.append(Crossing(time, Marking.LANE_LINE if turn < SAME_DIRECTION else Marking.CENTRE_LINE))
-        held = now
-    return found
+                crossings.append(Crossing(time, Marking.LANE_LINE if turn < SAME_DIRECTION else Marking.CENTRE_LINE))
+        held = place
+    return crossings
 
 
 def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floats]:

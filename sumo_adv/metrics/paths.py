@@ -25,12 +25,12 @@ class EgoPaths:
     def locate(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """Station [m], offset to the left [m] and path heading [rad] of points ``(N, K)``; NaN stays NaN."""
         n, k = x.shape
-        found = np.full((3, n, k), np.nan)
+        located = np.full((3, n, k), np.nan)
         size = max(1, BLOCK // max(1, self._x.shape[1] * n))
         for first in range(0, k, size):
             part = slice(first, first + size)
-            found[:, :, part] = self._locate(x[:, part], y[:, part])
-        return found[0], found[1], found[2]
+            located[:, :, part] = self._locate(x[:, part], y[:, part])
+        return located[0], located[1], located[2]
 
     def _locate(self, x: Floats, y: Floats) -> Floats:
         rows = np.arange(len(x))[:, None]
@@ -41,8 +41,8 @@ class EgoPaths:
         best = self._on_segment(rows, self._onward[rows, np.minimum(nearest, self._x.shape[1] - 2)], px, py)
         before = self._on_segment(rows, self._back[rows, np.maximum(nearest - 1, 0)], px, py)
         nearer = before[3] < best[3] - 1e-12
-        found = np.where(nearer, before[:3], best[:3])
-        return np.where(there, found, np.nan)
+        located = np.where(nearer, before[:3], best[:3])
+        return np.where(there, located, np.nan)
 
     def _on_segment(self, rows: Ints, i: Ints, x: Floats, y: Floats) -> Floats:
         """Station, offset, heading and squared distance of points seen from the path's segments ``i``."""
@@ -60,18 +60,18 @@ class EgoPaths:
 
     def poses(self, station: Floats) -> tuple[Floats, Floats, Floats]:
         """x, y, heading ``(N, K)`` at stations ``(N, K)`` [m]."""
-        found = np.empty((3, *station.shape))
-        for row, wanted in enumerate(station):
-            known = self.station[row]
-            kept = np.concatenate([[True], np.diff(known) > LEAST_STEP])
-            s = known[kept]
+        poses = np.empty((3, *station.shape))
+        for row, places in enumerate(station):
+            stations = self.station[row]
+            kept = np.concatenate([[True], np.diff(stations) > LEAST_STEP])
+            s = stations[kept]
             for k, values in enumerate((self._x, self._y, self._heading)):
-                found[k, row] = np.interp(wanted, s, values[row][kept])
+                poses[k, row] = np.interp(places, s, values[row][kept])
             first, last = self._heading[row][0], self._heading[row][-1]
-            under, over = np.minimum(wanted - s[0], 0.0), np.maximum(wanted - s[-1], 0.0)
-            found[0, row] += under * np.cos(first) + over * np.cos(last)
-            found[1, row] += under * np.sin(first) + over * np.sin(last)
-        return found[0], found[1], wrap_below_pi(found[2])
+            under, over = np.minimum(places - s[0], 0.0), np.maximum(places - s[-1], 0.0)
+            poses[0, row] += under * np.cos(first) + over * np.cos(last)
+            poses[1, row] += under * np.sin(first) + over * np.sin(last)
+        return poses[0], poses[1], wrap_below_pi(poses[2])
 
 
 def _moving(step: Floats) -> tuple[Ints, Ints]:

@@ -80,12 +80,13 @@ def jensen_shannon(p: Floats, q: Floats) -> float:
 
 def wasserstein(a: Floats, b: Floats) -> float:
     """Wasserstein-1 distance of two samples, in their own unit: the area between their distribution functions."""
-    one, two = np.sort(a[np.isfinite(a)]), np.sort(b[np.isfinite(b)])
-    if not one.size or not two.size:
+    first, second = np.sort(a[np.isfinite(a)]), np.sort(b[np.isfinite(b)])
+    if not first.size or not second.size:
         raise UsageError("A distance of distributions needs values on both sides; one of them has none.")
-    every = np.sort(np.concatenate([one, two]))
+    every = np.sort(np.concatenate([first, second]))
     between = np.abs(
-        np.searchsorted(one, every[:-1], "right") / one.size - np.searchsorted(two, every[:-1], "right") / two.size
+        np.searchsorted(first, every[:-1], "right") / first.size
+        - np.searchsorted(second, every[:-1], "right") / second.size
     )
     return float(np.sum(between * np.diff(every)))
 
@@ -114,7 +115,7 @@ def wosac_features(
     dt = float(track.time[1] - track.time[0])
     speed = np.hypot(np.gradient(track.x, dt), np.gradient(track.y, dt))
     turning = np.gradient(np.unwrap(track.heading), dt)
-    found = {
+    by_name = {
         "linear_speed": speed,
         "linear_acceleration": np.gradient(speed, dt),
         "angular_speed": turning,
@@ -122,12 +123,12 @@ def wosac_features(
     }
     if others:
         surrounding = on_grid(others, track.time)
-        found["distance_to_nearest_object"] = np.fmin.reduce(gap(track.boxes(), surrounding), axis=0)
-        found["time_to_collision"] = np.minimum(ttc(track.boxes(), surrounding).min(axis=0), 5.0)
+        by_name["distance_to_nearest_object"] = np.fmin.reduce(gap(track.boxes(), surrounding), axis=0)
+        by_name["time_to_collision"] = np.minimum(ttc(track.boxes(), surrounding).min(axis=0), 5.0)
     if road_distance is not None:
         points = corners(track.boxes())
-        found["distance_to_road_edge"] = np.asarray(road_distance(points[..., 0], points[..., 1])).min(axis=-1)
-    return found
+        by_name["distance_to_road_edge"] = np.asarray(road_distance(points[..., 0], points[..., 1])).min(axis=-1)
+    return by_name
 
 
 def distances(
@@ -136,14 +137,14 @@ def distances(
     """``<feature>_kl``, ``_js``, ``_wasserstein`` for every feature that both sides have samples of."""
     out: dict[str, float] = {}
     for name, b in bins.items():
-        ours, theirs = sample.get(name, np.zeros(0)), reference.get(name, np.zeros(0))
-        if not np.isfinite(ours).any() or not np.isfinite(theirs).any():
+        samples, references = sample.get(name, np.zeros(0)), reference.get(name, np.zeros(0))
+        if not np.isfinite(samples).any() or not np.isfinite(references).any():
             continue
-        p, q = b.histogram(ours), b.histogram(theirs)
+        p, q = b.histogram(samples), b.histogram(references)
         out |= {
             f"{name}_kl": kl(p, q),
             f"{name}_js": jensen_shannon(p, q),
-            f"{name}_wasserstein": wasserstein(ours, theirs),
+            f"{name}_wasserstein": wasserstein(samples, references),
         }
     return out
 
@@ -159,11 +160,11 @@ def realism(
 
     ``end``: the contact, after which the adversary's motion does not count.  Raises UsageError without a reference.
     """
-    ours, theirs = features(adversarial, end), features(reference)
-    if not theirs["speed"].size or not ours["speed"].size:
+    attacked, unattacked = features(adversarial, end), features(reference)
+    if not unattacked["speed"].size or not attacked["speed"].size:
         raise UsageError("Realism needs moving vehicles on both sides; give reference tracks of at least two steps.")
-    out = distances(ours, theirs, PAPER_BINS) | own_figures(adversarial, end=end, on_road=on_road)
-    out["reference_abnormal_lateral_share"] = _abnormal(theirs)
+    out = distances(attacked, unattacked, PAPER_BINS) | own_figures(adversarial, end=end, on_road=on_road)
+    out["reference_abnormal_lateral_share"] = _abnormal(unattacked)
     return out
 
 

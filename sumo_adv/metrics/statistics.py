@@ -65,8 +65,8 @@ def bootstrap(
     Raises UsageError on no values or on any not finite.
     """
     data = _finite(values)
-    found = _resampled(data, resamples, seed, of)
-    low, high = np.quantile(found, [(1 - confidence) / 2, (1 + confidence) / 2])
+    statistics = _resampled(data, resamples, seed, of)
+    low, high = np.quantile(statistics, [(1 - confidence) / 2, (1 + confidence) / 2])
     return Estimate(float(of(data, axis=0)), float(low), float(high), len(data))
 
 
@@ -103,8 +103,8 @@ def mcnemar(first: Flags, second: Flags) -> float:
     Raises UsageError where the lengths differ.
     """
     _same_length(len(first), len(second))
-    one, two = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
-    b, c = int((one & ~two).sum()), int((~one & two).sum())
+    successes, other_successes = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    b, c = int((successes & ~other_successes).sum()), int((~successes & other_successes).sum())
     tail = sum(math.comb(b + c, k) for k in range(min(b, c) + 1))
     return float(min(2 * tail / 2 ** (b + c), 1.0))
 
@@ -118,12 +118,12 @@ def paired_bootstrap(
     Raises UsageError where the lengths differ or values are not finite.
     """
     _same_length(len(first), len(second))
-    one, two = _finite(first), _finite(second)
-    means = _resampled(one - two, resamples, seed, np.mean)
+    values, other_values = _finite(first), _finite(second)
+    means = _resampled(values - other_values, resamples, seed, np.mean)
     low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
     side = min(int((means <= 0).sum()), int((means >= 0).sum()))
     p = min(2 * (side + 1) / (resamples + 1), 1.0)
-    return Paired(float((one - two).mean()), float(low), float(high), p, len(one))
+    return Paired(float((values - other_values).mean()), float(low), float(high), p, len(values))
 
 
 def _same_length(one: int, two: int) -> None:

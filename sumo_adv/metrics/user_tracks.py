@@ -55,21 +55,21 @@ def split(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     uneven = [key for key in given if np.size(table[key]) != len(names)]
     if uneven:
         raise UsageError(f"The table's column '{uneven[0]}' is not as long as its column 'id'.")
-    found: dict[str, dict[str, Any]] = {}
+    columns_of: dict[str, dict[str, Any]] = {}
     for name in dict.fromkeys(names.tolist()):
         rows = names == name
-        found[name] = {key: np.asarray(table[key])[rows] for key in given}
-    return found
+        columns_of[name] = {key: np.asarray(table[key])[rows] for key in given}
+    return columns_of
 
 
 def _numbers(name: str, key: str, values: Any) -> Floats:
     try:
-        found = np.asarray(values, dtype=np.float64).ravel()
+        numbers = np.asarray(values, dtype=np.float64).ravel()
     except (TypeError, ValueError) as error:
         raise UsageError(f"The column '{key}' of {name!r} must hold numbers ({error}).") from error
-    if not np.isfinite(found).all():
+    if not np.isfinite(numbers).all():
         raise UsageError(f"The column '{key}' of {name!r} holds a number that is not finite: leave those states out.")
-    return found
+    return numbers
 
 
 def _size(name: str, key: str, columns: Mapping[str, Any], default: float) -> float:

@@ -57,7 +57,7 @@ def align(
     """
     start = max(ego.time[0], adversary.time[0])
     stop = min(ego.time[-1], adversary.time[-1], np.inf if end is None else end)
-    own, other = ego.between(start, stop), adversary.between(start, np.inf)
+    own, adversary_part = ego.between(start, stop), adversary.between(start, np.inf)
     count = len(own.time)
     trigger = int(np.searchsorted(own.time, trigger_time - 5e-4))
     if trigger >= count:
@@ -68,14 +68,14 @@ def align(
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 0.1
     if contact_time is None:
         after = slice(trigger, count)
-        when = float(first_contact(_part(own, after), _part(other, after), own.time[after]))
+        when = float(first_contact(_part(own, after), _part(adversary_part, after), own.time[after]))
         contact_time = when if np.isfinite(when) else None
     last = count - 1 if contact_time is None else int(np.searchsorted(own.time, contact_time + 1e-9) - 1)
     last = min(max(last, trigger), count - 1)
     every = slice(0, None)
     return Encounter(
-        own.time[: last + 1], dt, _row(_part(own, slice(0, last + 1))), _row(_part(other, every)), trigger, last,
-        contact_time,
+        own.time[: last + 1], dt, _row(_part(own, slice(0, last + 1))), _row(_part(adversary_part, every)), trigger,
+        last, contact_time,
     )  # fmt: skip
 
 
@@ -103,12 +103,12 @@ def hazard_time(
 
 
 def _hazard(e: Encounter, lane_half_width: float) -> tuple[float, Kind]:
-    other = e.until_last()
+    adversary = e.until_last()
     last = e.last
     if e.contact_time is None:
-        last = e.trigger + int(np.argmin(gap(e.ego, other)[0, e.trigger :]))
+        last = e.trigger + int(np.argmin(gap(e.ego, adversary)[0, e.trigger :]))
     index, kind = hazard_index(
-        e.ego, other, np.array([e.trigger]), np.array([last]), e.dt, lane_half_width=lane_half_width
+        e.ego, adversary, np.array([e.trigger]), np.array([last]), e.dt, lane_half_width=lane_half_width
     )
     return float(e.time[index[0]]), KINDS[int(kind[0])]
 
@@ -175,10 +175,10 @@ def judge(
     e = align(ego, adversary, trigger_time, end)
     collided = e.contact_time is not None
     stop = e.contact_time if e.contact_time is not None else float(e.time[-1])
-    times, other = ttc(e.ego, e.until_last())[0, e.trigger :], e.until_last()
+    times, until_last = ttc(e.ego, e.until_last())[0, e.trigger :], e.until_last()
     lowest = int(np.argmin(times))
     any_ttc = _least_ttc(e, others)
-    threat = drac(e.ego, other)[0, e.trigger :]
+    threat = drac(e.ego, until_last)[0, e.trigger :]
     driven = trigger_time + e.dt / 2  # SUMO itself drove up to the state at the trigger
     gates = all_failed_gates(
         adversary, supports, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven
@@ -190,7 +190,7 @@ def judge(
     min_ttc = 0.0 if collided else float(times[lowest])
     return Verdict(
         min_ttc=min_ttc,
-        min_distance=0.0 if collided else float(gap(e.ego, other)[0, e.trigger :].min()),
+        min_distance=0.0 if collided else float(gap(e.ego, until_last)[0, e.trigger :].min()),
         collided=collided,
         critical=collided or min_ttc <= ttc_threshold,
         feasible=not gates,

@@ -52,6 +52,8 @@ class AdversaryBatch:
         self._count = np.array([len(t.ways) for t in self.targets])
         self.rows = PathRows([w.path for w in ways], self._base.copy())
         longest = max(len(w.path.x) for w in ways)
+        beyond = np.arange(0, longest, COARSE) > self.rows.last[:, None, None]
+        self._coarse = np.where(beyond, np.inf, self.rows.table[:, :2, ::COARSE])
         self._ego = np.stack(
             [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in ways]
         )
@@ -133,17 +135,19 @@ class AdversaryBatch:
         x, y = x + half * np.cos(h), y + half * np.sin(h)
         least, nearest = np.full(len(rows), np.inf), self._sumo_way[rows]
         here = ((motion.s[rows] + half) / PATH_STEP).astype(np.intp)
-        near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)
-        for k in range(int(self._count[rows].max())):
-            has_way = self._count[rows] > k
-            way = np.where(has_way, self._base[rows] + k, self._base[rows])
-            px, py, ph = (self.rows.table[way[:, None], c, near] for c in range(3))
-            square = (px - x[:, None]) ** 2 + (py - y[:, None]) ** 2
-            at = square.argmin(axis=1)
-            each = np.arange(len(rows))
-            turned = np.abs(wrap(h - ph[each, at]))
-            cost = np.sqrt(square[each, at]) + SUMO_TURN_COST * turned - SUMO_LOYALTY * (way == self._sumo_way[rows])
-            better = has_way & (cost < least - 1e-6)
+        near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)[:, None]
+        places, count = np.arange(int(self._count[rows].max())), self._count[rows][:, None]
+        ways = self._base[rows][:, None] + np.where(places < count, places, 0)
+        px, py = (self.rows.table[ways[:, :, None], c, near] for c in range(2))
+        square = (px - x[:, None, None]) ** 2 + (py - y[:, None, None]) ** 2
+        at = square.argmin(axis=2)[:, :, None]
+        distance = np.sqrt(np.take_along_axis(square, at, axis=2)[:, :, 0])
+        heading = self.rows.table[ways, 2, np.take_along_axis(near, at, axis=2)[:, :, 0]]
+        turned = np.abs(wrap(h[:, None] - heading))
+        costs = distance + SUMO_TURN_COST * turned - SUMO_LOYALTY * (ways == nearest[:, None])
+        costs[places >= count] = np.inf
+        for cost, way in zip(costs.T, ways.T, strict=True):
+            better = cost < least - 1e-6
             least, nearest = np.where(better, cost, least), np.where(better, way, nearest)
         self._sumo_way[rows] = nearest
         return self._sumo_way
@@ -187,13 +191,10 @@ class AdversaryBatch:
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
         """Stations and offsets [m] of poses ``(n,)`` on the ways ``row``, and the heading differences [rad]."""
         table, last = self.rows.table, self.rows.last[row]
-        i = np.empty(len(x), np.intp)
-        for k in np.unique(row):
-            on_way = np.flatnonzero(row == k)
-            coarse = np.arange(0, self.rows.last[k] + 1, COARSE)
-            first = _nearest(table[k, :2, coarse].T[:, None, :], x[on_way], y[on_way]) * COARSE
-            near = np.minimum(np.maximum(first[:, None] + AROUND, 0), self.rows.last[k])
-            i[on_way] = near[np.arange(len(on_way)), _nearest(table[k, :2][:, near], x[on_way], y[on_way])]
+        coarse, way = self._coarse[row], row[:, None]
+        first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE
+        near = np.minimum(np.maximum(first[:, None] + AROUND, 0), last[:, None])
+        i = near[np.arange(len(x)), _nearest(table[way, 0, near], table[way, 1, near], x, y)]
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
@@ -245,16 +246,19 @@ class AdversaryBatch:
         ).T  # fmt: skip
         rows = range(len(self.targets)) if rows is None else rows
         observations: list[PlannerObservation] = [({}, {})] * len(self.targets)
-        for k, (*of_bv, speed, acceleration), path in zip(
-            rows, columns[rows].tolist(), table[rows].tolist(), strict=True
-        ):
-            bv = dict(zip(BV_FIELDS, of_bv, strict=True))
-            state = self.targets[k].state
-            bv |= {"length": state.length, "width": state.width, "time": now, "last": last[k]}
-            _, ego_x, ego_y, heading, _ = path[0]
-            observations[k] = bv, {
+        length, width = scenes.ego.length, scenes.ego.width
+        for k, values, path in zip(rows, columns[rows].tolist(), table[rows].tolist(), strict=True):
+            state, (_, ego_x, ego_y, heading, _) = self.targets[k].state, path[0]
+            (bv_x, bv_y, h, v, a, travelled, offset, ahead, left, relative, road_heading, target, time, along, speed,
+             acceleration) = values  # fmt: skip
+            observations[k] = {
+                "x": bv_x, "y": bv_y, "heading": h, "speed": v, "acceleration": a, "travelled": travelled,
+                "offset": offset, "ahead": ahead, "left": left, "relative_heading": relative,
+                "road_heading": road_heading, "target_left": target, "lateral_time": time, "speed_along": along,
+                "length": state.length, "width": state.width, "time": now, "last": last[k],
+            }, {
                 "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
-                "length": scenes.ego.length, "width": scenes.ego.width, "path": path, "arrivals": meet[k],
+                "length": length, "width": width, "path": path, "arrivals": meet[k],
             }  # fmt: skip
         return observations
 
@@ -264,9 +268,9 @@ class AdversaryBatch:
         return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
 
 
-def _nearest(places: Floats, x: Floats, y: Floats) -> Any:
-    """The index of the place (x and y, ``(2, n or 1, k)``) nearest to each point, ``(n,)``."""
-    dx, dy = x[:, None] - places[0], y[:, None] - places[1]
+def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:
+    """The index of the place ``(n, k)`` nearest to each point, ``(n,)``."""
+    dx, dy = x[:, None] - place_x, y[:, None] - place_y
     return np.argmin(dx * dx + dy * dy, axis=1)
 
 
@@ -298,9 +302,3 @@ def _yields(situation: Situation, target: Target) -> bool:
     """Whether the BV has red and the ego green at the trigger."""
     ego, bv = (situation.traffic.signals.get(name, ()) for name in (situation.ego.id, target.state.id))
     return bool(ego) and ego[0][2] in "Gg" and bool(bv) and bv[0][2] not in "Gg"
-
-
-BV_FIELDS = (
-    "x", "y", "heading", "speed", "acceleration", "travelled", "offset", "ahead", "left", "relative_heading",
-    "road_heading", "target_left", "lateral_time", "speed_along",
-)  # fmt: skip

@@ -157,16 +157,16 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
     turned = heading - ch
     ego_left = CONFLICT - speed * time
     arrival = ego_left / max(speed, 3.0) if ego_left <= 0 else (ego_left / speed if speed > 2.8 else NO_ARRIVAL)
-    now = pace if cyclist or time else 0.0
-    bv = _bv((x, y, heading), now, travelled, time, (x, y))
+    speed_now = pace if cyclist or time else 0.0
+    bv = _bv((x, y, heading), speed_now, travelled, time, (x, y))
     left = -BESIDE if cyclist else travelled - BESIDE
     bv |= {
         "ahead": CONFLICT + (travelled if cyclist else 0.0) - speed * time, "left": left, "relative_heading": turned,
-        "road_heading": ch, "target_left": left, "lateral_time": 0.0, "speed_along": now * math.cos(turned),
+        "road_heading": ch, "target_left": left, "lateral_time": 0.0, "speed_along": speed_now * math.cos(turned),
         "length": SIZES[relation][0], "width": SIZES[relation][1],
     }  # fmt: skip
     start = (cx - BESIDE * c, cy - BESIDE * s, heading)
-    road = _road("crossing", -BESIDE, curvature, now, start, across)
+    road = _road("crossing", -BESIDE, curvature, speed_now, start, across)
     road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation.removesuffix("_hidden"))]}
     return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL] * len(ways) + [arrival]), road)
 

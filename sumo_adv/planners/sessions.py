@@ -84,8 +84,8 @@ class Sessions:
         self._proposals: dict[str, list[Proposal]] = {}  # by planner hash
         for p in proposals:
             if self.stopped[p.planner.hash] >= MOST_STOPPED:
-                said = "it ran into its limits again and again, and is not asked any more: make it faster."
-                self.failures.setdefault(p.planner.hash, f"{subject_of(p.planner)}: {said}")
+                reason = "it ran into its limits again and again, and is not asked any more: make it faster."
+                self.failures.setdefault(p.planner.hash, f"{subject_of(p.planner)}: {reason}")
             if p.course is None and p.planner.hash not in self.failures:
                 self._proposals.setdefault(p.planner.hash, []).append(p)
 

@@ -47,7 +47,6 @@ class Scalar:
         """``a`` if the condition holds, else ``b``."""
         return a if condition else b
 
-    any_ = staticmethod(bool)
     samples: Sequence[Any] = SAMPLES
     ahead: Sequence[Any] = LOOK_AHEAD
 
@@ -67,7 +66,7 @@ class Batch:
 
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
-    where, any_ = staticmethod(np.where), staticmethod(np.any)
+    where = staticmethod(np.where)
     samples: Sequence[Any] = (np.array(SAMPLES)[:, None],)  # all at once
     ahead: Sequence[Any] = (np.array(LOOK_AHEAD)[:, None],)
 
@@ -218,15 +217,30 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     v0 = m.where(creeps, motion.slope * pace, motion.dd / rate)  # a standing vehicle keeps its heading
     most = m.maximum(m.minimum(m.maximum(3.6 - v * v * abs(curvature), 0.8), 3.0), 1.02 * abs(a0))
     slope = m.maximum(0.28 * pace, 1.02 * abs(v0))  # the present slope remains, however long the move
-    span = m.maximum(duration * rate, 0.5)
-    for _ in range(STRETCHES):
-        c = _quintic(d0, v0, a0, target, span)
-        bad = _too_sharp(m, c, span, most, slope)
-        if not m.any_(bad):
-            break
-        span = m.where(bad, span * STRETCH, span)
+    span = _long_enough(m, m.maximum(duration * rate, 0.5), (d0, v0, a0, target), most, slope)
     c = _quintic(d0, v0, a0, target, span)
     return motion._replace(pace=pace, clock=v * 0.0, span=span, c=c, target=target)
+
+
+def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, slope: Any) -> Any:
+    """``span``, or more where the quintics of ``move`` (d0, v0, a0, d1) would be too sharp."""
+    if m is Scalar:
+        for _ in range(STRETCHES):
+            if not _too_sharp(m, _quintic(*move, span), span, most, slope):
+                break
+            span *= STRETCH
+        return span
+    rows = np.flatnonzero(_too_sharp(m, _quintic(*move, span), span, most, slope))
+    if len(rows):  # for these all durations at once
+        spans = np.full((STRETCHES + 1, len(rows)), STRETCH)
+        spans[0] = span[rows]
+        spans = np.multiply.accumulate(spans)
+        tried, each = spans[:-1].ravel(), np.tile(rows, STRETCHES)
+        d0, v0, a0, d1 = (q[each] for q in move)
+        sharp = _too_sharp(m, _quintic(d0, v0, a0, d1, tried), tried, most[each], slope[each]).reshape(STRETCHES, -1)
+        first = np.where(sharp.all(axis=0), STRETCHES, sharp.argmin(axis=0))
+        span[rows] = spans[first, np.arange(len(rows))]
+    return span
 
 
 def _quintic(d0: Any, v0: Any, a0: Any, d1: Any, span: Any) -> tuple[Any, ...]:

@@ -75,8 +75,8 @@ def named(collider: Proposal, supports: Sequence[Proposal], known: Iterable[Comp
 def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Iterable[Cast] = ()) -> str:
     """The description of a candidate's composition: that of the expert or of a proposed one, or made of those of its
     parts."""
-    known = (*EXPERT_COMPOSITIONS, *(cast.composition for cast in proposed))
-    own = next((c.description for c in known if c.label == p.composition), None)
+    compositions = (*EXPERT_COMPOSITIONS, *(cast.composition for cast in proposed))
+    own = next((c.description for c in compositions if c.label == p.composition), None)
     entries = (*library, *(entry for those in SUPPORT_INTENTS.values() for entry in those))
     words = {entry.label: entry.description for entry in entries}
     return own or " ".join(words.get(q.label, q.label) for q in p.members)

@@ -25,15 +25,15 @@ def why_first(
     """
     if (first.bv, first.label) == (top.bv, top.label):
         return ""
-    said = f"Attempt 1 tries {first.label} by {first.bv}"
+    opening = f"Attempt 1 tries {first.label} by {first.bv}"
     own = [p for p in pool if (p.bv, p.label) == (top.bv, top.label)]
     best = min(own, key=price, default=None)
     if first.by == "memory":
-        return f"{said}: it succeeded in a similar scene."
+        return f"{opening}: it succeeded in a similar scene."
     if best is None or best.prediction is None or best.prediction.failure or first.prediction is None:
-        return f"{said}: nothing could be predicted of {top.label}."
-    other = top.label if top.label != first.label else f"that by {top.bv}"
-    return f"{said}: {_better(first, best, first.prediction, best.prediction, other, goal, weights)}."
+        return f"{opening}: nothing could be predicted of {top.label}."
+    top_name = top.label if top.label != first.label else f"that by {top.bv}"
+    return f"{opening}: {_better(first, best, first.prediction, best.prediction, top_name, goal, weights)}."
 
 
 def _better(

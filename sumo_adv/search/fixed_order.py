@@ -42,9 +42,9 @@ def chosen(intent: Intent, templates: Sequence[AttackTemplate]) -> list[Proposal
     """The ways that an analyzer chose for an intent, as candidates."""
     candidates = []
     for way in intent.ways:
-        wanted = (intent.bv, intent.label, way.mode, way.delay)
-        found = (t for t in templates if (t.target.state.id, t.entry.label, t.planner.mode, t.delay) == wanted)
-        template = next(found, None)
+        key = (intent.bv, intent.label, way.mode, way.delay)
+        matches = (t for t in templates if (t.target.state.id, t.entry.label, t.planner.mode, t.delay) == key)
+        template = next(matches, None)
         if template is not None:
             numbers = template.planner.defaults() | dict(way.parameters)
             candidates.append(replace(template.proposal(None), parameters=numbers, acceleration=intent.acceleration))

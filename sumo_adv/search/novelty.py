@@ -6,13 +6,11 @@ something else if its adversary is elsewhere then, or arrives at another time.
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
 
-import numpy as np
+from sumo_adv.datatypes import Prediction, Proposal
 
-from sumo_adv.datatypes import Floats, Prediction, Proposal
-
-BEFORE = np.array([-1.0, -0.5, 0.0])  # s before the contact or the closest approach: when motions are compared
+BEFORE = (0.0, -0.5, -1.0)  # s before the contact or the closest approach: when motions are compared
 TRACE_STEP = 0.5  # s between the positions in ``Prediction.trace``
 
 
@@ -25,21 +23,22 @@ def is_copy(p: Proposal, tried: Proposal, differs: float) -> bool:
     """Whether the collider of ``p`` is predicted to stay within ``differs`` [m] of that of an attempt in the last
     second before the latter's contact or closest approach, with the same supports."""
     new, old = p.prediction, tried.prediction
-    if p.bvs != tried.bvs or new is None or old is None or not new.trace or not old.trace:
+    if new is None or old is None or not new.trace or not old.trace or p.bvs != tried.bvs:
         return False
-    times = tried.delay + old.closest + BEFORE
-    apart = _places(p.delay, new, times) - _places(tried.delay, old, times)
-    return bool((np.hypot(*apart) < differs).all())
+    for before in BEFORE:
+        time = tried.delay + old.closest + before
+        (x, y), (old_x, old_y) = _place(p.delay, new, time), _place(tried.delay, old, time)
+        if math.hypot(x - old_x, y - old_y) >= differs:
+            return False
+    return True
 
 
-def _places(delay: float, prediction: Prediction, times: Floats) -> Floats:
-    """Positions of the adversary ``(2, n)`` [m] at ``times`` [s after the trigger]; it rests after its trace ends."""
-    x, y = _arrays(prediction.trace)
-    known = delay + TRACE_STEP * np.arange(len(x))
-    return np.stack([np.interp(times, known, x), np.interp(times, known, y)])
-
-
-@lru_cache(maxsize=8192)
-def _arrays(trace: tuple[tuple[float, float], ...]) -> tuple[Floats, Floats]:
-    x, y = np.array(trace).T
-    return x, y
+def _place(delay: float, prediction: Prediction, time: float) -> tuple[float, float]:
+    """Position of the adversary [m] at ``time`` [s after the trigger]; it rests before its trace and after it."""
+    trace = prediction.trace
+    steps = (time - delay) / TRACE_STEP
+    k = int(steps)
+    if steps <= 0.0 or k >= len(trace) - 1:
+        return trace[0] if steps <= 0.0 else trace[-1]
+    (x, y), (next_x, next_y), share = trace[k], trace[k + 1], steps - k
+    return x + share * (next_x - x), y + share * (next_y - y)

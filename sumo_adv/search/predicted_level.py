@@ -72,7 +72,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
-    users = [road_user(now.targets[bvs[0]].state) for now, bvs in zip(situations, collisions.bvs, strict=True)]
+    users = [
+        road_user(situation.targets[bvs[0]].state) for situation, bvs in zip(situations, collisions.bvs, strict=True)
+    ]
     small = np.array([user is not RoadUser.VEHICLE for user in users])
     check = _check(  # others may hide a pedestrian; drivers see supports
         collisions, onward, np.arange(n), with_others=bool(small.any()) or len(collisions.supports) > 0
@@ -149,10 +151,10 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
     """The supports, and the other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if
     there are none."""
     steps = collisions.ego.x.shape[1]
-    found: dict[tuple[int, tuple[str, ...]], Boxes | None] = {}
+    tracks_of: dict[tuple[int, tuple[str, ...]], Boxes | None] = {}
     names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
     for key, row in zip(names, rows.tolist(), strict=True):
-        if key in found:
+        if key in tracks_of:
             continue
         situation, (_, bvs) = collisions.situations[row], key
         same = rows[[n == key for n in names]]
@@ -161,13 +163,13 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
             if t.id not in bvs and _comes_near(t.x, t.y, collisions.ego, collisions.last, same)
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
-        found[key] = on_grid(tracks, time) if tracks else None
-    most = max(0 if b is None else len(b.x) for b in found.values()) + len(collisions.supports)
+        tracks_of[key] = on_grid(tracks, time) if tracks else None
+    most = max(0 if b is None else len(b.x) for b in tracks_of.values()) + len(collisions.supports)
     if not most:
         return None
     motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
     for row, key in enumerate(names):
-        if (b := found[key]) is not None:
+        if (b := tracks_of[key]) is not None:
             motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
             size[:, row, : len(b.x)] = [np.broadcast_to(v, (len(b.x), 1)) for v in (b.length, b.width)]
     for place, b in enumerate(collisions.supports, start=most - len(collisions.supports)):

@@ -72,30 +72,33 @@ def predict(
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
-    over, parting, driven, asked = np.zeros(n, bool), EarlyTermination(ground, held_up=each > 1), -1, egos.v
+    over, parting, driven, speed_before = np.zeros(n, bool), EarlyTermination(ground, held_up=each > 1), -1, egos.v
     for k in range(steps):
-        now = k * dt
+        moment = k * dt
         if k % replan == 0:
             over |= parting.gone(motion, np.tile(egos.s, each))[:n]
         if k % replan == 0 and not over.all():
             rows = np.flatnonzero(np.tile(~over, each)).tolist()
-            mean = egos.a if k == 0 else (egos.v - asked) / (replan * dt)  # as in an attempt
+            mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt
             own = tuple(np.tile(q, each) for q in (egos.s, egos.d, egos.v, mean))
-            goal, motion = _replan(ground, motion, own, goal, last, followers, now, rows, ask)  # type: ignore[arg-type]
-            asked = egos.v
+            goal, motion = _replan(ground, motion, own, goal, last, followers, moment, rows, ask)  # type: ignore[arg-type]
+            speed_before = egos.v
         adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
             ego[k] = egos.pose()
             driven = k
             if touch is not None:
                 over |= touch(ego[k], adversary[k, :, :n], ~over)
-            egos.step(now, ground.relative(motion), motion.v, ground.at_junction(motion))
+            if egos.reacts:
+                egos.step(moment, ground.relative(motion), motion.v, ground.at_junction(motion))
+            else:
+                egos.step_alone(moment)
         motion = _advance(ground, motion, goal, followers, limits)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
-    mine, others = (np.ascontiguousarray(q.transpose(1, 2, 0)) for q in (ego, adversary))
-    parts: list[Any] = [tuple(others[:, first : first + n]) for first in range(0, len(members), n)]
-    own_motions: Any = tuple(mine)
+    ego_motions, adversary_motions = (np.ascontiguousarray(q.transpose(1, 2, 0)) for q in (ego, adversary))
+    parts: list[Any] = [tuple(adversary_motions[:, first : first + n]) for first in range(0, len(members), n)]
+    own_motions: Any = tuple(ego_motions)
     time = np.asarray(np.arange(steps) * dt, float)
     return Rollouts(time, own_motions, parts[0], egos.disturbed, tuple(parts[1:]))
 

@@ -57,8 +57,8 @@ def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
     for p in ordered:
         seen = p.prediction
         if seen is None or not seen.failure:
-            where = "" if seen is None else seen.side or ("contact" if seen.hit else "miss")
-            cells.setdefault((*p.family, where), p)
+            side = "" if seen is None else seen.side or ("contact" if seen.hit else "miss")
+            cells.setdefault((*p.family, side), p)
     return list(cells.values())
 
 

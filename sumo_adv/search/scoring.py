@@ -49,10 +49,12 @@ def judge_all(
     rows = np.flatnonzero(seen.counts & (seen.contact >= LEAST_STEPS))
     if len(rows):
         own, foe, *helpers = (some_rows(b, rows) for b in (seen.ego, seen.adversary, *seen.supports))
-        one, other = (pick(b, rows) for b in seen.at_contact)
+        ego_at, adversary_at = (pick(b, rows) for b in seen.at_contact)
         names = [proposals[k].bvs for k in rows.tolist()]
         begun = [situations[proposals[k].delay] for k in rows.tolist()]
-        danger = danger_of(Collisions(begun, names, own, foe, seen.last[rows], (one, other), helpers), drivable)
+        danger = danger_of(
+            Collisions(begun, names, own, foe, seen.last[rows], (ego_at, adversary_at), helpers), drivable
+        )
         score[rows] = _score(danger, weights)
         for i, k in enumerate(rows.tolist()):
             predictions[k] = _with_danger(predictions[k], danger, i)
@@ -96,14 +98,14 @@ def _look_at(
     limits: Limits, weights: ScoreSettings,
 ) -> _Seen:  # fmt: skip
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
-    mine, dt, time = begun[0].ego, begun[0].dt, rollouts.time
-    ego = Boxes(*rollouts.ego, mine.length, mine.width)
+    ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
+    ego = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
     ranks = zip(
         zip(*(p.members for p in proposals), strict=True), (rollouts.adversary, *rollouts.supports), strict=True
     )
     driven = [_Driven.of(begun, members, motions) for members, motions in ranks]
     adversary, supports = driven[0].boxes, tuple(each.boxes for each in driven[1:])
-    left = np.array([now.left for now in begun])
+    left = np.array([situation.left for situation in begun])
     contact = _first(touching(ego, adversary))
     hit = contact < np.minimum(steps, left + 1)
     end = np.minimum(steps - 1, left).astype(np.intp)
@@ -119,9 +121,9 @@ def _look_at(
         bound = judged & ~unprotected(each.boxes.length, each.boxes.width)  # to the carriageway
         leaves |= _leaves_road(each.boxes, bound, drivable)
         beyond |= _beyond_limits(each.boxes, each.before, time, judged, limits)
-    for one, other in combinations((ego, adversary, *supports), 2):
-        if other is not adversary:
-            third |= _touch(one, other, time, end_time)
+    for first, second in combinations((ego, adversary, *supports), 2):
+        if second is not adversary:
+            third |= _touch(first, second, time, end_time)
     least, nearest, nearest_step = _least(ego, adversary, last)
     return _Seen(
         ego, adversary, dt, contact, hit, end, last, at_contact, third, leaves, beyond, hit & rear_end(*at_contact),
@@ -139,7 +141,7 @@ class _Driven:
     @classmethod
     def of(cls, begun: Sequence[Situation], members: Sequence[Proposal], motions: Motions) -> _Driven:
         """The adversaries ``members``, row by row."""
-        states = [now.targets[p.bv].state for now, p in zip(begun, members, strict=True)]
+        states = [situation.targets[p.bv].state for situation, p in zip(begun, members, strict=True)]
         lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
         return cls(Boxes(*motions, lengths, widths), np.array([s.acceleration for s in states]))
 
@@ -188,17 +190,17 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
     """A function that tells whether the ego and the BVs of these candidates touch."""
     states = [situations[p.delay].targets[p.bv].state for p in proposals]
     length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
-    mine = next(iter(situations.values())).ego
-    reach = (np.hypot(length, width) + np.hypot(mine.length, mine.width)) / 2
+    ego_state = next(iter(situations.values())).ego
+    reach = (np.hypot(length, width) + np.hypot(ego_state.length, ego_state.width)) / 2
 
     def touch(ego: Floats, adversary: Floats, rows: Bools) -> Bools:
-        found = np.asarray(rows & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
-        k = np.flatnonzero(found)
+        touched = np.asarray(rows & (np.hypot(ego[0] - adversary[0], ego[1] - adversary[1]) < reach))
+        k = np.flatnonzero(touched)
         if len(k):
             (ax, ay, ah, av), (bx, by, bh, bv) = ego[:, k], adversary[:, k]
-            one = Boxes(ax, ay, ah, av, mine.length, mine.width)
-            found[k] = overlaps(one, Boxes(bx, by, bh, bv, length[k], width[k]))
-        return found
+            ego_box = Boxes(ax, ay, ah, av, ego_state.length, ego_state.width)
+            touched[k] = overlaps(ego_box, Boxes(bx, by, bh, bv, length[k], width[k]))
+        return touched
 
     return touch
 
@@ -260,21 +262,21 @@ def _third_party(
     if not tracks:
         return touched
     around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
-    mine, theirs, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
-    rows, others = near_pairs(mine, theirs, when, end)
+    adversaries, vehicles, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
+    rows, others = near_pairs(adversaries, vehicles, when, end)
     ids = np.array([t.id for t in tracks])[others]
     is_other = np.all([ids != np.array(rank)[rows] for rank in zip(*bvs, strict=True)], axis=0)
     rows, others = rows[is_other], others[is_other]
-    meets = third_party(some_rows(mine, rows), some_rows(theirs, others), when, end[rows])
+    meets = third_party(some_rows(adversaries, rows), some_rows(vehicles, others), when, end[rows])
     rows, others = rows[meets], others[meets]
     reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
     touched[rows[~reacts]] = True
     rows, others = rows[reacts], others[reacts]
     if len(rows):
         steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
-        mine = some_steps(some_rows(adversary, rows), steps)
-        braked = braking(some_rows(around, others), mine, situation.road.lane_width, situation.dt)
-        meets = third_party(some_steps(mine, driven), some_steps(braked, driven), time[steps][driven], end[rows])
+        adversaries = some_steps(some_rows(adversary, rows), steps)
+        braked = braking(some_rows(around, others), adversaries, situation.road.lane_width, situation.dt)
+        meets = third_party(some_steps(adversaries, driven), some_steps(braked, driven), time[steps][driven], end[rows])
         touched[rows[meets]] = True
     return touched
 

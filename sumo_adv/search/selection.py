@@ -52,8 +52,8 @@ def select(
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
     only = chosen or frozenset(labels.get(canonical(name), name) for name in scenario) or None
     if not (frozenset(labels.values()) if only is None else only) - without:
-        wanted = "the scenario's own list" if scenario and not chosen else "intents"
-        raise UsageError(f"No intent is left to try: {wanted} and exclude together leave none.")
+        source = "the scenario's own list" if scenario and not chosen else "intents"
+        raise UsageError(f"No intent is left to try: {source} and exclude together leave none.")
     return Selection(only, without)
 
 
@@ -61,6 +61,6 @@ def _label(name: str, labels: Mapping[str, str]) -> str:
     """The label that a name means. Raises UsageError with the known ones."""
     label = labels.get(canonical(name))
     if label is None:
-        known = ", ".join(sorted(labels.values()))
-        raise UsageError(f"There is no intent '{name}'{nearest(name, labels.values())}; known intents are {known}.")
+        names = ", ".join(sorted(labels.values()))
+        raise UsageError(f"There is no intent '{name}'{nearest(name, labels.values())}; known intents are {names}.")
     return label

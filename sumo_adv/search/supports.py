@@ -66,13 +66,13 @@ class SupportSearch:
         self._failed = []
         alone = nearly_succeeding((p for p in pool if not p.supports), price, settings.bases - len(failed))
         bases = [*failed, *zip(alone, self._scorer.escapes(alone) if alone else (), strict=True)]
-        found = self._predicted(bases)
+        candidates = self._predicted(bases)
         if self._rounds == 1:
-            found += self._scored(self._carried_out([Cast(c) for c in self._compositions], pool, price))
+            candidates += self._scored(self._carried_out([Cast(c) for c in self._compositions], pool, price))
         if self._most > 2:
-            missing = nearly_succeeding(found, price, settings.again)
-            found += self._predicted(zip(missing, self._scorer.escapes(missing) if missing else (), strict=True))
-        return found
+            missing = nearly_succeeding(candidates, price, settings.again)
+            candidates += self._predicted(zip(missing, self._scorer.escapes(missing) if missing else (), strict=True))
+        return candidates
 
     def _predicted(self, bases: Iterable[tuple[Proposal, tuple[Duty, ...]]]) -> list[Proposal]:
         """The candidates of these bases with one support more that are predicted to fail no gate."""

@@ -60,7 +60,7 @@ def templates_of(
 def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
     """The first versions of each mode, and whether each was learnt: it has a parent in the same intent. A learnt
     version stands for its mode where the mode has no other."""
-    elsewhere = {p.hash for other in library if other.label != entry.label for p in other.planners}
+    elsewhere = {p.hash for intent in library if intent.label != entry.label for p in intent.planners}
     first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
     count: Counter[tuple[str, bool]] = Counter()
     selected = []

@@ -35,9 +35,10 @@ def needed_braking(speed: Floats, gap: Floats, leader_speed: Floats, leader_acce
     """
     room = np.maximum(gap, 1e-6)
     needed = np.maximum(speed - leader_speed, 0.0) ** 2 / (2.0 * room)
-    standstill = np.maximum(leader_speed, 0.0) ** 2 / (2.0 * np.maximum(-leader_acceleration, 0.5))
-    behind = np.maximum(needed, speed**2 / (2.0 * (room + standstill)))
-    needed = np.where(leader_acceleration < -0.5, behind, needed)
+    brakes = leader_acceleration < -0.5
+    if brakes.any():
+        standstill = np.maximum(leader_speed, 0.0) ** 2 / (2.0 * np.maximum(-leader_acceleration, 0.5))
+        needed = np.where(brakes, np.maximum(needed, speed**2 / (2.0 * (room + standstill))), needed)
     return np.where(gap > 0.0, needed, np.where(speed > 0.0, np.inf, 0.0))
 
 

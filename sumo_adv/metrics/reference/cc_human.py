@@ -108,25 +108,27 @@ class CcHuman:
 
     def step(self, view: View) -> Floats:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
-        now, dt = self._now, self._dt
+        time, dt = self._now, self._dt
         self._follow_drift(view)
         perceived, danger = self._perceived(view), self._is_danger(view)
-        self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, now), np.inf)
-        long_enough = now - self._perceived_since >= PERCEPTION - 1e-9
+        self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
+        long_enough = time - self._perceived_since >= PERCEPTION - 1e-9
         seen = danger & long_enough
-        self._seen_at = np.where(seen, now, self._seen_at)
-        braking = now - self._decided_at >= REACTION - 1e-9
-        lasts = ~self._is_over(view) & (braking | (now - self._seen_at <= LAPSE + 1e-9))
-        self.danger = seen | (self.danger & lasts)
-        self._last = np.where(self.danger, now, self._last)
-        at_ease = ~self.danger & ((now - self._last > EASE) | ~braking)
-        started = np.where(self.danger, np.minimum(self._decided_at, now), self._decided_at)
+        self._seen_at = np.where(seen, time, self._seen_at)
+        braking = time - self._decided_at >= REACTION - 1e-9
+        lasts = self.danger & (braking | (time - self._seen_at <= LAPSE + 1e-9))
+        self.danger = seen | (lasts & ~self._is_over(view)) if lasts.any() else seen
+        self._last = np.where(self.danger, time, self._last)
+        at_ease = ~self.danger & ((time - self._last > EASE) | ~braking)
+        started = np.where(self.danger, np.minimum(self._decided_at, time), self._decided_at)
         self._decided_at = np.where(at_ease, np.inf, started)
         shown = self.danger.any(axis=1) & ~np.isfinite(self._first_alarm)
-        self._first_alarm = np.where(shown, now, self._first_alarm)
-        self._now = round(now + dt, 9)
+        self._first_alarm = np.where(shown, time, self._first_alarm)
+        self._now = round(time + dt, 9)
+        if not self.danger.any():
+            return np.full(len(self.danger), np.nan)
         earliest = np.where(self.danger, self._decided_at, np.inf).min(axis=1, initial=np.inf)
-        pressed = np.where(np.isfinite(earliest), now - earliest - REACTION, -np.inf)
+        pressed = np.where(np.isfinite(earliest), time - earliest - REACTION, -np.inf)
         lost = speed_lost(pressed + dt) - speed_lost(pressed)
         return np.where(lost > 1e-9, -lost / dt, np.nan)
 
@@ -141,16 +143,24 @@ class CcHuman:
         return wanders | leads | ~view.same_direction
 
     def _is_danger(self, view: View) -> Bools:
-        moving = view.ego_speed >= 0.1
-        cuts_in = (view.same_direction | unprotected(view.length, view.width)) & self._cuts_in(view)
-        found = moving & view.ahead & (cuts_in | (view.same_direction & self._leads_too_slowly(view)))
-        found |= moving & view.same_direction & self._comes_from_beside(view)
-        turned = np.abs(view.heading)
-        comes = moving & view.ahead & (view.speed >= 0.1) & (view.gap > 0.0)
+        moving, same_direction = view.ego_speed >= 0.1, view.same_direction
+        ahead, wanders = moving & view.ahead, self._drift >= WANDERING - 1e-9
+        dangers = np.zeros(view.gap.shape, bool)
+        if wanders.any():
+            cuts_in = (same_direction | unprotected(view.length, view.width)) & self._cuts_in(view)
+            dangers = wanders & ((ahead & cuts_in) | (moving & same_direction & self._comes_from_beside(view)))
+        if (leads := ahead & same_direction & view.in_corridor).any():
+            dangers |= leads & self._leads_too_slowly(view)
+        comes = ahead & ~same_direction & (view.speed >= 0.1) & (view.gap > 0.0)
         comes &= view.gap <= CROSSING_SIGHT * (view.ego_speed + np.maximum(-view.along, 0.0))
+        return self._meets(view, comes, dangers) if comes.any() else dangers
+
+    def _meets(self, view: View, comes: Bools, dangers: Bools) -> Bools:
+        """``dangers`` and which of the oncoming and crossing vehicles that come (``comes``) are one."""
+        turned = np.abs(view.heading)
         over_the_line = (view.near_edge < view.lane_half_width) & (self._drift >= WANDERING)
         facing = comes & (turned > OPPOSITE_DIRECTION) & over_the_line
-        across = comes & ~view.same_direction & (turned <= OPPOSITE_DIRECTION)
+        across = comes & (turned <= OPPOSITE_DIRECTION)
         still = np.zeros(view.gap.shape)
         across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
         outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
@@ -163,28 +173,31 @@ class CcHuman:
         for rows, horizon, margin in looks:
             k = np.nonzero(rows)
             if len(k[0]):
-                found[k] |= meet(view, k, horizon, margin)
-        return np.asarray(found)
+                dangers[k] |= meet(view, k, horizon, margin)
+        return dangers
 
     def _cuts_in(self, view: View) -> Bools:
-        """Ahead, beyond its zone of wandering, reached within ``DANGER``, and in the way before it is passed."""
-        wanders = (view.gap > 0.0) & (self._drift >= WANDERING - 1e-9) & (view.time_to_reach <= DANGER)
+        """Ahead, reached within ``DANGER``, and in the way before it is passed."""
+        reached = (view.gap > 0.0) & (view.time_to_reach <= DANGER)
         passed = (view.gap + view.length + view.ego_length) / np.maximum(view.closing, 1e-9)
         entered = np.maximum(view.side_gap, 0.0) / np.maximum(view.towards, KEEPS_ITS_PLACE)
-        return wanders & (entered <= passed + SLACK)
+        return reached & (entered <= passed + SLACK)
 
     def _comes_from_beside(self, view: View) -> Bools:
         """Overlapping the ego lengthwise and drifting into it within ``DANGER``."""
-        drifts = (view.gap <= 0.0) & (self._drift >= WANDERING - 1e-9) & (view.side_gap > -1.0)
-        return drifts & (np.maximum(view.side_gap, 0.0) <= DANGER * np.maximum(view.towards, KEEPS_ITS_PLACE))
+        return (
+            (view.gap <= 0.0)
+            & (view.side_gap > -1.0)
+            & (np.maximum(view.side_gap, 0.0) <= DANGER * np.maximum(view.towards, KEEPS_ITS_PLACE))
+        )
 
     def _leads_too_slowly(self, view: View) -> Bools:
-        """A leader in the corridor that is reached within ``DANGER``, brakes hard, or takes hard braking."""
+        """A leader that is reached within ``DANGER``, brakes hard, or takes hard braking."""
         hard = (view.acceleration <= -HARD_BRAKING) & (view.gap <= FOLLOWING * view.ego_speed)
         room = view.gap - np.maximum(view.closing, 0.0) * REACTION
         needed = needed_braking(view.ego_speed, room, view.along, view.acceleration)
         slow = (view.closing > 0.0) & ((view.time_to_reach <= DANGER) | (needed > OWN_BRAKING))
-        return view.in_corridor & (hard | slow)
+        return hard | slow
 
     def _is_over(self, view: View) -> Bools:
         """Whether a danger is past."""

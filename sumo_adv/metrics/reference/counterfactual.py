@@ -17,12 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad
-from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.boxes import first_contact, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
@@ -85,8 +86,12 @@ class Counterfactual:
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
         )
         self.paths = EgoPaths(self.ego)
-        visible = seen(self.ego, self.adversary, self.others)
-        self.views = Views(self.paths, self._everybody(visible), self._ego_size(), dt, given.lane_half_width)
+
+    @cached_property
+    def views(self) -> Views:
+        """What drivers see."""
+        visible = self._everybody(seen(self.ego, self.adversary, self.others))
+        return Views(self.paths, visible, self._ego_size(), self.given.dt, self.given.lane_half_width)
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
@@ -134,19 +139,20 @@ class Counterfactual:
         acceleration = np.zeros(n)
         acting, alarm = np.zeros(n, bool), np.full(n, np.inf)
         for k in range(self.steps - 1):
-            asked = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
+            reaction = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
             fresh = drivers.alarmed & ~np.isfinite(alarm)
             alarm = np.where(fresh, self.time[k], alarm)
-            acting |= np.isfinite(asked) & (k >= self.given.start)
-            braking = np.minimum(np.where(np.isfinite(asked), asked, np.inf), change[:, k])
-            after = np.clip(speed[:, k] + braking * dt, 0.0, np.maximum(pace[:, k + 1], speed[:, k]))
-            moved = np.where(
-                after > 0.0, (speed[:, k] + after) / 2 * dt, speed[:, k] ** 2 / np.maximum(-2 * braking, 1e-9)
-            )  # fmt: skip
-            moved = np.minimum(moved, (speed[:, k] + after) / 2 * dt)
-            station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
-            speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
-            acceleration = (speed[:, k + 1] - speed[:, k]) / dt
+            brakes, present = np.isfinite(reaction), speed[:, k]
+            acting |= brakes & (k >= self.given.start)
+            if acting.any():
+                braking = np.minimum(np.where(brakes, reaction, np.inf), change[:, k])
+                after = np.clip(present + braking * dt, 0.0, np.maximum(pace[:, k + 1], present))
+                evenly = (present + after) / 2 * dt
+                moved = np.where(after > 0.0, evenly, present**2 / np.maximum(-2 * braking, 1e-9))
+                moved = np.minimum(moved, evenly)
+                station[:, k + 1] = np.where(acting, station[:, k] + moved, recorded[:, k + 1])
+                speed[:, k + 1] = np.where(acting, after, speed[:, k + 1])
+            acceleration = (speed[:, k + 1] - present) / dt
         return station, speed, alarm
 
     def _contact(self, ego: Boxes, station: Floats) -> Floats:
@@ -179,14 +185,12 @@ class Counterfactual:
         there_x, there_y, turned, pace = (v[row][:, part] for v in (o.x, o.y, o.heading, o.speed))
         near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
         x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
-        mine = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
-        time = self.time[: poses.x.shape[-1]]
-        when = first_contact(mine, near, time)
+        ego = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
         there, left = self.views.lateral(first)
         behind = (there[row, 1:] < self.paths.station[row, first]) & (
             np.abs(left[row, 1:]) < self.given.lane_half_width
         )
-        return np.asarray(~(np.isfinite(when) & ~behind[None, :]).any(axis=1))
+        return np.asarray(~(touches(ego, near) & ~behind[None, :]).any(axis=1))
 
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
         """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
@@ -212,14 +216,14 @@ def answers(
 ) -> dict[str, Answer]:
     """What each driver makes of the encounters, and the ``unchanged`` ego."""
     check = Counterfactual(given)
-    found = {"unchanged": check.unchanged()}
+    by_driver = {"unchanged": check.unchanged()}
     for name in drivers:
         if name in BRAKERS:
-            found[name] = check.braking(BRAKERS[name])
+            by_driver[name] = check.braking(BRAKERS[name])
     if MANOEUVRE in drivers:
-        alarm = found["cc_human"].alarm if "cc_human" in found else check.roll_out(CcHuman)[2]
-        found[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
-    return found
+        alarm = by_driver["cc_human"].alarm if "cc_human" in by_driver else check.roll_out(CcHuman)[2]
+        by_driver[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
+    return by_driver
 
 
 def _size(value: Floats | float, n: int) -> Floats:

@@ -45,10 +45,10 @@ def critical(gap: Floats, ego: Floats, other: Floats, acceleration: Floats) -> F
     after = np.maximum(ego + held * REACTION, 0.0)
     nearer = ((ego + after) / 2 - other) * REACTION
     closing = np.maximum(after - other, 0.0)
-    found = _between(gap, nearer + closing**2 / (2 * MOST), nearer + closing**2 / (2 * COMFORTABLE))
+    degree = _between(gap, nearer + closing**2 / (2 * MOST), nearer + closing**2 / (2 * COMFORTABLE))
     stopping = (ego - other) ** 2 / (2 * np.maximum(np.abs(held), 1e-9))
-    found = np.where(after <= other, np.where(gap <= stopping, 1.0, 0.0), found)
-    return np.where(ego > other, found, 0.0)
+    degree = np.where(after <= other, np.where(gap <= stopping, 1.0, 0.0), degree)
+    return np.where(ego > other, degree, 0.0)
 
 
 def _between(gap: Floats, unsafe: Floats, safe: Floats) -> Floats:
@@ -77,18 +77,18 @@ class Fsm:
     def step(self, view: View) -> Floats:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         matters = view.same_direction & view.ahead & (view.in_corridor | self._moves_in(view))
-        ego, other = view.ego_speed + 0.0 * view.along, np.maximum(view.along, 0.0)
+        ego, leader = view.ego_speed + 0.0 * view.along, np.maximum(view.along, 0.0)
         gap = np.maximum(view.gap, 0.0)
         gap = np.where(matters, gap, 1e9)
-        cfs = critical(gap, ego, other, view.ego_acceleration + 0.0 * other)
-        pfs = proactive(gap, ego, other)
-        wanted = np.where(cfs > 0.0, cfs * (MOST - COMFORTABLE) + COMFORTABLE, pfs * COMFORTABLE)
-        wanted = np.where(matters, wanted, 0.0).max(axis=1, initial=0.0)
-        risk = wanted > 0.0
+        cfs = critical(gap, ego, leader, view.ego_acceleration + 0.0 * leader)
+        pfs = proactive(gap, ego, leader)
+        braking = np.where(cfs > 0.0, cfs * (MOST - COMFORTABLE) + COMFORTABLE, pfs * COMFORTABLE)
+        braking = np.where(matters, braking, 0.0).max(axis=1, initial=0.0)
+        risk = braking > 0.0
         self._alarmed |= risk
         acts = self._delay.step(risk) > -1e-9
         change = JERK * self._dt
-        target = np.where(acts, wanted, 0.0)
+        target = np.where(acts, braking, 0.0)
         self._braking = np.clip(target, self._braking - change, self._braking + change)
         return np.where(self._braking > 1e-9, -self._braking, np.nan)
 

@@ -20,7 +20,7 @@ from sumo_adv.metrics.avoidance import (
     stays_on_road,
     window,
 )
-from sumo_adv.metrics.boxes import first_contact
+from sumo_adv.metrics.boxes import touches
 from sumo_adv.metrics.reference.cc_human import PERCEPTION
 
 DELAY = 0.8  # s after the hazard shows
@@ -51,8 +51,7 @@ def escapes(
     ``(len(TABLE), N)``."""
     own, poses = manoeuvre_poses(ego, alarm, steps, dt)
     foe = window(adversary, alarm, steps, dt)
-    time = np.asarray(np.arange(steps + 1) * dt, dtype=np.float64)
-    clear = np.asarray(~np.isfinite(first_contact(poses, foe, time)))
+    clear = ~touches(poses, foe)
     if on_road is not None:
         flat = Poses(poses.x, poses.y, np.cos(poses.heading), np.sin(poses.heading))
         clear &= stays_on_road(flat, own, TABLE, clear, on_road, dt)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from sumo_adv.metrics.paths import EgoPaths
 HISTORY = 0.5  # s over which yaw rates are measured
 
 
-@dataclass(frozen=True, slots=True)
-class View:
+class View(NamedTuple):
     """Other vehicles in one step, arrays ``(N, M)``; the egos' arrays ``(N, 1)``.  Units m, rad, m/s, m/s2.
 
     An absent vehicle is not ``ahead`` and has infinite gaps.
@@ -77,39 +76,41 @@ class Views:
         station, left, path_heading = (v.reshape(others.x.shape) for v in located)
         self._station, self._left = station, left
         self._heading = wrap_below_pi(others.heading - path_heading)
-        self._speed = others.speed
         self._length = np.broadcast_to(np.asarray(others.length, float), (n, m, 1))[..., 0]
         self._width = np.broadcast_to(np.asarray(others.width, float), (n, m, 1))[..., 0]
         cos, sin = np.abs(np.cos(self._heading)), np.abs(np.sin(self._heading))
-        self._along = (cos * self._length[..., None] + sin * self._width[..., None]) / 2
-        self._across = (sin * self._length[..., None] + cos * self._width[..., None]) / 2
-        self._sideways = _change(left, dt)
-        self._acceleration = _change(self._speed, dt)
+        half_along = (cos * self._length[..., None] + sin * self._width[..., None]) / 2
+        half_across = (sin * self._length[..., None] + cos * self._width[..., None]) / 2
         back = max(1, round(HISTORY / dt))
         turned = np.unwrap(np.where(np.isfinite(self._heading), others.heading, 0.0), axis=-1)
         index = np.arange(steps)
         before = np.maximum(index - back, 0)
         span = np.maximum(index - before, 1) * dt
-        self._yaw_rate = (turned - turned[..., before]) / span
+        there = np.isfinite(station)
+        side = np.where(there & (left < 0.0), -1.0, 1.0)
+        speed, near_edge = others.speed, np.where(there, np.abs(left) - half_across, np.inf)
+        by_vehicle = (
+            there, np.where(there, station, np.inf), np.where(there, half_along, 0.0), np.where(there, left, np.inf),
+            np.where(there, self._heading, 0.0), near_edge - ego_size[1] / 2, near_edge, _known(speed),
+            _known(speed * np.cos(self._heading)), _known(-side * _change(left, dt)),
+            _known(-side * speed * np.sin(self._heading)), _known(_change(speed, dt)),
+            _known((turned - turned[..., before]) / span),
+        )  # fmt: skip
+        # what does not depend on the ego's motion, by step
+        self._steps = [np.ascontiguousarray(np.moveaxis(values, -1, 0)) for values in by_vehicle]
         self._size, self._half = ego_size, lane_half_width
 
     def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
         """What egos at ``station`` [m], ``speed`` and ``acceleration`` ``(N,)`` see in a step."""
-        here, left, h = self._station[..., step], self._left[..., step], self._heading[..., step]
-        v = self._speed[..., step]
-        ego_length, ego_width = self._size
-        there = np.isfinite(here)
-        away = np.where(there, here - station[:, None], np.inf)
-        near_edge = np.where(there, np.abs(left) - self._across[..., step], np.inf)
-        gap = np.where(there, np.abs(away) - self._along[..., step] - ego_length / 2, np.inf)
-        side = np.sign(np.where(there, left, 1.0))
-        side = np.where(side == 0, 1.0, side)
+        (
+            there, here, half_along, left, heading, side_gap, near_edge,
+            pace, along, towards, crossing, change, yaw_rate,
+        ) = (values[step] for values in self._steps)  # fmt: skip
+        away, (ego_length, ego_width) = here - station[:, None], self._size
         return View(
-            there & (away > 0), away, np.where(there, left, np.inf), np.where(there, h, 0.0), gap,
-            near_edge - ego_width / 2, near_edge, _known(v), _known(v * np.cos(h)),
-            _known(-side * self._sideways[..., step]), _known(-side * v * np.sin(h)),
-            _known(self._acceleration[..., step]), _known(self._yaw_rate[..., step]), self._length, self._width,
-            speed[:, None], acceleration[:, None], ego_length, ego_width, self._half,
+            there & (away > 0), away, left, heading, np.abs(away) - half_along - ego_length / 2, side_gap, near_edge,
+            pace, along, towards, crossing, change, yaw_rate, self._length, self._width, speed[:, None],
+            acceleration[:, None], ego_length, ego_width, self._half,
         )  # fmt: skip
 
     def in_lane_ahead(self, ego_station: Floats) -> Bools:
@@ -125,9 +126,9 @@ class Views:
 
 def _change(values: Floats, dt: float) -> Floats:
     """The backward difference over a step, 0 in the first one and after an absence."""
-    found = np.zeros(values.shape)
-    found[..., 1:] = np.diff(values, axis=-1) / dt
-    return np.where(np.isfinite(found), found, 0.0)
+    rates = np.zeros(values.shape)
+    rates[..., 1:] = np.diff(values, axis=-1) / dt
+    return np.where(np.isfinite(rates), rates, 0.0)
 
 
 def _known(values: Floats) -> Floats:
