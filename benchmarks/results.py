@@ -29,7 +29,9 @@ from sumo_adv.benchmark.tables.paper import DIVERGENCES, TABLE_I
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results.md"
-CODE = ("sumo_adv", "memory_bank", "memory_bank.sqlite", "prompts", "networks", "suites")  # what figures depend on
+CODE = (  # what figures depend on
+    "sumo_adv", "memory_bank", "memory_bank.sqlite", "prompts", "networks", "suites", "examples/recorded_model",
+)  # fmt: skip
 FRESH, RECORDS = "fresh:", "records"
 ATTEMPTS = 25  # the budget of an encounter
 COLUMN = {column.key: column for column in COLUMNS}
@@ -41,7 +43,7 @@ class Table:
     """An entry of results.toml."""
 
     name: str
-    suite: str
+    suite: str | Sequence[str]
     egos: Sequence[str]
     rows: Sequence[str]
     until: str
@@ -75,9 +77,10 @@ def _git(*words: str) -> str:
     return done.stdout.strip()
 
 
-def command(table: Table, suite: str, attempts: int) -> list[str]:
+def command(table: Table, suites: Sequence[str], attempts: int) -> list[str]:
     """The bench that makes a table, without the folder of its cells."""
-    words = ["bench", "table", "--suite", suite, "--ego", ",".join(table.egos), "--until", table.until]
+    words = ["bench", "table", *(word for suite in suites for word in ("--suite", suite))]
+    words += ["--ego", ",".join(table.egos), "--until", table.until]
     words += [word for row in table.rows for word in ("--row", row)]
     words += [word for setting in table.settings for word in ("--set", setting)]
     return [*words, "--attempts", str(attempts)]
@@ -167,13 +170,17 @@ def main() -> None:
         if table.suite == RECORDS and not (given.records or given.suite):
             print(f"{table.name}: left as it is; --records DIR measures it.", file=sys.stderr)
             continue
-        spec = given.suite or (f"womd:{given.records}" if table.suite == RECORDS else table.suite)
+        own = [table.suite] if isinstance(table.suite, str) else table.suite
+        specs = [given.suite] if given.suite else [f"womd:{given.records}" if s == RECORDS else s for s in own]
         measured = replace(table, egos=given.ego.split(",")) if given.ego else table
         workers = ["--workers", str(given.workers)] if given.workers else []
         cells = folder / table.name
-        _run([*command(measured, made_suite(spec, folder), attempts), *workers, "--out", str(cells)])
-        shown = given.suite or {RECORDS: "womd:RECORDS"}.get(table.suite, table.suite.replace(FRESH, "suites/fresh-"))
-        typed = shlex.join(["sumo-adv", *command(measured, shown, attempts)])
+        made = [made_suite(spec, folder) for spec in specs]
+        _run([*command(measured, made, attempts), *workers, "--out", str(cells)])
+        shown = [given.suite] if given.suite else ["womd:RECORDS" if s == RECORDS else s for s in own]
+        typed = shlex.join(
+            ["sumo-adv", *command(measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)]
+        )
         about = f"Revision {name}, seed 0, no language model.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
         text = put(
             page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"

@@ -127,6 +127,21 @@ def test_an_unknown_question_is_reported_with_the_nearest(tmp_path: Path, reques
     assert says in str(caught.value)
 
 
+def test_a_folder_of_recordings_answers_as_one(tmp_path: Path) -> None:
+    questions = [ChatRequest("analyzer", (("user", text),)) for text in ("Where?", "When?")]
+    for name, question in zip(("a", "b"), questions, strict=True):
+        with Recorder(tmp_path / f"{name}.jsonl", f"model-{name}") as recorder:
+            recorder.add(question, ChatReply(f"From {name}."))
+    replay = Replay.open(tmp_path)
+    assert replay.name == "replay of model-a and model-b"
+    assert [replay.complete(question).text for question in questions] == ["From a.", "From b."]
+    with pytest.raises(ModelError, match=r"the nearest, in line 2 of b\.jsonl, differs from character 5 on"):
+        replay.complete(ChatRequest("analyzer", (("user", "When!"),)))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UsageError, match="has no recording"):
+        Replay.open(tmp_path / "empty")
+
+
 def test_a_budget_holds_in_a_replay_too(tmp_path: Path) -> None:
     recorded(tmp_path / "one.jsonl")
     ledger = Ledger(Budget(calls=2))

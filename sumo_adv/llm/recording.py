@@ -105,9 +105,9 @@ class _RecordedModel:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """One line of a recording."""
+    """One line of a recording. ``place``: the line, and the file if there are several."""
 
-    number: int
+    place: str
     agent: str
     sample: int
     messages: Messages
@@ -142,24 +142,16 @@ class Replay:
 
     @classmethod
     def open(cls, path: Path | str) -> Replay:
-        """Read a recording. An incomplete last line is ignored. Raises UsageError."""
+        """Read a recording, or all recordings (``*.jsonl``) of a folder. An incomplete last line is ignored. Raises
+        UsageError."""
         path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
-            raise UsageError(f"The recording {path} cannot be read: {reason.lower()}.") from error
-        lines = text.split("\n")[:-1]
-        header = _json(lines[0]) if lines else None
-        if not isinstance(header, dict) or header.get("kind") != KIND:
-            raise UsageError(f"The file {path} is no recording of this program; give the model.jsonl of a run.")
-        if header.get("schema") != SCHEMA:
-            raise UsageError(
-                f"The recording {path} has schema {header.get('schema')!r}, but this program reads {SCHEMA}; "
-                "record it again."
-            )
-        exchanges = [_exchange(path, number, line) for number, line in enumerate(lines[1:], start=2) if line.strip()]
-        return cls(path, str(header.get("model")), exchanges)
+        if not path.is_dir():
+            return cls(path, *_read(path, ""))
+        recordings = [_read(file, f" of {file.name}") for file in sorted(path.glob("*.jsonl"))]
+        if not recordings:
+            raise UsageError(f"The folder {path} has no recording; give a model.jsonl of a run, or a folder of them.")
+        models = dict.fromkeys(model for model, _ in recordings)
+        return cls(path, " and ".join(models), [exchange for _, exchanges in recordings for exchange in exchanges])
 
     def complete(self, request: ChatRequest) -> ChatReply:
         """The recorded reply. Raises the recorded ModelError, and ModelError for a question that is not recorded."""
@@ -195,11 +187,35 @@ class Replay:
             difference = f"differs from character {at + 1} on: {there} recorded, {here} asked"
         return (
             f"The recording {self._path} lacks this question of the {request.agent}; record the run again "
-            f"(the nearest, in line {nearest.number}, {difference})."
+            f"(the nearest, in {nearest.place}, {difference})."
         )
 
 
-def _exchange(path: Path, number: int, line: str) -> Exchange:
+def _read(path: Path, of_file: str) -> tuple[str, list[Exchange]]:
+    """The model and the exchanges of a file. ``of_file``: what the place of each has behind its line."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
+        raise UsageError(f"The recording {path} cannot be read: {reason.lower()}.") from error
+    lines = text.split("\n")[:-1]
+    header = _json(lines[0]) if lines else None
+    if not isinstance(header, dict) or header.get("kind") != KIND:
+        raise UsageError(f"The file {path} is no recording of this program; give the model.jsonl of a run.")
+    if header.get("schema") != SCHEMA:
+        raise UsageError(
+            f"The recording {path} has schema {header.get('schema')!r}, but this program reads {SCHEMA}; "
+            "record it again."
+        )
+    exchanges = [
+        _exchange(path, f"line {number}{of_file}", line)
+        for number, line in enumerate(lines[1:], start=2)
+        if line.strip()
+    ]
+    return str(header.get("model")), exchanges
+
+
+def _exchange(path: Path, place: str, line: str) -> Exchange:
     value = _json(line)
     try:
         question = value["request"]
@@ -211,10 +227,10 @@ def _exchange(path: Path, number: int, line: str) -> Exchange:
             error = value["error"]
             kind = BudgetError if error["kind"] == "budget" else ModelError
             answer = kind(str(error["message"]), retries=int(error["retries"]), seconds=float(error["seconds"]))
-        return Exchange(number, str(question["agent"]), int(question["sample"]), messages, answer)
+        return Exchange(place, str(question["agent"]), int(question["sample"]), messages, answer)
     except (KeyError, TypeError, ValueError) as cause:
         raise UsageError(
-            f"Line {number} of the recording {path} is no exchange with a model; record the run again."
+            f"{place[0].upper()}{place[1:]} of the recording {path} is no exchange with a model; record the run again."
         ) from cause
 
 
