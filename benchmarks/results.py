@@ -50,6 +50,7 @@ class Table:
     columns: Sequence[str]
     settings: Sequence[str] = ()
     paper: bool = False
+    every: int = 1
 
 
 def read_tables(file: Path) -> list[Table]:
@@ -75,6 +76,14 @@ def _git(*words: str) -> str:
     if done.returncode:
         raise SystemExit("make results names the revision that it measures: run it in a checkout of git.")
     return done.stdout.strip()
+
+
+def suites_of(table: Table) -> list[str]:
+    """The suites of a table; where only every n-th encounter of a shipped one counts, its files."""
+    if isinstance(table.suite, str) and table.every > 1:
+        files = sorted((ROOT / "suites" / table.suite).glob("*.toml"))[:: table.every]
+        return [file.relative_to(ROOT).as_posix() for file in files]
+    return [table.suite] if isinstance(table.suite, str) else list(table.suite)
 
 
 def command(table: Table, suites: Sequence[str], attempts: int) -> list[str]:
@@ -170,7 +179,7 @@ def main() -> None:
         if table.suite == RECORDS and not (given.records or given.suite):
             print(f"{table.name}: left as it is; --records DIR measures it.", file=sys.stderr)
             continue
-        own = [table.suite] if isinstance(table.suite, str) else table.suite
+        own = suites_of(table)
         specs = [given.suite] if given.suite else [f"womd:{given.records}" if s == RECORDS else s for s in own]
         measured = replace(table, egos=given.ego.split(",")) if given.ego else table
         workers = ["--workers", str(given.workers)] if given.workers else []
