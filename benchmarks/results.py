@@ -81,8 +81,8 @@ def _git(*words: str) -> str:
 def suites_of(table: Table) -> list[str]:
     """The suites of a table; where only every n-th encounter of a shipped one counts, its files."""
     if isinstance(table.suite, str) and table.every > 1:
-        files = sorted((ROOT / "suites" / table.suite).glob("*.toml"))[:: table.every]
-        return [file.relative_to(ROOT).as_posix() for file in files]
+        files = sorted(f for f in (ROOT / "suites" / table.suite).glob("*.toml") if f.name != "suite.toml")
+        return [file.relative_to(ROOT).as_posix() for file in files[:: table.every]]
     return [table.suite] if isinstance(table.suite, str) else list(table.suite)
 
 
@@ -190,7 +190,10 @@ def main() -> None:
         typed = shlex.join(
             ["sumo-adv", *command(measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)]
         )
-        about = f"Revision {name}, seed 0, no language model.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
+        answers = (
+            "recorded answers of a language model" if any("llm" in row for row in table.rows) else "no language model"
+        )
+        about = f"Revision {name}, seed 0, {answers}.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
         text = put(
             page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"
         )
