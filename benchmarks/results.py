@@ -190,9 +190,8 @@ def main() -> None:
         typed = shlex.join(
             ["sumo-adv", *command(measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)]
         )
-        answers = (
-            "recorded answers of a language model" if any("llm" in row for row in table.rows) else "no language model"
-        )
+        with_model = any(row.startswith("llm") for row in table.rows)
+        answers = "recorded answers of a language model" if with_model else "no language model"
         about = f"Revision {name}, seed 0, {answers}.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
         text = put(
             page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"
