@@ -401,8 +401,7 @@ class DriverModel:
     hardest_braking: positive [m/s2].
     known: False if the model is an assumption. ignores_sumo_lane_rules: it may overtake on the right, and the direction
     of lanes is nothing to it. sees: a vehicle ahead within this offset from the ego's path is a leader [m]; half the
-    lane is the minimum. visible_only: it does not see a vehicle that another one hides. guard: its emergency brake, if
-    it has one.
+    lane is the minimum. guard: its emergency brake, if it has one.
     """
 
     kind: str
@@ -414,7 +413,6 @@ class DriverModel:
     known: bool = True
     ignores_sumo_lane_rules: bool = False
     sees: float = 0.0
-    visible_only: bool = False
     guard: Guard | None = None
     hardest_braking: float = 9.0  # SUMO's emergencyDecel of cars
 

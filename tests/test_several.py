@@ -16,7 +16,6 @@ from situation_samples import EGO_PATH, car, line, situation, target
 import sumo_adv.app as app
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import (
-    DriverModel,
     Duty,
     Endpoint,
     Level,
@@ -107,41 +106,6 @@ def test_supports_are_rolled_out_beside_their_colliders() -> None:
     assert rollouts.ego[0][:, 10] == pytest.approx([10.0, 10.0])
     with pytest.raises(ValueError):
         predict({0.0: SCENE}, [tried[0], attack("left")], on, limits=Limits(), steps=11, replan=5)
-
-
-def speeds_behind_a_van(visible_only: bool, *adversaries: Target) -> list[float]:
-    """Speeds of a lattice ego after 1, 1.5 and 2 s. CROSSING will meet it at x = 30 after 3 s, always at the bearing of
-    45 degrees at which VAN drives along."""
-    scene = situation([CROSSING, VAN], model=replace(LATTICE, visible_only=visible_only))
-    states = np.array([(t.state.x, t.state.y, t.state.heading, t.state.speed) for t in adversaries])
-    length, width = np.array([(t.state.length, t.state.width) for t in adversaries]).T
-    egos = PredictedEgos(Scenes([scene] * 2), [t.state.id for t in adversaries], length, width, each=2)
-    x, y, heading, speed = states.T
-    seen = []
-    for k in range(20):
-        on = 0.1 * k * speed
-        egos.step(0.1 * k, (x + on * np.cos(heading), y + on * np.sin(heading), heading), speed)
-        seen.append(float(egos.v[0]))
-    return seen[9::5]
-
-
-LATTICE = DriverModel("lattice", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=15.0)
-CROSSING = target(
-    car("crossing", 30.0, 30.0, -math.pi / 2), "crossing",
-    [(line((30.0, 30.0), (30.0, -150.0)), "straight", 25.0)], EGO_PATH,
-)  # fmt: skip
-VAN = beside("van", 10.0, 10.0)
-VAN = replace(VAN, state=replace(VAN.state, length=10.0, width=3.0))
-
-
-@pytest.mark.parametrize("order", [(CROSSING, VAN), (VAN, CROSSING)])
-def test_a_driver_that_sees_only_what_is_visible_brakes_late_for_a_collider_behind_a_support(
-    order: tuple[Target, Target],
-) -> None:
-    seen, hidden = speeds_behind_a_van(False, *order), speeds_behind_a_van(True, *order)
-    assert seen[0] == hidden[0] == pytest.approx(10.0)
-    assert seen[1] < 9.0 and seen[2] < 7.5
-    assert hidden[1] == pytest.approx(10.0) and hidden[2] > 9.5
 
 
 # ---- verdicts

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, ObservedMotion
+from sumo_adv.datatypes import Bools, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import NUMERICAL, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.guard import Guards
@@ -21,7 +21,6 @@ from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
 from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
-from sumo_adv.metrics.sight import hidden
 from sumo_adv.road_users import unprotected
 
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
@@ -29,7 +28,6 @@ SAME_WAY = 0.5  # rad
 OVER = 0.365  # m beyond the line to the opposite lane up to which SUMO keeps a vehicle in its lane (measured)
 TURNED = 0.21  # m/rad by which ``OVER`` shrinks with the vehicle's heading (measured)
 BACK = 0.1  # m beyond that line at which SUMO has a vehicle back in its lane (measured)
-AWAY = 1e4  # m: the station of a vehicle that the ego does not see
 LEAST_STEP = 0.05  # m: over a shorter step the heading of an observed ego is nearly the path's
 
 
@@ -101,8 +99,6 @@ class PredictedEgos:
             return
         dt = self.scenes.dt
         next_s, next_v = self.scenes.profile_now(now + dt)
-        if self.model.visible_only and self._each > 1:
-            adversary = self._seen(adversary)
         (s, d, h), half = adversary, self._length / 2
         front_d = d + half * np.sin(h)
         sumo_s = s if self.model.ignores_sumo_lane_rules else self._pairs.sumo_station(s, front_d)
@@ -146,22 +142,6 @@ class PredictedEgos:
             return
         next_s, next_v = self.scenes.profile_now(now + self.scenes.dt)
         self.s, self.a, self.v = next_s, (next_v - self.v) / self.scenes.dt, next_v
-
-    def _seen(self, adversary: tuple[Floats, Floats, Floats]) -> tuple[Floats, Floats, Floats]:
-        """The adversaries as the egos see them. An adversary that others of the same ego hide is ``AWAY``."""
-        each, (s, d, h) = self._each, adversary
-        ego = Boxes(self.s[:, None], self.d[:, None], self.turn[:, None], self.v[:, None], 0.0, 0.0)
-        x, y, heading, length, width = (
-            q.reshape(each, -1).T[:, :, None] for q in (s, d, h, self._length, self._width)
-        )  # fmt: skip
-        away = np.empty((len(self.s), each), bool)
-        for k in range(each):
-            others = [j for j in range(each) if j != k]
-            adversary_box, screens = (
-                Boxes(x[:, q], y[:, q], heading[:, q], 0.0 * x[:, q], length[:, q], width[:, q]) for q in (k, others)
-            )  # fmt: skip
-            away[:, k] = hidden(ego, adversary_box, screens)[:, 0]
-        return np.where(away.T.reshape(-1), AWAY, s), d, h
 
     def _repeat(self, now: float, observed: Floats) -> None:
         """Advance along the observed motions ``(n, 3, steps)``: station, offset, speed."""

@@ -11,7 +11,6 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.drivers import model_of
-from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
 from sumo_adv.episode.start_times import delays, spent
@@ -71,7 +70,6 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
     assert drive.ego is not None
     simulation, left = drive.simulation, drive.left()
     model = model_of(drive.controller, simulation.model(drive.ego))
-    model = replace(model, visible_only=wishes_of(drive.controller).visible_only)
     driving = [c.id for c in ranking if c.id not in drive.obstacles]
     return TriggerState(
         drive.ego, drive.now, model, drive.route(),
