@@ -24,7 +24,8 @@ WORDS = {
     "from_right": {"crossing"}, "cyclist_swerve": {"Cyclist Swerve"}, "cyclist_crossing": {"Cyclist Crossing"},
     "cyclist_from_behind": {"Cyclist Crossing"}, "steps_out": {"Pedestrian Steps Out"},
     "parked": {"Pedestrian From Behind Obstacle"}, "box_in": {"Aggressive Cut-in"}, "opens_gap": {"Aggressive Cut-in"},
-    "squeezed_merge": {"Aggressive Cut-in"},
+    "squeezed_merge": {"Aggressive Cut-in"}, "hidden_crossing": {"Intersection Rush-through Go-straight"},
+    "blocked_escape": {"Emergency Braking"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 

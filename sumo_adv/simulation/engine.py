@@ -25,6 +25,7 @@ SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Answer = Callable[[Any], Any]
+OF_THE_FRONT = (signal.SIGINT, signal.SIGTERM)
 Body = Callable[[list[Connection]], Mapping[str, Callable[..., Any]]]
 
 
@@ -49,7 +50,7 @@ class Engine:
             self._process = context.Process(
                 target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log)), daemon=True
             )
-            with _allowed_to_start():
+            with _allowed_to_start(), _uninterrupted():
                 self._process.start()
         finally:
             for name, value in saved.items():
@@ -196,11 +197,38 @@ def _allowed_to_start() -> Iterator[None]:
             me.daemon = True
 
 
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait meanwhile: a process that starts without its orders would write a traceback.
+
+    They are blocked for the new process, which ignores them later, and put off here: another thread may receive them.
+    """
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received = list[int]()
+    handlers = {number: signal.signal(number, lambda k, _: received.append(k)) for number in OF_THE_FRONT}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, OF_THE_FRONT)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number in received:
+            signal.raise_signal(number)
+
+
 def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:
     """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    words = os.open(log, os.O_WRONLY | os.O_APPEND)
+    for number in OF_THE_FRONT:
+        signal.signal(number, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, OF_THE_FRONT)  # blocked since before it started
+    try:
+        words = os.open(log, os.O_WRONLY | os.O_APPEND)
+    except FileNotFoundError:  # the front was interrupted and has removed it
+        os._exit(0)
     sys.stdout.flush()
     os.dup2(words, 1)
     os.dup2(words, 2)
