@@ -25,7 +25,6 @@ SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 Answer = Callable[[Any], Any]
-OF_THE_FRONT = (signal.SIGINT, signal.SIGTERM)
 Body = Callable[[list[Connection]], Mapping[str, Callable[..., Any]]]
 
 
@@ -50,7 +49,7 @@ class Engine:
             self._process = context.Process(
                 target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log)), daemon=True
             )
-            with _allowed_to_start(), _uninterrupted():
+            with _allowed_to_start():
                 self._process.start()
         finally:
             for name, value in saved.items():
@@ -197,34 +196,10 @@ def _allowed_to_start() -> Iterator[None]:
             me.daemon = True
 
 
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait meanwhile: a process that starts without its orders would write a traceback.
-
-    They are blocked for the new process, which ignores them later, and put off here: another thread may receive them.
-    """
-    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    received = list[int]()
-    handlers = {number: signal.signal(number, lambda k, _: received.append(k)) for number in OF_THE_FRONT}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, OF_THE_FRONT)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number in received:
-            signal.raise_signal(number)
-
-
 def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:
     """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
-    for number in OF_THE_FRONT:
-        signal.signal(number, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, OF_THE_FRONT)  # blocked since before it started
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         words = os.open(log, os.O_WRONLY | os.O_APPEND)
     except FileNotFoundError:  # the front was interrupted and has removed it
@@ -275,20 +250,21 @@ def deaf() -> Iterator[None]:
     from multiprocessing import resource_tracker
 
     resource_tracker.ensure_running()  # starting it would unblock them
-    came: list[int] = []  # a mask would be passed on to the processes, which are ended by SIGTERM
-    handler = signal.getsignal(signal.SIGTERM)
-    held = callable(handler) and threading.current_thread() is threading.main_thread()
-    if held:
-        signal.signal(signal.SIGTERM, lambda number, _: came.append(number))
+    received: list[int] = []  # SIGTERM is not blocked: processes inherit that, and SIGTERM ends them
+    handlers = dict[int, Any]()
+    if threading.current_thread() is threading.main_thread():  # another thread may get a Ctrl-C that is blocked here
+        handlers = {k: h for k in (signal.SIGINT, signal.SIGTERM) if callable(h := signal.getsignal(k))}
+    for number in handlers:
+        signal.signal(number, lambda k, _: received.append(k))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        if held:
-            signal.signal(signal.SIGTERM, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        if came:
-            signal.raise_signal(came[0])
+        if received:
+            signal.raise_signal(received[0])
 
 
 def can_fork() -> bool:
