@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,10 +59,10 @@ def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Itera
         fault = f"{target} is not the folder of a run or a conversion"
         raise UsageError(f"{fault}, so --force does not replace it; give another --out.")
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
-    stage: Path | None = None
+    stage = target.parent / f".{target.name}.{secrets.token_hex(4)}"  # known before it is there, in case of a Ctrl-C
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        stage.mkdir()
         stage.chmod(0o755)
         yield RunFolder(target, stage)
     except BrokenPipeError:  # whoever read our output has gone: not the folder's fault
@@ -70,7 +70,7 @@ def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Itera
     except OSError as error:
         raise _sentence(error, target) from error
     finally:
-        if stage is not None and stage.exists():
+        if stage.exists():
             shutil.rmtree(stage, ignore_errors=True)
         if not target.exists():
             for parent in made:
