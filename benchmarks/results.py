@@ -116,7 +116,7 @@ def markdown(table: Table, file: Path) -> str:
     """The chosen columns of a bench's table.csv, with intervals; below them the paper's figures."""
     with file.open(newline="", encoding="utf-8") as opened:
         figures = {(r["ego"], r["row"], r["column"]): r for r in csv.DictReader(opened) if r["part"] == "all"}
-    lines = ["| ego | row | " + " | ".join(COLUMN[key].title for key in table.columns) + " |"]
+    lines = ["| ego | row | " + " | ".join(map(_title, table.columns)) + " |"]
     lines.append("|---|---|" + "---|" * len(table.columns))
     for ego in table.egos:
         for row in table.rows:
@@ -130,6 +130,12 @@ def markdown(table: Table, file: Path) -> str:
             ]
         lines.append(f"| *the paper* | *{reported.row}* | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def _title(key: str) -> str:
+    """The title of a column, which in a bench's own tables stands below that of its section."""
+    column = COLUMN[key]
+    return f"min TTC, {column.title}" if column.title.startswith("mean") else column.title
 
 
 def _figure(entry: Mapping[str, str] | None, digits: int) -> str:
