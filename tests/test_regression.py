@@ -170,7 +170,7 @@ def test_the_driver_of_the_run_meets_the_attack_as_it_was_found(program: Program
     original = json.loads((attacked() / "outcome.json").read_text())["outcome"]
     done = regress(program, suite, "--ego", "idm", "--junit", "out.xml")
     assert (done.status, done.err) == (3, "")
-    assert "1 cases of suite against idm: 0 pass, 1 fail." in done.out
+    assert "1 case of suite against idm: 0 pass, 1 fail." in done.out
     (case,) = results(program.folder / "out")
     assert (case["result"], case["level"]) == ("fail", original["level"])
     assert [case[key] for key in ("contact_time", "delta_v", "preventable_by")] == [
@@ -229,7 +229,7 @@ def test_keep_takes_what_reached_a_level_from_a_folder_of_runs(program: Program)
     shutil.copytree(attacked(), program.folder / "runs" / "first")
     kept = program("keep", "runs", "--suite", "suite")
     assert (kept.status, kept.err) == (0, "")
-    assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0", "1 cases into suite."]
+    assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0", "1 case into suite."]
     again = json.loads(program("keep", "runs", "--suite", "suite", "--json").out)
     assert again == {
         "suite": "suite", "kept": [], "there_already": [f"suite/{FOUND}-0"], "left_out": []

@@ -94,6 +94,7 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
 def version_line() -> str:
     """This program, SUMO and the memory bank that a run would use (the shipped one where there is none yet)."""
     from sumo_adv.app import shipped_bank
+    from sumo_adv.config import load_settings
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
     from sumo_adv.memory.paths import default_bank_path
@@ -103,7 +104,7 @@ def version_line() -> str:
     except PackageNotFoundError:
         sumo = "not installed"
     try:
-        own = default_bank_path()
+        own = load_settings(None).memory or default_bank_path()
         with MemoryBank.open(own if own.exists() else shipped_bank(), read_only=True) as bank:
             description = f"schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
     except SumoAdvError as error:

@@ -61,4 +61,4 @@ def keep(
         typer.echo(f"Kept {folder}")
     more = [f"{len(again)} there already"] if again else []
     more += [f"{len(left)} left out (below {level})"] if left else []
-    typer.echo(f"{len(kept)} cases into {suite}{''.join(', ' + each for each in more)}.")
+    typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")

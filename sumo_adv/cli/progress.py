@@ -73,7 +73,8 @@ def line(what: str, value: Any) -> str:
     """An event in words."""
     if what == "encounter":
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
-        passed = f" after passing over {len(value.passed_over)}" if value.passed_over else ""
+        earlier = len(value.passed_over)
+        passed = f" after passing over {earlier} earlier encounter{'s' * (earlier != 1)}" if earlier else ""
         return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}"
     if what == "intents":
         top = value[0]

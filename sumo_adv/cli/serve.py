@@ -254,8 +254,8 @@ def _finish(
         typer.echo(json.dumps(summary, ensure_ascii=False))
     else:
         typer.echo(
-            f"{summary['encounters']} encounters, {summary['critical']} critical, "
-            f"{summary['collisions']} collisions. Files: {summary['folder']}"
+            f"Encounters: {summary['encounters']}, critical: {summary['critical']}, "
+            f"collisions: {summary['collisions']}. Files: {summary['folder']}"
         )
         if ending is None and summary["reason"]:
             typer.echo(summary["reason"])

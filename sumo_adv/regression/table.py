@@ -22,7 +22,7 @@ def lines(run: SuiteRun) -> list[str]:
 def sentence(run: SuiteRun) -> str:
     """How many cases have which result."""
     counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
-    return f"{len(run.cases)} cases of {run.suite} against {run.ego}: {', '.join(counts)}."
+    return f"{len(run.cases)} case{'s' * (len(run.cases) != 1)} of {run.suite} against {run.ego}: {', '.join(counts)}."
 
 
 def _row(case: Judged) -> Sequence[str]:
