@@ -22,6 +22,7 @@ import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 from sumo_adv.benchmark.tables.columns import COLUMNS
@@ -35,6 +36,7 @@ CODE = (  # what figures depend on
 FRESH, RECORDS = "fresh:", "records"
 ATTEMPTS = 25  # the budget of an encounter
 COLUMN = {column.key: column for column in COLUMNS}
+PAIRED = ("valid", "strict", "serious")  # columns with paired differences
 OF_PAPER = {"mean_min_ttc": "mean_min_ttc", "collision": "collision"}  # column -> field of paper.Reported
 
 
@@ -129,13 +131,31 @@ def markdown(table: Table, file: Path) -> str:
                 f"{DIVERGENCES[k]:.3f}" if k in DIVERGENCES else c for k, c in zip(table.columns, cells, strict=True)
             ]
         lines.append(f"| *the paper* | *{reported.row}* | " + " | ".join(cells) + " |")
+    if differences := _differences(table, figures):
+        lines += ["", f"Paired differences to the expert: {'; '.join(differences)}."]
     return "\n".join(lines)
+
+
+def _differences(table: Table, figures: Mapping[tuple[str, str, str], Mapping[str, str]]) -> list[str]:
+    """For each row but the expert's, how much more often it succeeds in the same encounters; with intervals."""
+    sentences = []
+    for ego, row in product(table.egos, table.rows):
+        entries = {key: figures.get((ego, row, key)) for key in PAIRED}
+        shown = [f"{key} {_difference(entry)}" for key, entry in entries.items() if entry and entry["difference"]]
+        if shown:
+            sentences.append(f"`{row}` {', '.join(shown)}")
+    return sentences
 
 
 def _title(key: str) -> str:
     """The title of a column, which in a bench's own tables stands below that of its section."""
     column = COLUMN[key]
     return f"min TTC, {column.title}" if column.title.startswith("mean") else column.title
+
+
+def _difference(entry: Mapping[str, str]) -> str:
+    value, low, high = (f"{float(entry[key]):+.2f}" for key in ("difference", "difference_low", "difference_high"))
+    return f"{value} [{low}, {high}]"
 
 
 def _figure(entry: Mapping[str, str] | None, digits: int) -> str:
