@@ -80,7 +80,8 @@ class Program:
 
     def environment(self) -> dict[str, str]:
         """Nothing of the tester's own settings, bank or home."""
-        kept = {k: v for k, v in os.environ.items() if not k.startswith(("SUMO_ADV_", "XDG_", "MPL"))}
+        names = [name for name in list(os.environ) if not name.startswith(("SUMO_ADV_", "XDG_", "MPL"))]
+        kept = {name: os.environ.get(name, "") for name in names}  # pytest changes one beside threads of the tests
         return {
             **kept, "HOME": str(self.home), "XDG_DATA_HOME": str(self.home / "data"), "MPLCONFIGDIR": str(self._caches),
             "TMPDIR": str(self.temporary), "PYTHONPATH": os.pathsep.join((str(ROOT), str(TESTS))), "NO_COLOR": "1",

@@ -152,7 +152,7 @@ def test_an_end_from_outside_leaves_whole_files_and_no_sumo(program: Program, se
         server.wait("attack", 2)
         server.process.send_signal(sent)
         code, out, err = server.end()
-        assert (code, err) == (0, "") and "2 encounters" in out
+        assert (code, err) == (0, "") and "Encounters: 2" in out
         outcomes = server.outcomes()
         assert [o["ending"] for o in outcomes][1] == "interrupted"
         summary = json.loads((program.folder / "out" / "serve.json").read_text())["summary"]
