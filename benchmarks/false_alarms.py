@@ -21,7 +21,7 @@ from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS
-from sumo_adv.metrics.reference.view import Views
+from sumo_adv.metrics.reference.view import Views, located_on
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.recording import Recording
@@ -57,7 +57,7 @@ def events(ego: Track, others: list[Track]) -> tuple[dict[str, int], dict[str, i
     grid = on_grid(near, ego.time)
     least: Floats = np.nanmin(np.where(np.isfinite(grid.x), ttc(ego.boxes(), grid), np.inf), axis=0)
     wide = Boxes(*(v[None] for v in (grid.x, grid.y, grid.heading, grid.speed)), grid.length[None], grid.width[None])
-    views = Views(EgoPaths(row), wide, (ego.length, ego.width), DT, 1.6)
+    views = Views(wide, located_on(EgoPaths(row), wide), (ego.length, ego.width), DT, 1.6)
     station = EgoPaths(row).station[0]
     needless, braked = dict.fromkeys(BRAKERS, 0), dict.fromkeys(BRAKERS, 0)
     for name, driver in BRAKERS.items():

@@ -65,7 +65,7 @@ class ReferenceEgo:
         self._step = 0
         self._dt = float(np.diff(self._ego.time).min())
         self._driver = None if driver is None else driver((1, len(self._names)), self._dt)
-        self._states: list[dict[str, VehicleState]] = []
+        self._seen: Floats = np.empty((7, len(self._names), 0))  # by vehicle and step, see ``_look``
         self._warm_up(history)
 
     def reset(self, seed: int) -> None:
@@ -80,7 +80,7 @@ class ReferenceEgo:
             assert plan is not None
             i = min(k + 1, plan.x.shape[-1] - 1)
             return Pose(*(float(v[i]) for v in (plan.x, plan.y, plan.heading, plan.speed)))
-        self._states.append({s.id: s for s in observation.others if is_noticed(s)})
+        self._look({s.id: (s.x, s.y, s.heading, s.speed) for s in observation.others if is_noticed(s)})
         station = float(self._paths.locate(np.array([[state.x]]), np.array([[state.y]]))[0][0, 0])
         commanded = float(self._driver.step(self._view(station, state.speed, self._acceleration))[0])
         index = int(np.searchsorted(self._ego.time, observation.time - 1e-6))
@@ -123,30 +123,31 @@ class ReferenceEgo:
             seen = {}
             for name, row in rows.items():
                 if others is not None and np.isfinite(others.x[row, k]):
-                    x, y, heading, speed = (
-                        float(v[row, k]) for v in (others.x, others.y, others.heading, others.speed)
-                    )
-                    length, width = self._order.roster[name]
-                    seen[name] = VehicleState(name, x, y, heading, speed, 0.0, length, width, "")
-            self._states.append(seen)
+                    seen[name] = tuple(float(v[row, k]) for v in (others.x, others.y, others.heading, others.speed))
+            self._look(seen)
             station = float(self._paths.locate(ego.x[None, k : k + 1], ego.y[None, k : k + 1])[0][0, 0])
             self._driver.step(self._view(station, float(ego.speed[k]), float(ego.acceleration[k])))
 
-    def _view(self, station: float, speed: float, acceleration: float) -> Any:
+    def _look(self, vehicles: Mapping[str, tuple[float, ...]]) -> None:
+        """Note where the vehicles are in a step: x, y, heading and speed, then station, offset and heading of the path
+        there; those that are not there are NaN."""
+        column: Floats = np.full((4, len(self._names)), np.nan)
+        for row, name in enumerate(self._names):
+            if (state := vehicles.get(name)) is not None:
+                column[:, row] = state
+        located = self._paths.locate(column[0][None], column[1][None])
         keep = max(2, round(MEMORY / self._dt) + 1)
-        self._states = self._states[-keep:]
-        table: Floats = np.full((4, len(self._names), len(self._states)), np.nan)
-        for k, seen in enumerate(self._states):
-            for row, name in enumerate(self._names):
-                if (s := seen.get(name)) is not None:
-                    table[:, row, k] = s.x, s.y, s.heading, s.speed
+        newest = np.concatenate([column, *located])[:, :, None]
+        self._seen = np.concatenate([self._seen[:, :, 1 - keep :], newest], axis=2)
+
+    def _view(self, station: float, speed: float, acceleration: float) -> Any:
         size = np.array([self._order.roster[n] for n in self._names], dtype=np.float64).reshape(-1, 2)
-        x, y, heading, pace = (v[None] for v in table)
+        x, y, heading, pace, there, left, path_heading = (v[None] for v in self._seen)
         boxes = Boxes(x, y, heading, pace, size[None, :, :1], size[None, :, 1:])
         ego = (self._ego.length, self._ego.width)
-        views = Views(self._paths, boxes, ego, self._dt, self._order.lane_half_width)
+        views = Views(boxes, (there, left, path_heading), ego, self._dt, self._order.lane_half_width)
         motion = (np.array([v]) for v in (station, speed, acceleration))
-        return views.at(len(self._states) - 1, *motion)
+        return views.at(self._seen.shape[2] - 1, *motion)
 
 
 def order_of(

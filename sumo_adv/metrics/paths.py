@@ -9,7 +9,7 @@ from sumo_adv.datatypes import Boxes, Floats, Ints
 from sumo_adv.geometry import wrap_below_pi
 
 LEAST_STEP = 1e-6  # m, below it two points of a path are one
-BLOCK = 2_000_000  # pairs of points and path samples that are compared at once
+BLOCK = 30_000  # pairs of points and path samples that are compared at once
 
 
 class EgoPaths:
@@ -24,25 +24,30 @@ class EgoPaths:
 
     def locate(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """Station [m], offset to the left [m] and path heading [rad] of points ``(N, K)``; NaN stays NaN."""
-        n, k = x.shape
-        located = np.full((3, n, k), np.nan)
-        size = max(1, BLOCK // max(1, self._x.shape[1] * n))
-        for first in range(0, k, size):
-            part = slice(first, first + size)
-            located[:, :, part] = self._locate(x[:, part], y[:, part])
-        return located[0], located[1], located[2]
-
-    def _locate(self, x: Floats, y: Floats) -> Floats:
         rows = np.arange(len(x))[:, None]
         there = np.isfinite(x)
         px, py = np.where(there, x, 0.0), np.where(there, y, 0.0)
-        square = (self._x[:, None, :] - px[:, :, None]) ** 2 + (self._y[:, None, :] - py[:, :, None]) ** 2
-        nearest = square.argmin(axis=-1)
+        nearest = self._nearest(px, py)
         best = self._on_segment(rows, self._onward[rows, np.minimum(nearest, self._x.shape[1] - 2)], px, py)
         before = self._on_segment(rows, self._back[rows, np.maximum(nearest - 1, 0)], px, py)
         nearer = before[3] < best[3] - 1e-12
-        located = np.where(nearer, before[:3], best[:3])
-        return np.where(there, located, np.nan)
+        station, left, heading = np.where(there, np.where(nearer, before[:3], best[:3]), np.nan)
+        return station, left, heading
+
+    def _nearest(self, x: Floats, y: Floats) -> Ints:
+        """The index of the path's point that is nearest to each of the points ``(N, K)``; row by row and in parts,
+        because the squares of a part stay in the processor's cache."""
+        nearest = np.empty(x.shape, np.intp)
+        size = max(1, BLOCK // max(1, self._x.shape[1]))
+        for row in range(len(x)):
+            for first in range(0, x.shape[1], size):
+                part = slice(first, first + size)
+                square, dy = (np.subtract.outer(p[row, part], path[row]) for p, path in ((x, self._x), (y, self._y)))
+                square *= square
+                dy *= dy
+                square += dy
+                nearest[row, part] = square.argmin(axis=1)
+        return nearest
 
     def _on_segment(self, rows: Ints, i: Ints, x: Floats, y: Floats) -> Floats:
         """Station, offset, heading and squared distance of points seen from the path's segments ``i``."""

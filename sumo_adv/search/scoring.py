@@ -8,9 +8,9 @@ and rear-ends follow in this order.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -113,11 +113,9 @@ def _look_at(
     end_time, at_contact = _ends(ego, adversary, last, hit, time)
     judged = (time > 0) & (time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
     third, leaves, beyond = np.zeros((3, len(proposals)), bool)
+    bvs = [p.bvs for p in proposals]
     for each in driven:
-        for delay in dict.fromkeys(p.delay for p in proposals):
-            rows = np.array([k for k, p in enumerate(proposals) if p.delay == delay])
-            there = [proposals[k].bvs for k in rows.tolist()]
-            third[rows] |= _third_party(situations[delay], there, some_rows(each.boxes, rows), time, end_time[rows])
+        third |= _third_party(begun, bvs, each.boxes, time, end_time)
         bound = judged & ~unprotected(each.boxes.length, each.boxes.width)  # to the carriageway
         leaves |= _leaves_road(each.boxes, bound, drivable)
         beyond |= _beyond_limits(each.boxes, each.before, time, judged, limits)
@@ -251,34 +249,64 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any
 
 
 def _third_party(
-    situation: Situation, bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
+    begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
     """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it.
 
-    bvs: all adversaries of a row, which are no third parties.
+    begun: the situation of each row; bvs: all adversaries of a row, which are no third parties.
     """
-    tracks = situation.traffic.others
-    touched = np.zeros(len(bvs), bool)
-    if not tracks:
+    touched, driven, when = np.zeros(len(bvs), bool), slice(1, None), time[1:]
+    pairs = [
+        _near_others(situation, begun, bvs, adversary, time, end) for situation in {id(s): s for s in begun}.values()
+    ]
+    rows, reacts = np.concatenate([p.rows for p in pairs]), np.concatenate([p.reacts for p in pairs])
+    if not len(rows):
         return touched
-    around, driven = on_grid(tracks, np.asarray(situation.time + time)), slice(1, None)
-    adversaries, vehicles, when = some_steps(adversary, driven), some_steps(around, driven), time[driven]
-    rows, others = near_pairs(adversaries, vehicles, when, end)
-    ids = np.array([t.id for t in tracks])[others]
-    is_other = np.all([ids != np.array(rank)[rows] for rank in zip(*bvs, strict=True)], axis=0)
-    rows, others = rows[is_other], others[is_other]
-    meets = third_party(some_rows(adversaries, rows), some_rows(vehicles, others), when, end[rows])
-    rows, others = rows[meets], others[meets]
-    reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks])[others]
-    touched[rows[~reacts]] = True
-    rows, others = rows[reacts], others[reacts]
-    if len(rows):
+    around = _joined([p.vehicles for p in pairs])
+    meets = third_party(some_steps(some_rows(adversary, rows), driven), some_steps(around, driven), when, end[rows])
+    touched[rows[meets & ~reacts]] = True
+    brake = np.flatnonzero(meets & reacts)
+    if len(brake):
+        rows, situation = rows[brake], begun[0]
         steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
         adversaries = some_steps(some_rows(adversary, rows), steps)
-        braked = braking(some_rows(around, others), adversaries, situation.road.lane_width, situation.dt)
+        braked = braking(some_rows(around, brake), adversaries, situation.road.lane_width, situation.dt)
         meets = third_party(some_steps(adversaries, driven), some_steps(braked, driven), time[steps][driven], end[rows])
         touched[rows[meets]] = True
     return touched
+
+
+class _Near(NamedTuple):
+    """Pairs of an adversary and another vehicle that may touch: the adversary's row, the other vehicle's motion
+    ``(pairs, steps)``, and whether it reacts."""
+
+    rows: Ints
+    vehicles: Boxes
+    reacts: Bools
+
+
+def _near_others(
+    situation: Situation, begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats,
+    end: Floats,
+) -> _Near:  # fmt: skip
+    """The pairs of the rows that begin in a situation."""
+    own = np.flatnonzero([s is situation for s in begun])
+    tracks, driven = situation.traffic.others, slice(1, None)
+    around = on_grid(tracks, np.asarray(situation.time + time))
+    rows, others = near_pairs(
+        some_steps(some_rows(adversary, own), driven), some_steps(around, driven), time[driven], end[own]
+    )
+    rows = own[rows]
+    ids, ranks = np.array([t.id for t in tracks])[others], zip(*bvs, strict=True)
+    is_other = np.all([ids != np.array(rank)[rows] for rank in ranks], axis=0)
+    rows, others = rows[is_other], others[is_other]
+    reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks], bool)[others]
+    return _Near(rows, some_rows(around, others), reacts)
+
+
+def _joined(boxes: Sequence[Boxes]) -> Boxes:
+    """The rows of several boxes ``(n, steps)`` with sizes ``(n, 1)``."""
+    return Boxes(*(np.concatenate([getattr(b, f.name) for b in boxes]) for f in fields(Boxes)))
 
 
 def _leaves_road(adversary: Boxes, judged: Bools, drivable: Drivable) -> Bools:

@@ -29,7 +29,7 @@ from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.manoeuvre import escapes
-from sumo_adv.metrics.reference.view import Views
+from sumo_adv.metrics.reference.view import Views, located_on
 from sumo_adv.metrics.sight import seen
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
@@ -91,7 +91,8 @@ class Counterfactual:
     def views(self) -> Views:
         """What drivers see."""
         visible = self._everybody(seen(self.ego, self.adversary, self.others))
-        return Views(self.paths, visible, self._ego_size(), self.given.dt, self.given.lane_half_width)
+        located = located_on(self.paths, visible)
+        return Views(visible, located, self._ego_size(), self.given.dt, self.given.lane_half_width)
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
@@ -108,24 +109,19 @@ class Counterfactual:
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
-        rows = np.flatnonzero(np.isfinite(alarm))
+        alarmed = np.isfinite(alarm)
         best = np.full(len(alarm), -1)
-        contact = np.where(np.isfinite(alarm), np.inf, self.unchanged().contact)
-        for row in rows.tolist():
-            index = np.array([round(float(alarm[row]) / self.given.dt)])
-            steps = int(self._until[row]) - int(index[0])
-            if steps < 2:
-                contact[row] = 0.0
-                continue
-            poses, clear = escapes(
-                _row(self.ego, row), _row(self.adversary, row), index, steps, self.given.dt, on_road
-            )  # fmt: skip
-            good = np.flatnonzero(clear[:, 0])
-            good = good[self._clear_of_others(poses, good, row, int(index[0]))]
-            if len(good):
-                best[row] = int(good[0])
-            else:
-                contact[row] = 0.0
+        contact = np.where(alarmed, 0.0, np.inf) if alarmed.all() else np.where(alarmed, 0.0, self.unchanged().contact)
+        first = np.round(np.where(alarmed, alarm, 0.0) / self.given.dt).astype(np.intp)
+        rows = np.flatnonzero(alarmed & (self._until - first >= 2))
+        if len(rows):
+            ego, adversary = _rows(self.ego, rows), _rows(self.adversary, rows)
+            poses, clear = escapes(ego, adversary, first[rows], self._until[rows] - first[rows], self.given.dt, on_road)
+            for place, row in enumerate(rows.tolist()):
+                good = np.flatnonzero(clear[:, place])
+                good = good[self._clear_of_others(poses, good, row, place, int(first[row]))]
+                if len(good):
+                    best[row], contact[row] = int(good[0]), np.inf
         return Answer(best >= 0, alarm, contact), best
 
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
@@ -165,31 +161,28 @@ class Counterfactual:
         when = first_contact(wide, self._everybody(), self.time)
         first, last = (steps[:, None] * self.given.dt for steps in (self.given.start, self._until))
         when = np.where((when >= first - 1e-9) & (when <= last + 1e-9), when, np.inf)
-        rows, cols = np.nonzero(np.isfinite(when))
-        for i, j in zip(rows, cols, strict=True):
-            k = min(int(np.floor(when[i, j] / self.given.dt + 1e-9)), self.steps - 1)
-            there, left = self.views.lateral(k)
-            behind = there[i, j] < station[i, k] and abs(left[i, j]) < self.given.lane_half_width
-            view = self.views.at(k, station[:, k], ego.speed[:, k], 0.0 * station[:, k])
-            same = abs(view.heading[i, j]) < SAME_DIRECTION
-            if behind and same:
-                when[i, j] = np.inf
+        rows, columns = pairs = np.nonzero(np.isfinite(when))
+        if len(rows):
+            k = np.minimum(np.floor(when[pairs] / self.given.dt + 1e-9).astype(np.intp), self.steps - 1)
+            there, left, heading = self.views.place(rows, columns, k)
+            behind = (there < station[rows, k]) & (np.abs(left) < self.given.lane_half_width)
+            when[pairs] = np.where(behind & (np.abs(heading) < SAME_DIRECTION), np.inf, when[pairs])
         return np.asarray(when.min(axis=1))
 
-    def _clear_of_others(self, poses: Boxes, which: Ints, row: int, first: int) -> Bools:
-        """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane."""
+    def _clear_of_others(self, poses: Boxes, which: Ints, row: int, place: int, first: int) -> Bools:
+        """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane; the row's
+        poses stand at ``place``."""
         if self.others is None or not len(which) or not self.others.x.shape[1]:
             return np.ones(len(which), bool)
         o = self.others
-        part = slice(first, first + poses.x.shape[-1])
+        part, steps = slice(first, int(self._until[row]) + 1), slice(int(self._until[row]) + 1 - first)
         there_x, there_y, turned, pace = (v[row][:, part] for v in (o.x, o.y, o.heading, o.speed))
         near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
-        x, y, heading, speed = (v[which, 0][:, None, :] for v in (poses.x, poses.y, poses.heading, poses.speed))
-        ego = Boxes(x, y, heading, speed, float(np.ravel(poses.length)[0]), float(np.ravel(poses.width)[0]))
-        there, left = self.views.lateral(first)
-        behind = (there[row, 1:] < self.paths.station[row, first]) & (
-            np.abs(left[row, 1:]) < self.given.lane_half_width
-        )
+        x, y, heading, speed = (v[which, place][:, None, steps] for v in (poses.x, poses.y, poses.heading, poses.speed))
+        ego = Boxes(x, y, heading, speed, *self._ego_size())
+        others = np.arange(1, self.others.x.shape[1] + 1)
+        there, left, _ = self.views.place(row, others, first)
+        behind = (there < self.paths.station[row, first]) & (np.abs(left) < self.given.lane_half_width)
         return np.asarray(~(touches(ego, near) & ~behind[None, :]).any(axis=1))
 
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
@@ -231,10 +224,10 @@ def _size(value: Floats | float, n: int) -> Floats:
     return np.broadcast_to(np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1)), (n, 1, 1))
 
 
-def _row(b: Boxes, row: int) -> Boxes:
-    length, width = (float(np.ravel(v)[min(row, np.size(v) - 1)]) for v in (b.length, b.width))
-    k = slice(row, row + 1)
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width)
+def _rows(b: Boxes, rows: Ints) -> Boxes:
+    """Some of the rows, with sizes ``(n, 1)``."""
+    size = [np.broadcast_to(np.reshape(v, (-1, 1)), (len(b.x), 1))[rows] for v in (b.length, b.width)]
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
 
 
 def _cut(b: Boxes, last: Ints, dt: float) -> Boxes:

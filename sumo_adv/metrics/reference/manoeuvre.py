@@ -8,6 +8,8 @@ a peak of 4.5 m/s2, with at most 6 m/s2 of braking) must touch no vehicle and st
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Ints
@@ -45,12 +47,14 @@ def _boxes(poses: Poses, own: Boxes, dt: float) -> Boxes:
 
 
 def escapes(
-    ego: Boxes, adversary: Boxes, alarm: Ints, steps: int, dt: float, on_road: OnRoad | None = None
+    ego: Boxes, adversary: Boxes, alarm: Ints, steps: Ints, dt: float, on_road: OnRoad | None = None
 ) -> tuple[Boxes, Bools]:
-    """The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept) and stay on the road,
-    ``(len(TABLE), N)``."""
-    own, poses = manoeuvre_poses(ego, alarm, steps, dt)
-    foe = window(adversary, alarm, steps, dt)
+    """The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept) within ``steps``
+    ``(N,)`` after the alarm and stay on the road, ``(len(TABLE), N)``."""
+    longest = int(steps.max())
+    own, poses = manoeuvre_poses(ego, alarm, longest, dt)
+    foe = window(adversary, alarm, longest, dt)
+    foe = replace(foe, x=np.where(np.arange(longest + 1) > steps[:, None], np.nan, foe.x))  # absent afterwards
     clear = ~touches(poses, foe)
     if on_road is not None:
         flat = Poses(poses.x, poses.y, np.cos(poses.heading), np.sin(poses.heading))

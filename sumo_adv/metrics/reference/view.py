@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,16 +64,24 @@ class View(NamedTuple):
         return self.side_gap <= 0.0
 
 
+def located_on(paths: EgoPaths, others: Boxes) -> tuple[Floats, Floats, Floats]:
+    """Stations [m], offsets [m] and path headings [rad] of vehicles ``(N, M, T)`` on the paths of N egos."""
+    n, m, steps = others.x.shape
+    located = paths.locate(*(v.reshape((n, m * steps)) for v in (others.x, others.y)))
+    station, left, heading = (v.reshape(others.x.shape) for v in located)
+    return station, left, heading
+
+
 class Views:
     """The views of all steps: M vehicles ``(N, M, T)`` seen from N egos that are on their paths."""
 
     def __init__(
-        self, paths: EgoPaths, others: Boxes, ego_size: tuple[float, float], dt: float, lane_half_width: float
-    ) -> None:
+        self, others: Boxes, located: tuple[Floats, Floats, Floats], ego_size: tuple[float, float], dt: float,
+        lane_half_width: float,
+    ) -> None:  # fmt: skip
+        """``located``: what ``located_on`` says of the others."""
         n, m, steps = others.x.shape
-        flat = (n, m * steps)
-        located = paths.locate(others.x.reshape(flat), others.y.reshape(flat))
-        station, left, path_heading = (v.reshape(others.x.shape) for v in located)
+        station, left, path_heading = located
         self._station, self._left = station, left
         self._heading = wrap_below_pi(others.heading - path_heading)
         self._length = np.broadcast_to(np.asarray(others.length, float), (n, m, 1))[..., 0]
@@ -97,7 +105,7 @@ class Views:
             _known((turned - turned[..., before]) / span),
         )  # fmt: skip
         # what does not depend on the ego's motion, by step
-        self._steps = [np.ascontiguousarray(np.moveaxis(values, -1, 0)) for values in by_vehicle]
+        self._steps = [np.ascontiguousarray(values.transpose(2, 0, 1)) for values in by_vehicle]
         self._size, self._half = ego_size, lane_half_width
 
     def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
@@ -119,9 +127,12 @@ class Views:
         ahead = self._station > ego_station[:, None, :]
         return np.asarray(ahead & (np.abs(self._left) < self._half) & (np.abs(self._heading) < SAME_DIRECTION))
 
-    def lateral(self, step: int) -> tuple[Floats, Floats]:
-        """Station and offset of all vehicles in a step, ``(N, M)``."""
-        return self._station[..., step], self._left[..., step]
+    def place(self, row: Any, vehicle: Any, step: Any) -> tuple[Floats, Floats, Floats]:
+        """Station and offset [m] of vehicles in steps, and their heading against the path's there [rad], 0 if they are
+        absent; indices of one shape."""
+        k = (row, vehicle, step)
+        heading = self._heading[k]
+        return self._station[k], self._left[k], np.where(np.isfinite(self._station[k]), heading, 0.0)
 
 
 def _change(values: Floats, dt: float) -> Floats:
