@@ -41,7 +41,8 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.report.folder import staged, write_run
+from sumo_adv.report.folder import write_run
+from sumo_adv.report.staging import staged
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 

@@ -152,7 +152,7 @@ def run(
     from sumo_adv.config import load_settings
     from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
-    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.staging import staged
 
     given = load(Path(source), record)
     options = {name: value for name, value in settings.items() if value is not None}
@@ -166,6 +166,8 @@ def run(
     try:
         with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
             episode = play(given, chosen, folder.stage, Path(scratch), tell or (lambda *_: None), ego=packed)
+            from sumo_adv.report.folder import write_run
+
             write_run(folder, episode)
             folder.keep(force=force)
     except BaseException:

@@ -200,8 +200,10 @@ def play(
     with new_engine() as engine:  # first: it loads its modules while this process loads others
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
+        from sumo_adv.report.figure import load_matplotlib
         from sumo_adv.report.outcome import MODEL_FILE
 
+        load_matplotlib()
         task = replace(make_task(given, settings, scratch), ego_given=ego)
         with (
             open_for_run(settings) as bank,
@@ -298,8 +300,9 @@ def _without_main() -> Iterator[None]:
 def batch_parts() -> BatchParts:
     """The functions that a batch's workers need."""
     from sumo_adv.campaigns.nouns import Parts
-    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
+    from sumo_adv.report.staging import staged
 
     return Parts(load, record_contents, open_agents, make_similarity, staged, write_run, MODEL_FILE)
 
@@ -326,7 +329,7 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
     from sumo_adv.campaigns.pack import unpack
     from sumo_adv.files import sentences
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
     from sumo_adv.report.states_parquet import write_states_parquet
 
     def runs() -> Iterator[tuple[str, Path]]:
@@ -386,8 +389,9 @@ def full_outcome(episode: Episode) -> dict[str, Any]:
 
 def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:
     """Write the whole folder of a run, with the file of a model's ``exchanges``. Raises UsageError."""
-    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
+    from sumo_adv.report.staging import staged
 
     with staged(target, force=True) as folder:
         write_run(folder, episode)
@@ -401,7 +405,8 @@ def draw_example(target: Path, episode: Episode) -> None:
     from sumo_adv.files import sentences
     from sumo_adv.report.figures.paper import draw_paper, save
     from sumo_adv.report.figures.story import read_story
-    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.folder import write_run
+    from sumo_adv.report.staging import staged
 
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch, sentences(target):
         with staged(Path(scratch) / "run", force=False) as folder:

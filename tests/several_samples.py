@@ -14,8 +14,9 @@ import sumo_adv.app as app
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Duty, Proposal
 from sumo_adv.episode.task import make_task
-from sumo_adv.report.folder import staged, write_run
+from sumo_adv.report.folder import write_run
 from sumo_adv.report.manifest import Recorded
+from sumo_adv.report.staging import staged
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 INPUT, COLLIDER, SUPPORT = "neighbour_ahead_left", "left_ahead", "right_behind"

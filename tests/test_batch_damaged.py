@@ -17,7 +17,7 @@ from sumo_adv.campaigns.pack import packed_rows, packed_texts, unpack
 from sumo_adv.campaigns.results import read_row
 from sumo_adv.campaigns.store import open_store
 from sumo_adv.errors import UsageError
-from sumo_adv.report.folder import staged
+from sumo_adv.report.staging import staged
 
 ONE = ("batch", "motorway_cut_in_left", "--seeds", "6", *QUICK, "--out", "out", "--json")
 DEEP = "[" * 100_000

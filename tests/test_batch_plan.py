@@ -27,7 +27,7 @@ from sumo_adv.memory.composition_record import Composition, Part
 from sumo_adv.memory.compositions import compositions
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
 from sumo_adv.planners.source import make_planner
-from sumo_adv.report.folder import staged
+from sumo_adv.report.staging import staged
 from sumo_adv.womd.reader import choice_of, find_record
 
 SCENARIOS = ROOT / "scenarios"

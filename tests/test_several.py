@@ -37,8 +37,9 @@ from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.source import make_planner
-from sumo_adv.report.folder import staged, write_run
+from sumo_adv.report.folder import write_run
 from sumo_adv.report.manifest import Recorded, read_manifest
+from sumo_adv.report.staging import staged
 from sumo_adv.search.composed_attacks import named
 from sumo_adv.search.escapes import against, observed_escape
 from sumo_adv.search.rollouts import predict

@@ -25,8 +25,9 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.report.folder import staged, write_run
+from sumo_adv.report.folder import write_run
 from sumo_adv.report.manifest import read_manifest
+from sumo_adv.report.staging import staged
 from sumo_adv.report.tables import SERIES_HEADER, series_rows
 from sumo_adv.report.verdicts import demand_sigmas, edge_distance, figures, judge_best, realism_figures
 from sumo_adv.simulation.engine import Engine

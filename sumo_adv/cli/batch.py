@@ -230,7 +230,7 @@ def pack(
 
     from sumo_adv.campaigns.pack import pack as pack_runs
     from sumo_adv.campaigns.store import open_store
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
 
     _check(folder)
     with open_store(folder, staged):
@@ -252,7 +252,7 @@ def unpack(
     """Put packed runs into folders again; the packs stay."""
     from sumo_adv.campaigns.pack import unpack as unpack_runs
     from sumo_adv.files import sentences
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
 
     _check(folder)
     target = into or folder / "unpacked"

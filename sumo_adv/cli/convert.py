@@ -80,7 +80,7 @@ def _fault(record: str, error: Exception) -> str:
 
 def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:
     """Put one record's folder in its place; its report and folder."""
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
     from sumo_adv.womd.convert import REPORT, conversion
 
     with staged(out / record.scenario_id, force=force, marker=REPORT) as folder:

@@ -24,7 +24,7 @@ def import_fcd(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier import.")] = False,
 ) -> None:
     """Make a scenario of floating car data: run it with any ego; the other vehicles become SUMO's, or stay recorded."""
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
     from sumo_adv.simulation.fcd_scenario import SCENARIO, write_scenario
     from sumo_adv.simulation.scan import scan_network
 

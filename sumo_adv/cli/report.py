@@ -117,7 +117,7 @@ def _packs(folder: Path) -> Packs:
     if not (folder / "packs").is_dir():
         return Packs()
     from sumo_adv.campaigns.pack import packed_texts, unpack
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
 
     return Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
 

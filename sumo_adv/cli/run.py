@@ -18,7 +18,7 @@ from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
-    from sumo_adv.report.folder import RunFolder
+    from sumo_adv.report.staging import RunFolder
     from sumo_adv.simulation.inputs import RunInput
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
@@ -77,7 +77,7 @@ def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> Non
 def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import make_reporter
-    from sumo_adv.report.folder import staged
+    from sumo_adv.report.staging import staged
 
     reporter = make_reporter(quiet=as_json)
     with (
@@ -122,8 +122,8 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
 
 def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
     from sumo_adv.drivers.registry import trusted_driver
-    from sumo_adv.report.folder import staged
     from sumo_adv.report.manifest import read_manifest
+    from sumo_adv.report.staging import staged
 
     recorded = read_manifest(source)
     driver = recorded.task.ego_driver

@@ -48,7 +48,8 @@ def note(target: Path, given: Any, settings: Settings, options: Options, summary
 
 def folder_writer(target: Path) -> Any:
     """Writes one encounter's folder whole; inputs that several have are on the disk once."""
-    from sumo_adv.report.folder import staged, write_run
+    from sumo_adv.report.folder import write_run
+    from sumo_adv.report.staging import staged
 
     def write(episode: Any, number: int) -> dict[str, Any]:
         with staged(target / f"encounter-{number:04d}", force=False) as folder:

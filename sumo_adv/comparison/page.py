@@ -17,9 +17,9 @@ from sumo_adv.comparison.markdown import HOW, notes, rows, to_markdown, words
 from sumo_adv.comparison.side import Compared
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
-from sumo_adv.report.folder import staged
 from sumo_adv.report.page.document import write_document
 from sumo_adv.report.page.make import page_of
+from sumo_adv.report.staging import staged
 
 PAGE = "compare.html"
 HEAD = """<!DOCTYPE html>

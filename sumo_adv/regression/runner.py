@@ -29,7 +29,8 @@ from sumo_adv.metrics.ego_contacts import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.case import Case, read_case
 from sumo_adv.regression.measured import Measured
-from sumo_adv.report.folder import all_sizes, staged, write_run
+from sumo_adv.report.folder import all_sizes, write_run
+from sumo_adv.report.staging import staged
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.recording import tracks_of
 

@@ -27,8 +27,8 @@ from sumo_adv.files import json_text, sentences, write_text
 from sumo_adv.regression.case import Case, needs_baseline
 from sumo_adv.regression.measured import UNTESTED, Judged, Measured, Result, judged, measured_of
 from sumo_adv.regression.runner import CaseJob, CaseRunner, Setup
-from sumo_adv.report.folder import staged
 from sumo_adv.report.outcome import versions
+from sumo_adv.report.staging import staged
 
 SCHEMA = 1
 RESULTS = "regress.json"

@@ -39,6 +39,15 @@ MARGIN = 12.0  # m around the action
 BEFORE = 1.0  # s, shown before the trigger
 
 
+def load_matplotlib() -> None:
+    """Load what pictures need, which takes 0.3 s: before it is needed, while there is nothing else to do."""
+    import matplotlib.backends.backend_agg
+    import matplotlib.collections
+    import matplotlib.figure
+    import matplotlib.lines
+    import matplotlib.patches  # noqa: F401
+
+
 def draw_encounter(
     target: Path,
     *,

@@ -12,7 +12,7 @@ from sumo_adv.report.export.openscenario import SCENARIO, write_openscenario
 from sumo_adv.report.export.piece import Piece
 from sumo_adv.report.export.replay import CONFIGURATION, write_replay
 from sumo_adv.report.export.table import table
-from sumo_adv.report.folder import staged
+from sumo_adv.report.staging import staged
 from sumo_adv.report.tables import write_gzip
 from sumo_adv.simulation.programs import find_netconvert
 
