@@ -27,7 +27,7 @@ from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import SimulationSpec
 
-BOUNDS = {"step": 1.5, "getter": 2.5}  # gate over native, at most
+BOUNDS = {"step": 1.5, "getter": 3.5}  # gate over native, at most
 SPEED, SPACING, START = 25.0, 45.0, 40.0  # m/s; m between vehicles of a lane; m from the road's begin to the last
 CLIENT = """\
 import statistics, sys, time, traci
