@@ -114,6 +114,19 @@ def _run(words: Sequence[str]) -> None:
         raise SystemExit(status)
 
 
+def _about(revision: str, table: Table, suites: Sequence[str], attempts: int) -> str:
+    """What stands above a table: the revision, and the command that makes it again."""
+    with_model = any(row.startswith("llm") for row in table.rows)
+    answers = "recorded answers of a language model" if with_model else "no language model"
+    several = len(suites) > 1
+    typed = shlex.join(["sumo-adv", *command(table, ["FILE"] if several else suites, attempts)])
+    note = f" FILE ...: {len(suites)} encounters, listed in `benchmarks/results.toml`." if several else ""
+    if several and table.every > 1:
+        note = f" FILE ...: one in {table.every} of the files of `suites/{table.suite}`, {len(suites)} in all."
+    typed = typed.replace("--suite FILE", "--suite FILE ...")
+    return f"Revision {revision}, seed 0, {answers}.{note}\n\n<!-- not run: make results runs it -->\n\n    {typed}"
+
+
 def markdown(table: Table, file: Path) -> str:
     """The chosen columns of a bench's table.csv, with intervals; below them the paper's figures."""
     with file.open(newline="", encoding="utf-8") as opened:
@@ -143,7 +156,8 @@ def _differences(table: Table, figures: Mapping[tuple[str, str, str], Mapping[st
         entries = {key: figures.get((ego, row, key)) for key in PAIRED}
         shown = [f"{key} {_difference(entry)}" for key, entry in entries.items() if entry and entry["difference"]]
         if shown:
-            sentences.append(f"`{row}` {', '.join(shown)}")
+            against = f"{ego}, " if len(table.egos) > 1 else ""
+            sentences.append(f"{against}`{row}` {', '.join(shown)}")
     return sentences
 
 
@@ -213,12 +227,7 @@ def main() -> None:
         made = [made_suite(spec, folder) for spec in specs]
         _run([*command(measured, made, attempts), *workers, "--out", str(cells)])
         shown = [given.suite] if given.suite else ["womd:RECORDS" if s == RECORDS else s for s in own]
-        typed = shlex.join(
-            ["sumo-adv", *command(measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)]
-        )
-        with_model = any(row.startswith("llm") for row in table.rows)
-        answers = "recorded answers of a language model" if with_model else "no language model"
-        about = f"Revision {name}, seed 0, {answers}.\n\n<!-- not run: make results runs it -->\n\n    {typed}"
+        about = _about(name, measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)
         text = put(
             page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"
         )
