@@ -36,7 +36,7 @@ from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import SimulationSpec
 
-BOUNDS = {20: 2.5, 100: 2.0}  # vehicles -> whole loop over bare stepping, at most
+BOUNDS = {20: 8.0, 100: 2.2}  # vehicles -> whole loop with the verdict of its collision over bare stepping, at most
 TRIGGER = 3.0  # s
 SPEED, SPACING, START = 25.0, 45.0, 40.0  # m/s; m between vehicles of a lane; m from the road's begin to the last
 EGO_LANE, ADVERSARY_LANE = 1, 2

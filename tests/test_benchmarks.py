@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 from cli_samples import ROOT, Program
 from womd_samples import four_way, merge, straight, write
 
@@ -78,9 +79,14 @@ def test_batch_scaling_compares_ways_of_the_same_episodes(program: Program) -> N
         assert figures is not None, row
         low, middle, high, steady, cores = map(float, figures.groups())
         assert 50.0 < low == middle == high < 60_000.0 and 10.0 < steady < 4 * high and 0.1 < cores < 1000.0
-    assert re.fullmatch(r"two over one: [\d.]+ times as fast \(bound 1\.8\)", rows[4])
-    assert re.fullmatch(r"apart over one: [\d.]+ times as fast \(what this machine gives\)", rows[5])
-    assert re.fullmatch(r"one over the warm loop: [-+][\d.]+ % an episode \(bound 10 %\)", rows[6])
+    two, apart = (
+        re.fullmatch(rf"{n} over one: ([\d.]+) times as fast", row)
+        for n, row in zip(("two", "apart"), rows[4:6], strict=True)
+    )
+    share = re.fullmatch(r"two over apart: ([\d.]+) \(bound 0\.9\)", rows[6])
+    assert two is not None and apart is not None and share is not None
+    assert float(share[1]) == pytest.approx(float(two[1]) / float(apart[1]), abs=0.05)
+    assert re.fullmatch(r"one over the warm loop: [-+][\d.]+ % an episode \(bound 10 %\)", rows[7])
 
 
 def test_womd_prints_totals_and_targets(program: Program) -> None:
