@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sumo_adv.womd.record import Record
 
 TABLE_WIDTH = 125  # characters
-EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out scenarios/waymo"
+EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out waymo"
 
 
 def convert(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-EXAMPLE = "Example: sumo-adv import fcd.xml --network town.net.xml --ego 17 --out scenarios/recorded"
+EXAMPLE = "Example: sumo-adv import fcd.xml --network town.net.xml --ego 17 --out recorded"
 
 
 def import_fcd(

@@ -44,8 +44,8 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
 
 def counts(c: Composition) -> str:
     """How often a composition succeeded and failed."""
-    forgotten = "; forgotten" if c.hopeless else ""
-    return f"{c.succeeded} attempt{'s' * (c.succeeded != 1)} succeeded, {c.failed} failed since the last success{forgotten}"
+    attempts, forgotten = "attempt" if c.succeeded == 1 else "attempts", "; forgotten" if c.hopeless else ""
+    return f"{c.succeeded} {attempts} succeeded, {c.failed} failed since the last success{forgotten}"
 
 
 @app.command("show", epilog="Example: sumo-adv memory show 'Straight Lane Shift'")

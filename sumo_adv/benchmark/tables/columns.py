@@ -18,7 +18,7 @@ from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
 UNSEEN = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
-CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --ttc
+CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --critical-ttc
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
 SECTIONS = ("Verdicts", "Why not", "Min TTC", "Attempts", "Modification", "Realism", "Cost", "Margin")
 
@@ -197,7 +197,7 @@ COLUMNS: tuple[Column, ...] = (
            of=_verdict("strict")),
     Column("serious", "serious", "Verdicts", "strict, driven as a person could, delta-v of the ego at least 5 mph",
            of=_level("serious")),
-    Column("critical", "critical", "Verdicts", "min TTC at or below --ttc, a collision included",
+    Column("critical", "critical", "Verdicts", "min TTC at or below --critical-ttc, a collision included",
            of=_verdict("critical"), raw=True),
     Column("unavoidable", "unavoidable", "Why not", "a collision that nothing avoids",
            of=lambda cell: c.counted(cell).get("avoidable") == "unavoidable"),
