@@ -152,7 +152,7 @@ def run(
     from sumo_adv.config import load_settings
     from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
-    from sumo_adv.report.staging import staged
+    from sumo_adv.report.staging import scratch_folder, staged
 
     given = load(Path(source), record)
     options = {name: value for name, value in settings.items() if value is not None}
@@ -164,8 +164,8 @@ def run(
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
-        with staged(target, force=force) as folder, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-            episode = play(given, chosen, folder.stage, Path(scratch), tell or (lambda *_: None), ego=packed)
+        with staged(target, force=force) as folder, scratch_folder() as scratch:
+            episode = play(given, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
             from sumo_adv.report.folder import write_run
 
             write_run(folder, episode)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,17 +76,17 @@ def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> Non
 def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
     from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import make_reporter
-    from sumo_adv.report.staging import staged
+    from sumo_adv.report.staging import scratch_folder, staged
 
     reporter = make_reporter(quiet=as_json)
     with (
         Interrupts() as interrupts,
         staged(target, force=force) as folder,
-        tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+        scratch_folder() as scratch,
     ):
         tell = interrupts.checked(reporter.tell)
         with reporter:
-            episode = app.play(source, settings, folder.stage, Path(scratch), tell, interrupts.hold)
+            episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
         finish(folder, episode, force=force, as_json=as_json)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import cache
@@ -144,6 +143,7 @@ def _serve(
     from sumo_adv.cli.serve_folder import claim, folder_writer, note
     from sumo_adv.cli.serve_progress import make_terminal
     from sumo_adv.report.outcome import MODEL_FILE
+    from sumo_adv.report.staging import scratch_folder
     from sumo_adv.serve.events import EventFile, Events, Status
     from sumo_adv.serve.result_writer import ResultWriter
     from sumo_adv.serve.server import Server, ServerDependencies
@@ -151,7 +151,7 @@ def _serve(
 
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
-        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        scratch = stack.enter_context(scratch_folder())
         task_for = _tasks(given, settings, scratch)
         road = read_network(task_for(0).spec.network)
         bank = stack.enter_context(app.open_for_run(settings))

@@ -1,10 +1,11 @@
-"""A folder of files that is there whole, or not at all: it is written beside its place and then moved there."""
+"""Folders that are there whole, or not at all: written beside their place and then moved there; and scratch folders."""
 
 from __future__ import annotations
 
 import errno
 import secrets
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +57,17 @@ def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Itera
             for parent in made:
                 if parent.exists() and not any(parent.iterdir()):
                     parent.rmdir()
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A folder for files that are only needed meanwhile. Its name is known before it is there, in case of a Ctrl-C."""
+    folder = Path(tempfile.gettempdir()) / f"sumo_adv-{secrets.token_hex(4)}"
+    try:
+        folder.mkdir(mode=0o700)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _sentence(error: OSError, target: Path) -> SumoAdvError:
