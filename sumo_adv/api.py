@@ -166,7 +166,7 @@ def run(
     try:
         with staged(target, force=force) as folder, scratch_folder() as scratch:
             episode = play(given, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
-            from sumo_adv.report.folder import write_run
+            from sumo_adv.report.folder import write_run  # here, since loading it would keep the engine waiting
 
             write_run(folder, episode)
             folder.keep(force=force)

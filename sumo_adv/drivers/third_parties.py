@@ -19,14 +19,14 @@ COARSE = 6  # steps between the samples of a motion that are compared first; the
 SLOWER = 0.05  # m/s below the unattacked speed, from which on the third party follows the adversary
 
 
-def braking(others: Boxes, adversary: Boxes, lane_width: float, dt: float) -> Boxes:
+def braking(others: Boxes, adversary: Boxes, lane_width: Floats | float, dt: float) -> Boxes:
     """The motion of each third party when it brakes for the adversary, ``(n, t)``.
 
     Third parties keep their ways, and are never ahead of their unattacked motion.
 
     others, adversary: ``(n, T)`` and ``(n, t)`` states at steps of ``dt`` [s] from the same moment, t <= T; sizes
-    ``(n, 1)``. ``others``: the unattacked motion, NaN while a third party is absent. ``lane_width`` [m]: the adversary
-    is in the third party's lane if its front's centre is.
+    ``(n, 1)``. ``others``: the unattacked motion, NaN while a third party is absent. ``lane_width`` [m], one or
+    ``(n, 1)``: the adversary is in the third party's lane if its front's centre is.
     """
     x, y, heading, present = _filled(others)
     step = np.hypot(np.diff(x, axis=1), np.diff(y, axis=1))

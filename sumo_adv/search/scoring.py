@@ -267,10 +267,11 @@ def _third_party(
     touched[rows[meets & ~reacts]] = True
     brake = np.flatnonzero(meets & reacts)
     if len(brake):
-        rows, situation = rows[brake], begun[0]
+        rows, dt = rows[brake], begun[0].dt
+        lanes = np.array([begun[row].road.lane_width for row in rows.tolist()])
         steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
         adversaries = some_steps(some_rows(adversary, rows), steps)
-        braked = braking(some_rows(around, brake), adversaries, situation.road.lane_width, situation.dt)
+        braked = braking(some_rows(around, brake), adversaries, lanes[:, None], dt)
         meets = third_party(some_steps(adversaries, driven), some_steps(braked, driven), time[steps][driven], end[rows])
         touched[rows[meets]] = True
     return touched
