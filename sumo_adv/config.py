@@ -85,7 +85,8 @@ class Settings(ModelSettings, BaseSettings):
     begin: float | None = Field(None, ge=0)
     end: float | None = Field(None, ge=0)
     until: Until = Until.TTC
-    attempts: int = Field(25, ge=1, le=10_000)
+    attempts: int = Field(400, ge=1, le=10_000)
+    seconds: float = Field(60.0, gt=0, le=86_400)  # of attempts in an encounter
     diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
     ttc: tuple[float, float] | None = None  # a near miss is wanted: the band in which its min TTC lies
     critical_ttc: float = Field(1.0, gt=0, le=LONGEST_TTC)

@@ -16,7 +16,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.attempt_runner import AttemptRunner, SequentialRunner
+from sumo_adv.episode.attempt_runner import AttemptRunner, StepwiseRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
@@ -88,7 +88,7 @@ class Arena:
             entries = decide(episode, planned, agents, bank)
             if entries is not None:
                 runner = AttemptRunner(self.engine, self.sandbox, planned.found, episode.settings.seed)
-                tries = runner if self.engine.at_once > 1 else SequentialRunner(runner)
+                tries = StepwiseRunner(runner, self.engine.at_once)
                 pursue(episode, planned, entries, tries, agents, bank, clock.tell)
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)

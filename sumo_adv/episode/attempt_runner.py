@@ -56,19 +56,19 @@ class AttemptRunner:
         return answers
 
 
-class SequentialRunner:
-    """Runs attempts one at a time, each when its result is requested. The results are the same.
+class StepwiseRunner:
+    """Runs attempts when their results are requested, ``at_once`` at a time. The results are the same.
 
-    For many episodes side by side: an attempt that runs early and is dropped after a success costs others time.
+    Attempts behind a success are then not made; for many episodes side by side, one at a time.
     """
 
-    def __init__(self, runner: AttemptRunner) -> None:
-        self._runner = runner
+    def __init__(self, runner: AttemptRunner, at_once: int = 1) -> None:
+        self._runner, self._at_once = runner, at_once
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         """The results of the proposals, in order."""
-        for proposal in proposals:
-            yield from self._runner.attempt([proposal])
+        for k in range(0, len(proposals), self._at_once):
+            yield from self._runner.attempt(proposals[k : k + self._at_once])
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """Which reference drivers avoid an attempt's collision in the simulation."""

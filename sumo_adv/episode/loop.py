@@ -13,7 +13,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import NOTHING
-from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, SequentialRunner
+from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
 from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn, learn_driver
@@ -66,8 +66,7 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
         return
     tell("intents", episode.intents)
     runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
-    side_by_side = engine.at_once > 1
-    pursue(episode, planned, entries, runner if side_by_side else SequentialRunner(runner), agents, bank, tell)
+    pursue(episode, planned, entries, StepwiseRunner(runner, engine.at_once), agents, bank, tell)
 
 
 def decide(
@@ -86,7 +85,7 @@ def decide(
     if not episode.intents and episode.settings.tuner == "off":
         episode.ending, episode.reason = Ending.NO_ENCOUNTER, "The analyzer sees nothing here that could be dangerous."
         return None
-    if planned.search.pool:
+    if planned.search:
         return entries
     episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
     return None
@@ -113,7 +112,8 @@ def pursue(
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
     before = BankView.of(episode, bank, planned)
     learn(episode, bank, entries)
-    learn_driver(episode, bank, planned.predictor.driver_weights)
+    if planned.predictor.count:
+        learn_driver(episode, bank, planned.predictor.driver_weights)
     episode.bank_change = before.difference(BankView.of(episode, bank, planned))
 
 

@@ -76,8 +76,11 @@ def find_attackable(
         episode.skips += 1
 
 
-def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank) -> PlannedEncounter:
-    """An encounter with the bank's library and the predictions of the first candidates."""
+def with_predictions(
+    episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank, *, forecast: bool = False
+) -> PlannedEncounter:
+    """An encounter with the bank's library and the predictions of the first candidates; ``forecast``: also of a driver
+    that is not known, for those that cannot ask it by attempts."""
     settings = episode.settings
     modified = episode.agents is not None and episode.agents.by_model("modifier")
     share = settings.per_planner if modified else settings.attempts
@@ -86,16 +89,19 @@ def with_predictions(episode: Episode, found: FoundEncounter, sandbox: Sandbox, 
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
-    search, recalled = searched(episode, found, predictor, library, bank, weights)
+    search, recalled = searched(episode, found, predictor, library, bank, weights, forecast)
     return PlannedEncounter(found, predictor, library, scene, search, recalled)
 
 
 def searched(
     episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank,
-    weights: SearchSettings,
+    weights: SearchSettings, forecast: bool = False,
 ) -> tuple[AttackSearch, Intent | None]:  # fmt: skip
-    """The search with its predictions of an encounter. With ``recall = scene`` it starts with the candidate that
-    succeeded in a similar scene instead. The intent of that candidate, or None, comes second."""
+    """The search of an encounter, and the intent of a candidate that succeeded in a similar scene, or None.
+
+    A driver that is not known is asked, not predicted, unless ``forecast``. With ``recall = scene`` the search starts
+    with the candidate of the similar scene.
+    """
     settings, driver = episode.settings, found.first.baseline.model
     recalled = recall(episode, found, library, bank) if settings.recall == "scene" else None
     search = AttackSearch(
@@ -104,8 +110,14 @@ def searched(
         selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
         recalled=None if recalled is None else recalled[1], adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
+        predicts=forecast or driver.known or settings.adversaries > 1 or _evidence_wanted(episode),
     )  # fmt: skip
     return search, None if recalled is None else recalled[0]
+
+
+def _evidence_wanted(episode: Episode) -> bool:
+    """Whether a language model analyses, and gets predictions as its evidence."""
+    return episode.agents is not None and episode.agents.by_model("analyzer") and episode.settings.evidence == "on"
 
 
 def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:

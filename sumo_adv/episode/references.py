@@ -22,7 +22,7 @@ from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of
 from sumo_adv.metrics.paths import EgoPaths
-from sumo_adv.metrics.reference import BRAKERS, Braker
+from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.manoeuvre import manoeuvre_poses
 from sumo_adv.metrics.reference.view import HISTORY, Views
@@ -217,7 +217,9 @@ def avoids(order: Order, tracks: Sequence[Track]) -> bool:
 def simulated(kinematic: Preventability, avoided: Mapping[str, bool]) -> Preventability:
     """The kinematic answers, replaced by those of the simulation if it has any."""
     answers = {
-        name: answer if name not in avoided or answer == NOT_APPLICABLE else (AVOIDS if avoided[name] else COLLIDES)
-        for name, answer in kinematic.answers.items()
+        name: NOT_APPLICABLE if kinematic.answers.get(name) == NOT_APPLICABLE else AVOIDS if avoided[name] else COLLIDES
+        for name in avoided
     }
+    every = {**kinematic.answers, **answers}
+    answers = {name: every[name] for name in REFERENCE_DRIVERS if name in every}
     return replace(kinematic, answers=answers, simulated=True)

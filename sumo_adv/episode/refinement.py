@@ -23,7 +23,9 @@ from sumo_adv.search.fixed_order import FixedOrder, as_written, chosen
 from sumo_adv.search.protocols import Optimizer
 from sumo_adv.search.search import AttackSearch
 
-AT_ONCE = 2  # attempts that run side by side after the first; also where they cannot be forked, for equal results
+GENERATION = 8  # attempts whose results the next ones know: fixed, so that results do not depend on the number of cores
+ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
+FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 
 @dataclass(slots=True)
@@ -88,6 +90,9 @@ class Refiner:
         began = time.perf_counter()
         optimizer, self._intents = self.optimizer(intents), intents
         while len(found.attempts) < self._settings.attempts:
+            if time.perf_counter() - began >= self._settings.seconds:
+                found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
+                break
             plans = self._next(optimizer, found)
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
@@ -122,7 +127,7 @@ class Refiner:
         if modelled:
             player = self._agents.player("analyzer")
             self._search.add_chosen([replace(p, by=player) for i in intents for p in chosen(i, templates)])
-            favourites = intents[:AT_ONCE] if self._agents.undecided else ()
+            favourites = intents[:FAVOURITES] if self._agents.undecided else ()
             taken = [self._search.take_best(i.bv, i.label) for i in favourites]
             self._favourites = [p for p in taken if p is not None]
         return self._search
@@ -133,7 +138,8 @@ class Refiner:
             return self._favourites[:left]
         if isinstance(optimizer, AttackSearch):
             self._modify(optimizer, found)
-        budget = min(AT_ONCE if found.attempts or self._agents.undecided else 1, left)
+        size = FAVOURITES if self._agents.undecided else 1
+        budget = min(GENERATION if len(found.attempts) >= ALONE else size if not found.attempts else 2, left)
         plans = optimizer.propose(budget)
         return plans or (self._repairs.next(_tried(found)) if isinstance(optimizer, FixedOrder) else [])
 

@@ -38,7 +38,7 @@ def gate_verdict(
     verdict = replace(verdict, log_gates=case.log_gates)
     return with_level(
         verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
-        lane_half_width=half, unattacked=unattacked(found, settings),
+        lane_half_width=half, unattacked=unattacked(found, settings), only_level=True,
     )  # fmt: skip
 
 

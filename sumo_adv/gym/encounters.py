@@ -122,7 +122,7 @@ class Encounter:
         """
         settings, episode = self.settings, replace(self._episode)
         with open_for_run(settings) as bank:
-            planned = with_predictions(episode, self.found, self._sandbox, bank)
+            planned = with_predictions(episode, self.found, self._sandbox, bank, forecast=True)
             entries = decide(episode, planned, self._agents, bank)
         if entries is None:
             raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {episode.reason}")

@@ -54,15 +54,18 @@ def preventability(
     lane_half_width: float = 1.6,
     drivers: Sequence[str] = REFERENCE_DRIVERS,
     unattacked: Track | None = None,
+    until_avoided: bool = False,
 ) -> Preventability:
-    """Which reference drivers avoid a collision, by the kinematic counterfactual.
+    """Which reference drivers avoid a collision, by the kinematic counterfactual; ``until_avoided``: the first ones, as
+    ``counterfactual.answers`` has it.
 
     ``adversary`` goes on past the contact as it was planned; the ego's way goes on as in ``unattacked``, its motion
     without the attack, or straight.
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
     ruled = has_rule(ego, adversary, contact_time)
-    by_driver = answers(given, [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY], on_road)
+    applicable = [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY]
+    by_driver = answers(given, applicable, on_road, until_avoided=until_avoided)
     return preventability_of(
         by_driver, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
     )  # fmt: skip
@@ -151,15 +154,21 @@ def with_level(
     on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
     unattacked: Track | None = None,
+    only_level: bool = False,
 ) -> Verdict:
-    """The gate verdict with everything of version 2; ``unattacked``: the ego's motion without the attack, if known."""
+    """The gate verdict with everything of version 2; ``unattacked``: the ego's motion without the attack, if known.
+
+    only_level: reference drivers are asked only as far as the level depends on them. The level is the same.
+    """
     contact = verdict.contact_time
     if contact is None:
         return replace(verdict, level=level_of(verdict))
-    prevention = preventability(
-        ego, adversary, others, trigger_time=trigger_time, contact_time=contact, on_road=on_road,
-        lane_half_width=lane_half_width, unattacked=unattacked,
-    )  # fmt: skip
+    prevention = None
+    if verdict.counts or not only_level:
+        prevention = preventability(
+            ego, adversary, others, trigger_time=trigger_time, contact_time=contact, on_road=on_road,
+            lane_half_width=lane_half_width, unattacked=unattacked, until_avoided=only_level,
+        )  # fmt: skip
     impact = crash(ego, adversary, contact)
     strange = outside(adversary, trigger_time, contact, _ahead_in_lane(ego, adversary, lane_half_width))
     strange = () if is_unprotected(adversary) else strange  # the gates' limits are those of a person already

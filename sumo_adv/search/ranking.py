@@ -8,6 +8,7 @@ from sumo_adv.datatypes import Intent, Proposal
 from sumo_adv.goal import Goal
 from sumo_adv.search.robustness import drawn
 from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.templates import AttackTemplate
 
 NOTHING_NEAR = 10.0  # s: the least TTC that is said where nothing was predicted
 
@@ -33,6 +34,17 @@ def ranked_intents(
         for key, g in sorted(groups.items(), key=order)
     ]
     return [i for share, i in ranked if share > 0], [i for share, i in ranked if share == 0]
+
+
+def unpredicted_intents(templates: Sequence[AttackTemplate]) -> list[Intent]:
+    """The intents that can be drawn, most dangerous vehicle first; nothing is predicted of them."""
+    first = {(t.target.state.id, t.entry.label): t for t in reversed(templates)}
+    ordered = sorted(first.values(), key=lambda t: (-t.target.risk, t.target.state.id, t.entry.label))
+    reason = "not predicted: the driver is not known, so it is asked by attempts"
+    return [
+        Intent(t.target.state.id, t.entry.label, t.entry.description, "medium", t.proposal(None).acceleration, reason)
+        for t in ordered
+    ]
 
 
 def _share(members: Sequence[Proposal], settings: SearchSettings) -> float:

@@ -23,21 +23,25 @@ class Sampler:
 
         Learnt versions come on top, with their own parameters, so that they do not change what else is drawn.
         """
-        originals = _originals(templates)
-        candidates = [t.proposal(None) for t in _earliest(originals)]
-        candidates += self.uniform(originals, count - len(candidates))
+        drawn_from = originals(templates)
+        candidates = [t.proposal(None) for t in _earliest(drawn_from)]
+        candidates += self.uniform(drawn_from, count - len(candidates))
         return candidates + _learnt(templates)
+
+    def earliest(self, templates: Sequence[AttackTemplate]) -> list[Proposal]:
+        """With the authors' parameters, as early as possible: of each vehicle's planners one, learnt ones last."""
+        return [t.proposal(None) for t in _earliest(originals(templates))] + _learnt(templates)
 
     def each(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
         """At least ``count`` candidates: one of each template with its author's parameters, the rest uniform."""
-        originals = _originals(templates)
-        candidates = [t.proposal(None) for t in originals] + self.uniform(originals, count - len(originals))
+        own = originals(templates)
+        candidates = [t.proposal(None) for t in own] + self.uniform(own, count - len(own))
         return candidates + _learnt(templates)
 
     def more(self, templates: Sequence[AttackTemplate], best: Sequence[Proposal]) -> list[Proposal]:
         """``redraw`` candidates: half uniform, half near the first ``nearest`` of ``best``."""
         count = self.settings.redraw
-        candidates = self.uniform(_originals(templates), count // 2)
+        candidates = self.uniform(originals(templates), count // 2)
         return candidates + self.variations(best[: self.settings.nearest], count - len(candidates))
 
     def uniform(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
@@ -73,7 +77,7 @@ def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner", supports=supports)
 
 
-def _originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
+def originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
     """Templates of planners that were not learnt, in the order in which they are drawn."""
     originals = (t for t in templates if not t.learnt)
     return sorted(originals, key=lambda t: (t.entry.label, t.planner.mode, t.planner.hash))

@@ -26,10 +26,11 @@ from sumo_adv.memory.composition_record import Composition
 from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
+from sumo_adv.search.evolution import Evolution
 from sumo_adv.search.first_attempt import why_first
 from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
-from sumo_adv.search.ranking import ranked_intents
+from sumo_adv.search.ranking import ranked_intents, unpredicted_intents
 from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
 from sumo_adv.search.sampling import Sampler, elites
 from sumo_adv.search.selection import Selection
@@ -58,6 +59,7 @@ class AttackSearch:
         adversaries: int = 1,
         colliders: Collection[str] = (),
         compositions: Sequence[Composition] = (),
+        predicts: bool = True,
     ) -> None:
         """Predict the first candidates.
 
@@ -66,7 +68,8 @@ class AttackSearch:
         the model is the driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
         has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for
-        all; compositions: composed intents that the bank knows.
+        all; compositions: composed intents that the bank knows. predicts: whether
+        candidates are predicted at all; else only attempts tell what they come to.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -87,23 +90,33 @@ class AttackSearch:
         )
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
+        self._evolution = Evolution(self._sampler, self._goal, settings.evolution)
+        self._predicts = predicts
         self.pool: list[Proposal] = []
         if recalled is not None:
             self.pool = [recalled]
+            self._evolution.add([] if predicts else [recalled])
         else:
             self.extend([e for e in library if not composed(e) or self._selection.names(e.label)])
+
+    def __bool__(self) -> bool:
+        """Whether there is a candidate."""
+        return bool(self.pool or self._evolution)
 
     # -- the pool -----------------------------------------------------------------------------------------------
 
     @property
     def reaches(self) -> bool:
-        """Whether some candidate is predicted to collide, or succeeded in a similar scene."""
-        return any(p.score < self._settings.reaches for p in self.pool)
+        """Whether some candidate is predicted to collide, or succeeded in a similar scene, or nothing is predicted."""
+        return (bool(self) and not self._predicts) or any(p.score < self._settings.reaches for p in self.pool)
 
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
         settings, count = self._settings, self._settings.proposals
         templates = self._templates_of(library, [e.label for e in self._selection.of(library)])
+        self._evolution.draw_from(templates)
+        if not self._predicts:
+            return
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
@@ -119,11 +132,16 @@ class AttackSearch:
         that reach the ego and before those that do not; nothing is predicted of them yet.
         """
         descriptions = {e.label: e.description for e in library}
+        if not self._predicts:
+            return unpredicted_intents(self._evolution.templates) + self._composed(library)
         reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings, self._goal)
         good = sum(p.nominal_score < self._settings.avoidable for p in drawn(self.pool))
-        new = [] if good >= self._settings.few else compose(self._situations, library)
-        new = [intent for intent in new if self._selection.allows(intent.label)]
+        new = [] if good >= self._settings.few else self._composed(library)
         return reaching + new + rest
+
+    def _composed(self, library: Sequence[LibraryEntry]) -> list[Intent]:
+        """Intents that the library lacks and that may be tried."""
+        return [i for i in compose(self._situations, library) if self._selection.allows(i.label)]
 
     def price(self, p: Proposal) -> float:
         """A candidate's score with what else counts: a late contact, and much braking."""
@@ -136,6 +154,8 @@ class AttackSearch:
 
     def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
         """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
+        if not self._predicts:
+            return ""
         return why_first(first, intents[0], self.pool, self._price_now, self._goal, self._settings.price)
 
     # -- attempts -----------------------------------------------------------------------------------------------
@@ -155,10 +175,14 @@ class AttackSearch:
         for i in intents if in_their_order else ():
             self._ranks.setdefault((i.bv, i.label), len(self._ranks))
         self._redrawn = len(drawn(self.pool))
+        self._evolution.draw_from(self._templates)
         return list(self._templates)
 
     def add_chosen(self, chosen: Sequence[Proposal]) -> None:
         """Predict candidates that a model chose, with variations of their numbers; they join the pool as any other."""
+        if not self._predicts:
+            self._evolution.add(chosen)
+            return
         variations = self._sampler.variations(chosen, self._settings.sampling.around_chosen * len(chosen))
         self.pool += self._scored([*chosen, *variations])
 
@@ -169,13 +193,26 @@ class AttackSearch:
     def propose(self, budget: int) -> list[Proposal]:
         """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""
         selected = list[Proposal]()
-        while len(selected) < budget and (proposal := self._next()) is not None:
+        while len(selected) < budget and (proposal := self._predicted_or_drawn()) is not None:
             selected.append(proposal)
         return selected
+
+    def _predicted_or_drawn(self) -> Proposal | None:
+        """A candidate that promises something by its prediction, as long as there is one; then one from what attempts
+        came to."""
+        if self._predicts and len(self._tried) < self._settings.predicted and (best := self._next()) is not None:
+            return best
+        over = self._used_up()
+        shares = {f"{t.entry.label}/{t.planner.mode}" for t in self._evolution.templates} - over
+        drawn_now = self._evolution.propose(shares if over else None)
+        return None if drawn_now is None else self._count(drawn_now)
 
     def take_best(self, bv: str, label: str) -> Proposal | None:
         """The best candidate of an intent, or None; it leaves the pool."""
         pool = [p for p in self.pool if (p.bv, p.label) == (bv, label)]
+        if not self._predicts:
+            own = [t for t in self._evolution.templates if (t.target.state.id, t.entry.label) == (bv, label)]
+            return self._count(own[0].proposal(None)) if own else None
         return self._take(min(pool, key=lambda p: p.score)) if pool else None
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
@@ -184,7 +221,8 @@ class AttackSearch:
         if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
             self._best = max(self._best, reached)
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
-        if motion is None:
+        self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side))
+        if motion is None or not self._predicts:
             return
         if reached < Level.VALID:
             self._support.observe(tried, motion)
@@ -195,6 +233,7 @@ class AttackSearch:
     def succeeded(self, kind: str) -> None:
         """From now on look for an attack of another kind; see ``novelty.kind_of``."""
         self._kinds.add(kind)
+        self._evolution.close({kind})
         self._best = Level.NONE
 
     @property
@@ -224,6 +263,9 @@ class AttackSearch:
         fresh = [AttackTemplate(t.delay, t.target, t.entry, planner) for t in same.values()]
         self._templates += fresh
         self._added.add(planner.hash)
+        if not self._predicts:
+            self._evolution.add(self._sampler.each(fresh, len(fresh)))
+            return
         self.pool += self._scored(self._sampler.each(fresh, 3 * len(fresh)))
 
     # -- choosing -----------------------------------------------------------------------------------------------
@@ -274,7 +316,7 @@ class AttackSearch:
         worst = max((n for (family, _), n in self._failures.items() if family == p.family), default=0)
         return worst < self._settings.same_gate
 
-    def _kind_of(self, p: Proposal, side: str) -> str:
+    def _kind_of(self, p: Proposal, side: str | None) -> str:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
@@ -300,6 +342,9 @@ class AttackSearch:
 
     def _take(self, chosen: Proposal) -> Proposal:
         self.pool.remove(chosen)
+        return self._count(chosen)
+
+    def _count(self, chosen: Proposal) -> Proposal:
         self._tried.append(chosen)
         self._by_family[chosen.family] += 1
         self._by_planner[chosen.planner] += 1

@@ -101,6 +101,23 @@ class SupportSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class EvolutionSettings:
+    """How candidates are drawn and varied by what attempts came to (``evolution.py``). Steps are shares of a
+    parameter's range."""
+
+    first: int = 48  # candidates of generation 0 at least
+    anew: float = 0.25  # share of later candidates that are drawn anew
+    parents: int = 10  # best elites that are varied,
+    pressure: float = 0.75  # each this much less often than the one before it
+    step: float = 0.12  # standard deviation of a cell's first variations
+    least_step: float = 0.02
+    most_step: float = 0.3
+    grow: float = 1.5  # after a variation that is better than its parent,
+    shrink: float = 0.9  # and after one that is not: steady at one better one in five
+    other_start: float = 0.2  # share of variations with another start
+
+
+@dataclass(frozen=True, slots=True)
 class SearchSettings:
     """All weights of the search.
 
@@ -122,12 +139,14 @@ class SearchSettings:
     same_gate: int = 3
     few: int = 5
     diverse_every: int = 3
+    predicted: int = 25
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
     robustness: RobustnessSettings = field(default_factory=RobustnessSettings)
     correction: CorrectionSettings = field(default_factory=CorrectionSettings)
     supports: SupportSettings = field(default_factory=SupportSettings)
+    evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
 
     def bound(self, reached: Level) -> float:
         """The score below which a candidate promises more than the level ``reached``."""

@@ -293,7 +293,9 @@ class Server:
         began = time.perf_counter()
 
         def work() -> Decision:
-            planned = with_predictions(episode, scene.found, self._parts.agents.sandbox, self._parts.bank)
+            planned = with_predictions(
+                episode, scene.found, self._parts.agents.sandbox, self._parts.bank, forecast=True
+            )
             helped = self._settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
             go_on = planned.reaches or helped
             entries = decide(episode, planned, self._parts.agents, self._parts.bank) if go_on else None

@@ -6,6 +6,7 @@ through one connection a fork ("slot"), and the front answers while it waits for
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import pickle
@@ -296,6 +297,7 @@ def in_forks(
 def _forked(works: Sequence[Callable[[], Any]]) -> list[tuple[bytes, int]]:
     """What each fork wrote, nothing if it died, and its exit code: negative for the signal that killed it."""
     children = []
+    gc.freeze()  # a collection in a child would write to every object's page, which the system then copies
     for work in works:
         inlet, outlet = os.pipe()
         pid = os.fork()

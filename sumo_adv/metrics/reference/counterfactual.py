@@ -205,17 +205,24 @@ class Counterfactual:
 
 
 def answers(
-    given: Encounters, drivers: Sequence[str] = REFERENCE_DRIVERS, on_road: OnRoad | None = None
-) -> dict[str, Answer]:
-    """What each driver makes of the encounters, and the ``unchanged`` ego."""
+    given: Encounters, drivers: Sequence[str] = REFERENCE_DRIVERS, on_road: OnRoad | None = None,
+    *, until_avoided: bool = False,
+) -> dict[str, Answer]:  # fmt: skip
+    """What each driver makes of the encounters, and the ``unchanged`` ego.
+
+    until_avoided: of one encounter, ask only until the level is known: none if the unchanged ego misses, and none after
+    the first driver that avoids the collision. ``cc_human`` is asked first.
+    """
     check = Counterfactual(given)
     by_driver = {"unchanged": check.unchanged()}
-    for name in drivers:
+    for name in sorted(drivers, key=lambda n: (n == MANOEUVRE, n != "cc_human")):
+        if until_avoided and any(bool(answer.avoids[0]) for answer in by_driver.values()):
+            break
         if name in BRAKERS:
             by_driver[name] = check.braking(BRAKERS[name])
-    if MANOEUVRE in drivers:
-        alarm = by_driver["cc_human"].alarm if "cc_human" in by_driver else check.roll_out(CcHuman)[2]
-        by_driver[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
+        elif name == MANOEUVRE:
+            alarm = by_driver["cc_human"].alarm if "cc_human" in by_driver else check.roll_out(CcHuman)[2]
+            by_driver[MANOEUVRE] = check.manoeuvring(alarm, on_road)[0]
     return by_driver
 
 

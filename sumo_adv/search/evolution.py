@@ -1,0 +1,175 @@
+"""A search that predicts nothing: candidates are drawn, tried against the real driver, and the best ones are varied.
+
+Generation 0 has the candidates that were handed in (memory, analyzer, forecast), the planners' own numbers and uniform
+draws. Later candidates vary an elite: the best attempt of its cell, which is a vehicle, intent, mode and side of the
+ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). The step of a cell grows where
+a variation improves it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+from sumo_adv.datatypes import Level, Proposal, Verdict
+from sumo_adv.goal import Goal
+from sumo_adv.search.sampling import Sampler, originals, varied
+from sumo_adv.search.settings import EvolutionSettings
+from sumo_adv.search.templates import BRAKING_LABEL, BRAKING_RANGE, AttackTemplate
+
+ENOUGH_WARNING = 2.0  # s from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
+HARD = 10.0  # m/s of delta-v: more counts as this
+FAR, LATE = 30.0, 10.0  # m of distance, s of TTC: more counts as this
+
+
+def badness(verdict: Verdict, goal: Goal) -> float:
+    """How far an attempt is from the goal, lower is better: the level it reached, then the margin to the next one."""
+    if goal.ttc is not None:
+        return _off_band(verdict, goal.ttc)
+    gap = (min(verdict.min_distance, FAR) / FAR + min(verdict.min_ttc, LATE) / LATE) / 2
+    if not verdict.counts:
+        return 6.0 + gap
+    if not verdict.collided:
+        return 5.0 - float(verdict.level) + gap
+    delta_v, level = verdict.delta_v or 0.0, goal.reached(verdict)
+    if level < verdict.level:  # too mild a collision
+        return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
+    hard = min(delta_v / HARD, 1.0)
+    if level < Level.STRICT:
+        return 5.0 - float(level) - 0.7 * min(_warning(verdict) / ENOUGH_WARNING, 1.0) - 0.2 * hard
+    return 5.0 - float(level) - 0.2 * bool(verdict.humanlike) - 0.7 * hard
+
+
+def _off_band(verdict: Verdict, band: tuple[float, float]) -> float:
+    """Distance of the least TTC from the middle of a band [s]; a contact and what does not count are worse."""
+    off = abs(min(verdict.min_ttc, LATE) - sum(band) / 2) + min(verdict.min_distance, FAR) / FAR
+    return off + (2.0 * LATE if not verdict.counts else LATE if verdict.collided else 0.0)
+
+
+def _warning(verdict: Verdict) -> float:
+    """Seconds from the alarm of ``cc_human`` to the contact; 0 if a reference driver could not have known."""
+    p = verdict.preventability
+    if p is None or verdict.contact_time is None or "cc_human" not in p.alarms:
+        return 0.0
+    return max(verdict.contact_time - p.alarms["cc_human"], 0.0)
+
+
+@dataclass(slots=True)
+class _Elite:
+    """The best attempt of a cell. step: standard deviation of its variations, as a share of a parameter's range."""
+
+    proposal: Proposal
+    badness: float
+    step: float
+
+
+class Evolution:
+    """Proposes candidates and learns from what they came to. The same seed and verdicts give the same candidates."""
+
+    def __init__(self, sampler: Sampler, goal: Goal, settings: EvolutionSettings) -> None:
+        self._sampler, self._random = sampler, sampler.random
+        self._goal, self._settings = goal, settings
+        self._templates: list[AttackTemplate] = []
+        self._waiting: list[Proposal] = []  # of generation 0
+        self._elites: dict[tuple[str, ...], _Elite] = {}
+        self._families: dict[tuple[str, str, str], float] = {}  # least badness of an attempt
+        self._parents: dict[int, tuple[str, ...]] = {}  # id of a proposed variation -> its parent's cell
+        self._closed: set[str] = set()  # kinds of attacks that are no longer looked for
+
+    def __bool__(self) -> bool:
+        """Whether anything can be proposed."""
+        return bool(self._templates or self._waiting or self._elites)
+
+    @property
+    def templates(self) -> Sequence[AttackTemplate]:
+        """What is drawn from."""
+        return self._templates
+
+    def draw_from(self, templates: Sequence[AttackTemplate]) -> None:
+        """From now on draw from these templates. Planners' own numbers of new ones are tried first, most dangerous
+        vehicle first, then uniform draws."""
+        known = {_key(t) for t in self._templates}
+        fresh = [t for t in templates if _key(t) not in known]
+        self._templates = list(templates)
+        first = self._sampler.earliest(fresh)
+        drawn = self._sampler.uniform(originals(fresh), max(self._settings.first - len(first), 0))
+        self._random.shuffle(drawn)
+        self._waiting += _by_turns(first, [t.target.state.id for t in fresh]) + drawn
+
+    def add(self, proposals: Sequence[Proposal]) -> None:
+        """Try these next."""
+        self._waiting[:0] = proposals
+
+    def close(self, kind: Collection[str]) -> None:
+        """No longer vary elites of these cells' kinds: see ``observe``."""
+        self._closed.update(kind)
+
+    def propose(self, allowed: Collection[str] | None = None) -> Proposal | None:
+        """The next candidate, None if there is nothing to draw from. ``allowed``: labels and modes (``label/mode``)
+        with attempts left, None for all."""
+        while self._waiting:
+            p = self._waiting.pop(0)
+            if allowed is None or f"{p.label}/{p.planner.mode}" in allowed:
+                return p
+        templates = [t for t in self._templates if allowed is None or f"{t.entry.label}/{t.planner.mode}" in allowed]
+        elites = [e for cell, e in self._elites.items() if cell[-1] not in self._closed]
+        if templates and (not elites or self._random.random() < self._settings.anew):
+            return self._drawn(templates)
+        return self._variation(elites) if elites else None
+
+    def observe(self, tried: Proposal, verdict: Verdict, kind: str) -> None:
+        """Take note of an attempt; ``kind``: of attack, by the side of the ego that was hit."""
+        worth, settings = badness(verdict, self._goal), self._settings
+        family = tried.family
+        self._families[family] = min(worth, self._families.get(family, math.inf))
+        side = verdict.contact_side or ("contact" if verdict.collided else "miss")
+        cell = (*family, side, kind)
+        elite, parent = self._elites.get(cell), self._elites.get(self._parents.pop(id(tried), ()))
+        if parent is not None:
+            better = worth < parent.badness
+            factor = settings.grow if better else settings.shrink
+            parent.step = min(max(parent.step * factor, settings.least_step), settings.most_step)
+        if elite is None or worth < elite.badness:
+            step = settings.step if parent is None else parent.step
+            self._elites[cell] = _Elite(tried, worth, step)
+
+    def _drawn(self, templates: Sequence[AttackTemplate]) -> Proposal:
+        """Uniform numbers for the better of two templates, by what came of their families; an untried one is good."""
+        pair = [self._random.choice(templates) for _ in range(2)]
+        best = min(pair, key=lambda t: self._families.get((t.target.state.id, t.entry.label, t.planner.mode), 0.0))
+        return best.proposal(self._random)
+
+    def _variation(self, elites: Sequence[_Elite]) -> Proposal:
+        """Near one of the best elites: the better its rank, the likelier."""
+        settings = self._settings
+        ordered = sorted(elites, key=lambda e: e.badness)[: settings.parents]
+        weights = [settings.pressure**k for k in range(len(ordered))]
+        parent = self._random.choices(ordered, weights)[0]
+        child = varied(parent.proposal, self._random, parent.step)
+        if self._random.random() < settings.other_start:
+            child = self._begun_elsewhen(child)
+        if child.label == BRAKING_LABEL and isinstance(child.acceleration, float):
+            low, high = BRAKING_RANGE
+            braking = -child.acceleration + self._random.gauss(0.0, parent.step * (high - low))
+            child = replace(child, acceleration=-min(max(braking, low), high))
+        self._parents[id(child)] = next(cell for cell, e in self._elites.items() if e is parent)
+        return child
+
+    def _begun_elsewhen(self, p: Proposal) -> Proposal:
+        """The candidate with another start at which all its vehicles can begin."""
+        delays = sorted({t.delay for t in self._templates if t.target.state.id == p.bv})
+        if p.supports or not delays:
+            return p
+        return replace(p, delay=self._random.choice(delays))
+
+
+def _key(t: AttackTemplate) -> tuple[float, str, str, str]:
+    return t.delay, t.target.state.id, t.entry.label, t.planner.hash
+
+
+def _by_turns(proposals: Sequence[Proposal], vehicles: Sequence[str]) -> list[Proposal]:
+    """One candidate of each vehicle in turn, in the order of the vehicles."""
+    of = {name: [p for p in proposals if p.bv == name] for name in dict.fromkeys(vehicles)}
+    longest = max((len(own) for own in of.values()), default=0)
+    return [own[k] for k in range(longest) for own in of.values() if k < len(own)]
