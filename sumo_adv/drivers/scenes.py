@@ -28,7 +28,9 @@ class Scenes:
         self._rows = [np.flatnonzero(self._row == k) for k in range(len(distinct))]
         self._paths = Paths([s.baseline.path for s in distinct])
         frames = [s.frame for s in distinct]
-        self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames])
+        self._frame = np.array(
+            [(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames]
+        )
         self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
         self._shifted = any(s.road.shifts for s in distinct)
         self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model

@@ -271,7 +271,9 @@ def _target(
     turn = wrap(bv.heading - float(heading))
     sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
     unattacked = _along(onward, road, bv.lane, route)
-    return Target(bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand)
+    return Target(
+        bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand
+    )
 
 
 def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:

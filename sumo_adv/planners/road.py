@@ -16,7 +16,11 @@ def road_of(situation: Situation, name: str) -> dict[str, Any]:
     x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
     ways = []
     for way in target.ways:
-        entry: dict[str, Any] = {"movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL), "conflict": None}
+        entry: dict[str, Any] = {
+            "movement": mirrored(way.movement, hand),
+            "junction": min(way.junction, NO_ARRIVAL),
+            "conflict": None,
+        }
         entry["centreline"] = _points(situation, way.path)
         if way.conflict is not None:
             c = way.conflict
