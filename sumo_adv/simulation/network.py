@@ -317,7 +317,8 @@ def read_network(path: FilePath) -> RoadMap:
         internal = edge.getFunction() == "internal"
         for lane in edge.getLanes():
             lanes[lane.getID()] = Lane(
-                lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()), np.asarray(lane.getShape(), float)[:, :2],
+                lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
+                np.asarray(lane.getShape(), float)[:, :2],
                 float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
                 bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
             )  # fmt: skip
