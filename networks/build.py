@@ -27,6 +27,8 @@ FLAGS = (
     "--junctions.internal-link-detail", "12", "--default.junctions.radius", "6", "--no-warnings",
 )  # fmt: skip
 
+LEFT_HAND = frozenset({"left_hand_crossing"})
+
 
 def netconvert_program() -> str:
     """The netconvert beside this Python or on the PATH; ends the program with a sentence if there is none."""
@@ -44,7 +46,7 @@ def names() -> list[str]:
 
 def build(name: str, folder: Path = HERE) -> Path:
     """Writes ``<name>.net.xml`` into ``folder`` and returns its path; ends the program if netconvert refuses."""
-    arguments = [netconvert_program(), *FLAGS]
+    arguments = [netconvert_program(), *FLAGS, *(["--lefthand"] if name in LEFT_HAND else [])]
     for kind, flag in SOURCES.items():
         source = HERE / "src" / name / f"{name}.{kind}.xml"
         if source.is_file():

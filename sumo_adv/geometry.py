@@ -66,28 +66,33 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The ego's pose at the trigger as a frame: x forward, y left (the paper's R(-theta)(s - s_0))."""
+    """The ego's pose at the trigger as a frame: x forward, y left (the paper's R(-theta)(s - s_0)).
+
+    hand: 1; -1 in left-hand traffic. Then y is to the right and headings are clockwise, so that planners see the
+    mirrored, right-hand scene."""
 
     x: float
     y: float
     heading: float
+    hand: float = 1.0
 
     def to_local(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
         """World pose to this frame."""
         c, s = math.cos(self.heading), math.sin(self.heading)
         dx, dy = x - self.x, y - self.y
-        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - self.heading)
+        return c * dx + s * dy, self.hand * (-s * dx + c * dy), self.hand * wrap(heading - self.heading)
 
     def to_world(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
         """A pose of this frame to the world."""
         c, s = math.cos(self.heading), math.sin(self.heading)
+        y, heading = self.hand * y, self.hand * heading
         return self.x + c * x - s * y, self.y + s * x + c * y, wrap(heading + self.heading)
 
     def points_to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
         """World poses (any shape) to this frame."""
         c, s = math.cos(self.heading), math.sin(self.heading)
         dx, dy = x - self.x, y - self.y
-        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - self.heading)
+        return c * dx + s * dy, self.hand * (-s * dx + c * dy), self.hand * wrap(heading - self.heading)
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,6 +60,11 @@ class ReferencePath:
     bay: float = math.inf
 
 
+def mirrored(movement: str, hand: float) -> str:
+    """The movement in right-hand traffic that one of ``hand`` (``Frame.hand``) mirrors."""
+    return {"left": "right", "right": "left"}.get(movement, movement) if hand < 0 else movement
+
+
 def fastest_of(speed: float) -> float:
     """The highest speed [m/s] of a BV that has ``speed`` at the trigger: 40 % or 5 m/s more, whichever is more."""
     return max(1.4 * speed, speed + 5.0)
@@ -87,6 +92,7 @@ class Target:
     risk: float = 0.0
     unattacked: int | None = None  # the index of its path without an attack, None if that is unknown
     hidden: bool = False  # whether other boxes hide it from the ego
+    hand: float = 1.0  # -1 in left-hand traffic
 
     @property
     def fastest(self) -> float:
@@ -102,7 +108,7 @@ class Target:
         words = {self.relation} - set(MEET_AHEAD)  # these are said by the ways that do meet the ego's path
         for way in self.ways:
             if way.conflict is not None:
-                movement = "straight" if way.movement in ("none", "u-turn") else way.movement
+                movement = "straight" if way.movement in ("none", "u-turn") else mirrored(way.movement, self.hand)
                 words.add("merging" if way.conflict.kind == "merging" else f"crossing_{movement}")
         return tuple(sorted(words))
 

@@ -62,10 +62,10 @@ def distance(point: tuple[float, float], line: list[tuple[float, float]]) -> flo
     return min(to_segment(a, b) for a, b in pairwise(line))
 
 
-def test_there_are_22_networks_and_40_scenarios() -> None:
-    assert len(NETWORKS) == 22
-    assert len(SCENARIOS) == 40
-    assert len(shipped_names()) == 62
+def test_there_are_23_networks_and_42_scenarios() -> None:
+    assert len(NETWORKS) == 23
+    assert len(SCENARIOS) == 42
+    assert len(shipped_names()) == 65
     assert {path.name.removesuffix(".net.xml") for path in NETWORKS} == set(build_module().names())
 
 

@@ -25,7 +25,7 @@ WORDS = {
     "cyclist_from_behind": {"Cyclist Crossing"}, "steps_out": {"Pedestrian Steps Out"},
     "parked": {"Pedestrian From Behind Obstacle"}, "box_in": {"Aggressive Cut-in"}, "opens_gap": {"Aggressive Cut-in"},
     "squeezed_merge": {"Aggressive Cut-in"}, "hidden_crossing": {"Intersection Rush-through Go-straight"},
-    "blocked_escape": {"Emergency Braking"},
+    "blocked_escape": {"Emergency Braking"}, "turn_across": {"Intersection Rush-through Turn Left"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
 

@@ -46,8 +46,8 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class LaneSpeed:
-    """SUMO keeps the lane. ``lane``: the lane to change to (index from the right; None = stay); ``speed``: after the
-    step [m/s].
+    """SUMO keeps the lane. ``lane``: the lane to change to (SUMO's index: from the right, in left-hand traffic from the
+    left; None = stay); ``speed``: after the step [m/s].
 
     SUMO goes slower than asked where its rules demand it (safe distance, red light). The ego can brake harder than its
     vType's ``decel``, up to ``emergencyDecel``. While a speed is asked for, SUMO's own rules may use

@@ -28,7 +28,9 @@ class Scenes:
         self._rows = [np.flatnonzero(self._row == k) for k in range(len(distinct))]
         self._paths = Paths([s.baseline.path for s in distinct])
         frames = [s.frame for s in distinct]
-        self._frame = np.array([(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading) for f in frames])
+        self._frame = np.array(
+            [(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames]
+        )
         self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
         self._shifted = any(s.road.shifts for s in distinct)
         self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model
@@ -92,9 +94,9 @@ class Scenes:
 
     def to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
         """World poses, ``(n,)`` or ``(n, k)``, in the frames of the egos at their triggers."""
-        x0, y0, c, s, h = (_fit(q, x) for q in self._frame[self._row].T)
+        x0, y0, c, s, h, hand = (_fit(q, x) for q in self._frame[self._row].T)
         dx, dy = x - x0, y - y0
-        return c * dx + s * dy, -s * dx + c * dy, wrap(heading - h)
+        return c * dx + s * dy, hand * (-s * dx + c * dy), hand * wrap(heading - h)
 
 
 def _fit(values: Any, like: Floats) -> Any:

@@ -190,7 +190,7 @@ class EncounterDetector:
         if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
             risk = self._same_way_risk(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
-        elif turned > 2.64 and 1.2 < d < BESIDE and s > 0:
+        elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)

@@ -148,7 +148,7 @@ def build_situation(
     history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
     later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER)
     situation = Situation(
-        time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading), ego,
+        time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading, road.hand), ego,
         Baseline(path, stations, ego_track.speed, ego_track.acceleration, trigger.ego_model),
         RoadAhead(width, sides, float(junction), later, float(bay), rule, _shifts(road, ego.lane, path)),
         Traffic(
@@ -271,7 +271,9 @@ def _target(
     turn = wrap(bv.heading - float(heading))
     sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
     unattacked = _along(onward, road, bv.lane, route)
-    return Target(bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked)
+    return Target(
+        bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand
+    )
 
 
 def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:
@@ -282,7 +284,7 @@ def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: 
         lanes = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * top_speed(bv))
     ways = unprotected_ways(bv, path, lanes)
     turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(ways[0].path.heading[0]))
-    return Target(bv, ranked.relation, ways, 0.0, 0.0, turn, (), ranked.risk)
+    return Target(bv, ranked.relation, ways, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
 
 
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:

@@ -231,6 +231,7 @@ class AdversaryBatch:
         es, ed, ev, ea = ego
         x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
         rs, rd, rh = self.relative(motion)
+        hand = scenes.each(lambda s: s.frame.hand)
         ahead_s, ahead_v = stations(scenes, now, es, ev, ea, LOOK)
         px, py, ph = scenes.to_local(*scenes.ego_at(ahead_s, ed[:, None]))
         table = np.empty((*px.shape, 5))
@@ -241,7 +242,8 @@ class AdversaryBatch:
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
-            [x, y, h, motion.v, motion.a, motion.s, motion.d, rs - es, rd - ed, rh, road_h, target_left - ed, busy,
+            [x, y, h, motion.v, motion.a, motion.s, hand * motion.d, rs - es, hand * (rd - ed), hand * rh,
+             hand * road_h, hand * (target_left - ed), busy,
              motion.v * np.cos(rh), ev, ea],
         ).T  # fmt: skip
         rows = range(len(self.targets)) if rows is None else rows

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from sumo_adv.simulation.network import is_left_hand
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.simulation import FREE_SPEED_MODE, SUMO_SPEED_MODE, Simulation
 
@@ -80,6 +81,7 @@ class HumanErrors:
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
         self._api: Any = simulation.api
+        self._hand = -1 if is_left_hand(simulation.spec.network) else 1  # SUMO counts lanes from the outer side
         self._lanes: dict[str, int] = {}  # of an edge
         self._ends: dict[str, float] = {}  # where a lane that leads on ends [m]; inf where no line is
         self.active: dict[str, Begun] = {}
@@ -99,7 +101,7 @@ class HumanErrors:
             lanes = self._lanes.get(edge)
             if lanes is None:
                 lanes = self._lanes[edge] = int(self._api.edge.getLaneNumber(edge))
-            kinds += [kind for kind, side in SIDE.items() if 0 <= int(index) + side < lanes]
+            kinds += [kind for kind, side in SIDE.items() if 0 <= int(index) + self._hand * side < lanes]
         end = self._ends.get(lane)
         if end is None:
             leads_on = bool(self._api.lane.getLinks(lane))
@@ -117,7 +119,7 @@ class HumanErrors:
 
     def begin(self, vehicle: str, kind: ErrorKind, speed: float) -> None:
         """Have a driver make an error from the next step on. ``speed``: its own [m/s]."""
-        v, side, lane = self._api.vehicle, SIDE.get(kind, 0), self._api.lane
+        v, side, lane = self._api.vehicle, self._hand * SIDE.get(kind, 0), self._api.lane
         self.active[vehicle] = self.last[vehicle] = Begun(kind, self._simulation.time, speed)
         if kind in KEEPS_SPEED:
             v.setSpeedMode(vehicle, FREE_SPEED_MODE)

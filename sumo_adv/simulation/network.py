@@ -41,7 +41,8 @@ class Connection:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]."""
+    """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]. index: from the right, also in left-hand
+    traffic, where SUMO counts from the left."""
 
     id: str
     edge: str
@@ -77,13 +78,15 @@ class Way:
 class RoadMap:
     """All lanes of a network, with what can be reached from where.
 
-    ground: the drivable area that the network carries (shapely polygons, m), None where it carries none."""
+    ground: the drivable area that the network carries (shapely polygons, m), None where it carries none.
+    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``)."""
 
     name: str
     lanes: dict[str, Lane]
     edges: dict[str, tuple[str, ...]]  # edge -> its lane ids, rightmost first
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
     ground: Any = field(repr=False, default=None)
+    hand: float = 1.0
 
     @cached_property
     def _tree(self) -> tuple[Any, list[str]]:
@@ -138,7 +141,8 @@ class RoadMap:
         return None if best is None else best[1:]
 
     def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
-        """Lateral offset of the nearest lane to the left that leads the other way and touches ours; None if none."""
+        """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
+        other way and touches ours; None if none."""
         best: float | None = None
         for lane in self.lanes_near(x, y, 12.0):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
@@ -151,7 +155,7 @@ class RoadMap:
                 t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
                 if -2 < t < math.hypot(*(b - a)) + 2:
                     d = -d
-                    if d > 0 and (best is None or d < best):
+                    if self.hand * d > 0 and (best is None or abs(d) < abs(best)):
                         best = d
         return best
 
@@ -161,9 +165,11 @@ class RoadMap:
         if lane is None or lane.internal:
             return []
         offsets = [(offset, "same") for _, offset in self._beside(lane)]
-        left = sum(self.lanes[n].width for n in self.edges[lane.edge][lane.index + 1 :]) + lane.width / 2
+        row = self.edges[lane.edge]
+        inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
+        reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
         opposite = self.opposite_offset(x, y, heading)
-        if opposite is not None and opposite < left + 2.6:
+        if opposite is not None and abs(opposite) < reach + 2.6:
             offsets.append((opposite, "opposite"))
         return offsets
 
@@ -239,14 +245,15 @@ class RoadMap:
 
     def onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
         """Connections from a lane, straight ones first; only along ``route`` where that says something."""
-        order = {"straight": 0, "right": 1, "left": 2, "u-turn": 3}
+        near, far = ("right", "left") if self.hand > 0 else ("left", "right")
+        order = {"straight": 0, near: 1, far: 2, "u-turn": 3}
         options = sorted((c for c in lane.connections if c.to in self.lanes), key=lambda c: order[c.movement])
         if route and not lane.internal and lane.edge in route:
             at = route.index(lane.edge)
             following = route[at + 1] if at + 1 < len(route) else None
             chosen = [c for c in options if self.lanes[c.to].edge == following]
             if not chosen and following is not None:  # a neighbour lane leads there: the vehicle will change lanes
-                for name in self.edges[lane.edge]:
+                for name in self.edges[lane.edge][:: int(self.hand)]:
                     chosen += [c for c in self.lanes[name].connections if self.lanes[c.to].edge == following]
             return chosen[:1] if following is not None else []
         return [c for c in options if c.movement != "u-turn"]
@@ -301,19 +308,32 @@ def read_network(path: FilePath) -> RoadMap:
         raise UsageError(
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
+    hand = -1.0 if is_left_hand(path) else 1.0
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
-        edges[edge.getID()] = tuple(lane.getID() for lane in edge.getLanes())
+        row = tuple(lane.getID() for lane in edge.getLanes())
+        edges[edge.getID()] = row if hand > 0 else row[::-1]
         internal = edge.getFunction() == "internal"
         for lane in edge.getLanes():
             lanes[lane.getID()] = Lane(
-                lane.getID(), edge.getID(), lane.getIndex(), np.asarray(lane.getShape(), float)[:, :2],
+                lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
+                np.asarray(lane.getShape(), float)[:, :2],
                 float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
                 bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
             )  # fmt: skip
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net))
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
+
+
+def is_left_hand(path: FilePath) -> bool:
+    """Whether a network is of left-hand traffic; sumolib does not say it."""
+    import gzip
+    from xml.etree import ElementTree
+
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        _, root = next(ElementTree.iterparse(file, events=("start",)))
+    return str(root.get("lefthand")) in ("true", "1", "yes", "on")
 
 
 def _ground(path: FilePath, net: Any) -> Any:
