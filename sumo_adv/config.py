@@ -87,6 +87,7 @@ class Settings(ModelSettings, BaseSettings):
     until: Until = Until.TTC
     attempts: int = Field(400, ge=1, le=10_000)
     seconds: float = Field(60.0, gt=0, le=86_400)  # of attempts in an encounter
+    total_seconds: float = Field(300.0, ge=0, le=604_800)  # after which no further encounter is begun
     diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
     ttc: tuple[float, float] | None = None  # a near miss is wanted: the band in which its min TTC lies
     critical_ttc: float = Field(1.0, gt=0, le=LONGEST_TTC)

@@ -14,7 +14,8 @@ INPUT, EGO, ATTACK, SEARCH, MODEL, OUTPUT = "Input", "Ego", "Attack", "Search", 
 RUNNING = "Running"
 """Panels of the help."""
 CHOICE = (
-    "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts", "adversaries",
+    "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts", "seconds",
+    "adversaries",
 )  # fmt: skip
 """Settings that say which attack is wanted; ``run`` and ``batch`` have an option for each."""
 
@@ -77,6 +78,7 @@ Adversaries = Annotated[
     option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
 ]
 Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per encounter.", setting="attempts")]
+Seconds = Annotated[float | None, option(ATTACK, "Seconds of attempts per encounter at most.", setting="seconds")]
 
 # -- where it is looked for
 

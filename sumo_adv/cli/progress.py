@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -12,6 +13,7 @@ import typer
 
 from sumo_adv.cli.shown import Shown
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
+from sumo_adv.episode.assessment import rank
 
 
 class Reporter(Protocol):
@@ -36,13 +38,46 @@ class Silent(Shown):
 
 
 class Lines(Silent):
-    """One line an event."""
+    """One line an event; of attempts, those that are better than all before in the encounter."""
+
+    def __init__(self) -> None:
+        self._best = Best()
 
     def tell(self, what: str, value: Any) -> None:
         """Print it."""
         text = line(what, value)
-        if text:
+        if text and self._best.shows(what, value):
             typer.echo(text)
+
+
+class Best:
+    """Which attempts are worth a line: the first, and each that came to more than all before in its encounter."""
+
+    def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        self.attempts, self.level, self._began = 0, Level.NONE, time.perf_counter()
+        self._rank: tuple[float, float] | None = None
+
+    def shows(self, what: str, value: Any) -> bool:
+        """Whether an event gets a line."""
+        if what == "encounter":
+            self._begin()
+        if what != "attempt":
+            return True
+        self.attempts += 1
+        self.level = max(self.level, value.verdict.level)
+        new = rank(value.verdict)
+        better = self._rank is None or new < self._rank
+        self._rank = new if better else self._rank
+        return better
+
+    def words(self) -> str:
+        """Attempts so far, how fast they are made, the best level and the seconds used."""
+        took = time.perf_counter() - self._began
+        pace = self.attempts / max(took, 1e-3)
+        return f"Attacking: {self.attempts} attempts, {pace:.0f} a second, best level {self.level}, {took:.0f} s ..."
 
 
 class Live(Silent):
@@ -51,15 +86,15 @@ class Live(Silent):
     def __init__(self) -> None:
         from rich.console import Console
 
-        self._console = Console(highlight=False)
+        self._console, self._best = Console(highlight=False), Best()
         self._display = self._console.status("Looking for an encounter ...")
 
     def tell(self, what: str, value: Any) -> None:
         """Print it, and say what comes next."""
         text = line(what, value)
-        if text:
+        if text and self._best.shows(what, value):
             self._console.print(text, markup=False)
-        self._display.update("Predicting ..." if what == "encounter" else "Attacking ...")
+        self._display.update(self._best.words())
 
 
 def make_reporter(*, quiet: bool) -> Reporter:
@@ -100,6 +135,10 @@ def _attempt(a: Attempt) -> str:
 def summary(result: Mapping[str, Any], folder: Path) -> str:
     """The outcome in a few lines."""
     lines = [_result(result)]
+    tried = result.get("encounters_tried") or []
+    if tried:
+        each = "; ".join(f"{t['time']:.1f} s ({t['level']} in {t['attempts']} attempts)" for t in tried)
+        lines.append(f"Encounters tried without success: {len(tried)}. {each}.")
     raw, best = result["raw"], result["outcome"]
     if best is not None and raw is not None:
         intent = result["intent"]

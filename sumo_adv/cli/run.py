@@ -33,6 +33,7 @@ def run(
     exclude: shared.Exclude = None, kind: shared.Kind = None, adversary: own.Adversary = None,
     adversaries: shared.Adversaries = None,
     trigger: own.Trigger = None, diverse: shared.Diverse = None, attempts: shared.Attempts = None,
+    seconds: shared.Seconds = None, total_seconds: own.TotalSeconds = None,
     tuner: own.Tuner = None, seed: own.Seed = None, learn: own.Learn = None, recall: own.Recall = None,
     memory: own.Memory = None, metric: own.Metric = None, no_fork: own.NoFork = False, llm: own.Llm = None,
     analyzer: own.Analyzer = None, generator: own.Generator = None, modifier: own.Modifier = None,

@@ -36,6 +36,10 @@ Ego = Annotated[
 EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
 Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may attack.", default="any")]
 Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]
+TotalSeconds = Annotated[
+    float | None,
+    option(ATTACK, "Go on with the next encounter until so many seconds are over, 0: never.", setting="total_seconds"),
+]
 Tuner = Annotated[str | None, option(SEARCH, "builtin, or off: try only what the analyzer proposes.", setting="tuner")]
 Learn = Annotated[str | None, option(SEARCH, "on or off: keep what was critical in the bank.", setting="learn")]
 Recall = Annotated[

@@ -130,6 +130,15 @@ class EncounterDetector:
         return kept
 
     @property
+    def needed(self) -> str:
+        """What was missing for an encounter, in words."""
+        if self.best >= self._on:
+            return (
+                f"a risk of {self.best:.2f} was seen, but it did not last until the next look, {LOOK_EVERY:g} s later"
+            )
+        return f"highest risk seen {self.best:.2f}, {self._on:.2f} is needed"
+
+    @property
     def outside(self) -> str:
         """A sentence, if the ODD kept vehicles from attacking; else empty."""
         return "The ODD kept vehicles from attacking." if self._seen.outside else ""

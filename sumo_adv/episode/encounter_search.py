@@ -10,7 +10,6 @@ from sumo_adv.datatypes import Ending
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import (
     LOOK_EVERY,
-    ON,
     EncounterDetector,
     RankedVehicle,
     vehicles_of,
@@ -83,8 +82,8 @@ class EncounterSearch:
                     self._refuse_unknown()
                     return NoEncounter(
                         Ending.EGO_LEFT,
-                        f"The vehicle '{requested}' was gone at {drive.now:.1f} s; the highest risk until then was "
-                        f"{detector.best:.2f}, {ON:.2f} is needed. A driver of yours may be faster than road.limit.",
+                        f"The vehicle '{requested}' was gone at {drive.now:.1f} s; {detector.needed}. "
+                        "A driver of yours may be faster than road.limit.",
                     )
                 drive.release()
             elif task.trigger is not None:
@@ -135,7 +134,7 @@ class EncounterSearch:
         return NoEncounter(
             Ending.NO_ENCOUNTER,
             f"No {vehicles_of(self.task.settings.kind)} came into a position to endanger the ego before "
-            f"{self.drive.now:.0f} s (highest risk seen {detector.best:.2f}, {ON:.2f} is needed); "
+            f"{self.drive.now:.0f} s ({detector.needed}); "
             f"try a longer --end, more --density, another --seed or --ego-id. {detector.outside}".rstrip(),
         )
 

@@ -8,11 +8,22 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level
 from sumo_adv.episode.refinement import Refinement
 from sumo_adv.episode.task import FoundEncounter, Prefix, Task
 from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.simulation.inputs import RunInput
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """An encounter that was attacked without success: its time [s], ego, attempts, best level, and why it ended."""
+
+    time: float
+    ego: str
+    attempts: int
+    level: Level
+    reason: str
 
 
 @dataclass(slots=True)
@@ -34,6 +45,7 @@ class Episode:
     known_labels: frozenset[str] = frozenset()  # of intents that the bank had
     forked: bool = False
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction
+    tried: list[Tried] = field(default_factory=list)  # encounters that were attacked before, without success
     stopped: Mapping[str, int] = field(default_factory=dict)  # calls that ran into a limit, by the planner's hash
     isolation: str = ""
     bank_hash: str = ""
@@ -54,6 +66,23 @@ class Episode:
         episode = replace(self, refinement=replace(self.refinement, chosen=index), timing=dict(self.timing))
         episode.keep_intent()
         return episode
+
+    def leave(self) -> Episode:
+        """Note the encounter as tried and begin with an empty record for the next one. Returns what is left behind."""
+        left, best = replace(self, timing=dict(self.timing)), self.best
+        assert self.found is not None
+        level = Level.NONE if best is None else best.verdict.level
+        self.tried.append(Tried(self.found.time, self.found.ego, len(self.refinement.attempts), level, self.reason))
+        self.refinement, self.skips = Refinement(goal=self.settings.goal), self.skips + 1
+        self.intents, self.intent, self.casts, self.bandit = (), None, (), []
+        self.ending, self.reason = Ending.SIMULATION_FAILED, ""
+        return left
+
+    def back_to(self, left: Episode) -> None:
+        """Make an encounter that was left the one that counts: no later one came to more."""
+        for name in ("ending", "reason", "found", "intents", "intent", "casts", "refinement", "prefix", "lanes",
+                     "known_labels", "skips", "bandit"):  # fmt: skip
+            setattr(self, name, getattr(left, name))
 
     def keep_intent(self) -> None:
         """Take the intent of the attempt that counts, as the analyzer ranked it; without attempts, the first one."""

@@ -5,6 +5,7 @@ encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attem
 
 from __future__ import annotations
 
+import math
 import time
 import traceback
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING
+from sumo_adv.episode.assessment import NOTHING, rank
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
 from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
@@ -60,13 +61,41 @@ def model_ending(error: ModelError) -> Ending:
 
 
 def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
-    planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
-    entries = None if planned is None else decide(episode, planned, agents, bank)
-    if planned is None or entries is None:
-        return
-    tell("intents", episode.intents)
-    runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
-    pursue(episode, planned, entries, StepwiseRunner(runner, engine.at_once), agents, bank, tell)
+    began, best = time.perf_counter(), None
+    while True:
+        planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
+        entries = None if planned is None else decide(episode, planned, agents, bank)
+        if planned is None or entries is None:
+            break
+        tell("intents", episode.intents)
+        runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
+        steps = StepwiseRunner(runner, engine.at_once)
+        another = may_go_on(episode)
+        pursue(episode, planned, entries, steps, agents, bank, tell, another=another)
+        if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
+            break
+        left = episode.leave()
+        best = left if best is None or _worth(left) < _worth(best) else best
+        if time.perf_counter() - began >= episode.settings.total_seconds:
+            break
+    if (
+        best is not None
+        and episode.ending is not Ending.CRITICAL
+        and (episode.best is None or _worth(best) <= _worth(episode))
+    ):
+        episode.back_to(best)
+
+
+def may_go_on(episode: Episode) -> bool:
+    """Whether the run goes on with the next encounter where this one gives nothing."""
+    found, task = episode.found, episode.task
+    last = found is None or found.last or task.trigger is not None or task.playback is not None
+    return not last and episode.settings.tuner == "builtin" and episode.settings.total_seconds > 0
+
+
+def _worth(episode: Episode) -> tuple[float, float]:
+    """Sorts encounters without success: the one that came to most first."""
+    return (math.inf, 0.0) if episode.best is None else rank(episode.best.verdict)
 
 
 def decide(
@@ -93,11 +122,14 @@ def decide(
 
 def pursue(
     episode: Episode, planned: PlannedEncounter, entries: Sequence[LibraryEntry], runner: Attempts, agents: Agents,
-    bank: MemoryBank, tell: Tell,
+    bank: MemoryBank, tell: Tell, *, another: bool = False,
 ) -> None:  # fmt: skip
-    """Run attempts until one succeeds or the budget is used up, and learn from them."""
+    """Run attempts until one succeeds or the budget is used up, and learn from them.
+
+    another: there may be another encounter, so this one is left sooner where nothing comes near.
+    """
     settings, timing = episode.settings, episode.timing
-    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell)
+    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell, another=another)
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason

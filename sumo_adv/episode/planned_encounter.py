@@ -71,7 +71,7 @@ def find_attackable(
             return None
         planned = with_predictions(episode, encounter, sandbox, bank)
         episode.stopped = planned.predictor.stopped
-        if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips == MOST_SKIPS:
+        if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips >= MOST_SKIPS:
             return planned
         episode.skips += 1
 
@@ -155,6 +155,13 @@ def teamwork(episode: Episode, bank: MemoryBank) -> Teamwork | None:
     return Teamwork(most, episode.task.colliders, tuple(compositions(bank))) if most > 1 else None
 
 
+def passed_over(episode: Episode) -> str:
+    """Why the last encounter is left."""
+    if episode.tried and episode.tried[-1].time == getattr(episode.found, "time", None):
+        return f"{episode.tried[-1].attempts} attempts without success"
+    return "no intent reaches the ego, by prediction"
+
+
 def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
     """Start the simulation, if it has not started, and go on to the next encounter; None if there is none."""
     began = time.perf_counter()
@@ -163,7 +170,7 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
         episode.forked = engine.request("forks")
         episode.timing["start"] = time.perf_counter() - began
         began = time.perf_counter()
-    encounter = engine.request("seek", "" if episode.found is None else "no intent reaches the ego, by prediction")
+    encounter = engine.request("seek", "" if episode.found is None else passed_over(episode))
     episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
     if isinstance(encounter, NoEncounter):
         episode.ending, episode.reason, episode.found = encounter.ending, encounter.reason, None

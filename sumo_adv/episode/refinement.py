@@ -25,6 +25,8 @@ from sumo_adv.search.search import AttackSearch
 
 GENERATION = 8  # attempts whose results the next ones know: fixed, so that results do not depend on the number of cores
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
+HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come
+REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 
@@ -78,7 +80,11 @@ class Refiner:
         library: Sequence[LibraryEntry],
         settings: Settings,
         tell: Callable[[str, Any], None],
+        *,
+        another: bool = False,
     ) -> None:
+        """``another``: there may be another encounter, so this one is left where nothing comes near."""
+        self._another = another
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
@@ -93,6 +99,9 @@ class Refiner:
             if time.perf_counter() - began >= self._settings.seconds:
                 found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
                 break
+            if self._another and _since_better(found) >= HOPEFUL:
+                found.reason = f"The last {HOPEFUL} attempts came to no more, and another encounter may come."
+                break
             plans = self._next(optimizer, found)
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
@@ -102,6 +111,7 @@ class Refiner:
             if self._try(plans, found, began):
                 break
             self._observe(optimizer, found, len(plans))
+            self._forget(found)
         if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         if found.attempts and all(a.ending == "crashed" for a in found.attempts):
@@ -155,6 +165,15 @@ class Refiner:
                 return True
         return False
 
+    def _forget(self, found: Refinement) -> None:
+        """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
+        kept = set(range(len(found.attempts) - GENERATION, len(found.attempts))) | set(found.successes)
+        ordered = sorted(range(len(found.attempts)), key=lambda k: rank(found.attempts[k].verdict))
+        kept |= set(ordered[:KEPT])
+        for k, result in enumerate(found.results):
+            if k >= REMEMBERED and k not in kept and len(result.snapshots):
+                found.results[k] = replace(result, snapshots=(), sizes={})
+
     def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
         """Take note of a success; whether there are enough of different kinds now."""
         if found.first_success_seconds is None:
@@ -203,6 +222,12 @@ class Refiner:
                     search.add_version(candidate.planner)
                 else:
                     search.add_chosen([candidate])
+
+
+def _since_better(found: Refinement) -> int:
+    """How many attempts were made since the first one of the highest level so far."""
+    levels = [found.goal.reached(a.verdict) for a in found.attempts]
+    return len(levels) - levels.index(max(levels)) if levels else 0
 
 
 def _tried(found: Refinement) -> list[tuple[Attempt, AttemptResult]]:

@@ -25,7 +25,7 @@ from sumo_adv.datatypes import (
     Verdict,
     plain_acceleration,
 )
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.episode import Episode, Tried
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.playback_spec import PlaybackSpec
@@ -61,6 +61,7 @@ def outcome(
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
+        "encounters_tried": [_tried(t) for t in episode.tried], "seconds_allowed": settings.seconds,
         "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
         "goal": _goal(settings), "attempts_allowed": settings.attempts,
         "why_first": episode.refinement.why_first or None,
@@ -83,6 +84,14 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
         "ego_speed": None if place is None else number(place.speed),
         "limit": None if place is None else number(place.limit),
         "vehicles_near": None if place is None else place.vehicles_near,
+    }  # fmt: skip
+
+
+def _tried(tried: Tried) -> dict[str, Any]:
+    """An encounter that was attacked without success."""
+    return {
+        "time": number(tried.time), "ego": tried.ego, "attempts": tried.attempts, "level": str(tried.level),
+        "reason": tried.reason,
     }  # fmt: skip
 
 
