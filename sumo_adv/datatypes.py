@@ -384,15 +384,6 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True)
-class Guard:
-    """An emergency brake: ``ttc`` [s] below which it acts, after ``reaction`` [s], with ``deceleration`` [m/s2]."""
-
-    ttc: float
-    reaction: float
-    deceleration: float
-
-
-@dataclass(frozen=True, slots=True)
 class DriverModel:
     """How the ego's driver is predicted: which rules it follows, and the numbers of its car following.
 
@@ -400,8 +391,7 @@ class DriverModel:
     positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
     hardest_braking: positive [m/s2].
     known: False if the model is an assumption. ignores_sumo_lane_rules: it may overtake on the right, and the direction
-    of lanes is nothing to it. sees: a vehicle ahead within this offset from the ego's path is a leader [m]; half the
-    lane is the minimum. guard: its emergency brake, if it has one.
+    of lanes is nothing to it.
     """
 
     kind: str
@@ -412,8 +402,6 @@ class DriverModel:
     speed: float
     known: bool = True
     ignores_sumo_lane_rules: bool = False
-    sees: float = 0.0
-    guard: Guard | None = None
     hardest_braking: float = 9.0  # SUMO's emergencyDecel of cars
 
 
@@ -455,8 +443,7 @@ class Prediction:
     level: that the collision reaches, by the reference drivers ``careful`` (cc_human) and ``manoeuvre``, which avoid it
     or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2]; human: it stays within the human
     envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why the contact does not count.
-    trace: positions of the adversary, x and y, every 0.5 s up to ``closest``. likely: how likely a valid collision is,
-    over the drivers that the ego may be; None if it was asked for one driver only.
+    trace: positions of the adversary, x and y, every 0.5 s up to ``closest``.
     """
 
     failure: str = ""
@@ -479,7 +466,6 @@ class Prediction:
     off_road: bool = False
     beyond_limits: bool = False
     trace: tuple[tuple[float, float], ...] = ()
-    likely: float | None = None
 
     @property
     def hopeless(self) -> bool:

@@ -168,12 +168,6 @@ class Counted:
         self.labels |= {p.label for p in proposals}
         return [replace(p, score=0.05, nominal=0.05) for p in proposals]
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        return list(proposals)
-
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        return False
-
 
 def test_nothing_of_another_intent_is_even_predicted() -> None:
     library = [

@@ -108,19 +108,10 @@ def test_a_table_compares_with_banks_that_stay_as_they_are() -> None:
 
 
 def test_what_the_next_run_would_see_is_told_apart() -> None:
-    view = BankView(((0.0, "bv", "Shift", "a"),), {"idm": 0.9}, 0)
+    view = BankView(((0.0, "bv", "Shift", "a"),), 0)
     assert view.difference(view) == ""
-    learnt = BankView(((0.0, "bv", "Shift", "a"), (0.0, "bv", "Shift", "b")), {"idm": 0.6}, 0)
+    learnt = BankView(((0.0, "bv", "Shift", "a"), (0.0, "bv", "Shift", "b")), 0)
     assert view.difference(learnt) == (
-        "The memory bank has learnt planners of Shift and how this ego drives: the same command may run differently "
-        "next time (--learn off keeps the bank as it is)."
+        "The memory bank has learnt planners of Shift: the same command may run differently next time "
+        "(--learn off keeps the bank as it is)."
     )
-
-
-def test_a_run_says_what_it_has_learnt_of_an_unknown_driver(program: Program) -> None:
-    """The search knows the rules of idm; of a class of the user's it learns how it drives."""
-    options = ("--ego", "ego_samples:CalmEgo", "--attempts", "1", "--out", "out")
-    done = program("run", "leader_two_lanes", *options)
-    assert done.status == 0, done.err
-    assert "The memory bank has learnt how this ego drives: " in done.out
-    assert program("run", "leader_two_lanes", *options[2:], "--force").outcome["bank_change"] is None

@@ -33,12 +33,6 @@ class Road:
         self.asked += len(proposals)
         return [replace(p, score=self._one(p), prediction=Prediction(hit=True)) for p in proposals]
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        return list(proposals)
-
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        return False
-
     def _one(self, p: Proposal) -> float:
         if p.planner is WIDE:
             return 0.4

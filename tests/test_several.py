@@ -190,14 +190,8 @@ class Saved:
             for p, b in zip(proposals, blocked, strict=True)
         ]
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        return list(proposals)
-
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
         return [(Duty.BLOCK_LEFT,)] * len(proposals)
-
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        return False
 
 
 def first(adversaries: int, colliders: tuple[str, ...] = ()) -> Proposal:

@@ -152,14 +152,8 @@ class Near:
         hit = Prediction(hit=True, level=Level.VALID, min_ttc=0.0)
         return [replace(p, score=0.6, nominal=0.6, prediction=hit) for p in proposals]
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        return list(proposals)
-
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
         return [()] * len(proposals)
-
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        return False
 
 
 def search(adversaries: int) -> AttackSearch:

@@ -15,7 +15,6 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, ObservedMotion
 from sumo_adv.drivers.car_following import NUMERICAL, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
-from sumo_adv.drivers.guard import Guards
 from sumo_adv.drivers.junctions import AtJunction, Junctions
 from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
@@ -71,8 +70,6 @@ class PredictedEgos:
         self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model.kind == "careful"
         self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
-        guard = self.model.guard
-        self._guards = None if guard is None else Guards(guard, size, length, width, scenes.dt)
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._lateral_gap = LateralGap(scenes, length, width)
@@ -83,7 +80,7 @@ class PredictedEgos:
         )  # fmt: skip
         self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
         self._edges = seen_edges(self._lane, scenes.ego.width, self._of_pairs(self.d))
-        self._sees = np.maximum(self._lane / 2, self.model.sees)
+        self._sees = self._lane / 2
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -168,7 +165,7 @@ class PredictedEgos:
 
         front: the adversaries' stations in SUMO, whether their fronts are ahead of the egos', and the fronts' offsets.
         """
-        own_s, own_d, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.d, self.v, self.a))
+        own_s, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.v, self.a))
         (_, _, h), (s, ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
         leads = self._in_lane(front_d, h) & ahead & ~across
@@ -179,8 +176,6 @@ class PredictedEgos:
             bound = np.where(leads, self._driver.behind(own_v, gap, speed), bound)
         if self._careful is not None:
             bound = np.minimum(bound, self._careful.bound((own_s, own_v, own_a), adversary, speed))
-        if self._guards is not None:
-            bound = np.minimum(bound, self._guards.bound((own_s, own_d, own_v), adversary, speed))
         if at_junction is not None:
             bound = np.minimum(bound, self._junctions.bound(at_junction, own_s, own_v))
         bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY), own_v))

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.memory_access import read_library, weights_of_driver
+from sumo_adv.episode.memory_access import read_library
 from sumo_adv.episode.planned_encounter import PlannedEncounter
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.search.composed_intents import composed
@@ -20,12 +19,11 @@ Template = tuple[float, str, str, str]
 class BankView:
     """What an encounter depends on.
 
-    templates: what the search draws from, in order where nothing but the order is tried. driver: weights of the models
-    of an unknown driver. evidence: number of pieces, 0 where no model is shown them and no scene is recalled.
+    templates: what the search draws from, in order where nothing but the order is tried. evidence:
+    number of pieces, 0 where no model is shown them and no scene is recalled.
     """
 
     templates: tuple[Template, ...]
-    driver: Mapping[str, float]
     evidence: int
 
     @classmethod
@@ -40,7 +38,7 @@ class BankView:
         counts = shown or settings.recall == "scene"
         return cls(
             tuple(templates if settings.tuner == "off" else sorted(templates)),
-            weights_of_driver(bank, episode.task.ego_driver), len(bank.evidence()) if counts else 0,
+            len(bank.evidence()) if counts else 0,
         )  # fmt: skip
 
     def difference(self, after: BankView) -> str:
@@ -48,7 +46,6 @@ class BankView:
         new = sorted({label for *_, label, _ in set(after.templates) - set(self.templates)})
         learnt = [f"planners of {', '.join(new)}"] if new else []
         learnt += ["another order of planners"] if not new and after.templates != self.templates else []
-        learnt += ["how this ego drives"] if after.driver != self.driver else []
         learnt += ["the outcome of this scene"] if after.evidence != self.evidence else []
         if not learnt:
             return ""

@@ -17,7 +17,7 @@ from sumo_adv.episode.assessment import NOTHING, rank
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
 from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.memory_access import learn, learn_driver
+from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
 from sumo_adv.episode.task import FoundEncounter, Task
@@ -144,8 +144,6 @@ def pursue(
         episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
     before = BankView.of(episode, bank, planned)
     learn(episode, bank, entries)
-    if planned.predictor.count:
-        learn_driver(episode, bank, planned.predictor.driver_weights)
     episode.bank_change = before.difference(BankView.of(episode, bank, planned))
 
 

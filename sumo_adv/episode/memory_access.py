@@ -228,27 +228,6 @@ def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSign
     return tallies
 
 
-DRIVER = "driver."  # settings ``driver.<name>``: how likely each model of an unknown driver is
-
-
-def weights_of_driver(bank: MemoryBank, driver: str) -> dict[str, float]:
-    """What earlier encounters showed of a driver: model -> weight; empty if nothing is known of it."""
-    kept = bank.settings(f"{DRIVER}{driver}").get(f"{DRIVER}{driver}")
-    if not isinstance(kept, dict):
-        return {}
-    return {str(name): float(w) for name, w in kept.items() if isinstance(w, int | float) and 0.0 <= w <= 1.0}
-
-
-def learn_driver(episode: Episode, bank: MemoryBank, weights: Mapping[str, float]) -> None:
-    """Write what the encounter showed of an unknown driver to the bank."""
-    if episode.settings.learn == "off" or len(weights) < 2:
-        return
-    try:
-        bank.keep(f"{DRIVER}{episode.task.ego_driver}", {name: round(w, 4) for name, w in weights.items()})
-    except BankError as error:
-        episode.notes.append(f"Nothing was learnt of the driver: {error}")
-
-
 def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
     """Write what the attempts showed to the bank, one piece of evidence for each planner that was tried.
 

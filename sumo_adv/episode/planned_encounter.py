@@ -21,7 +21,6 @@ from sumo_adv.episode.memory_access import (
     retrieve,
     selection_of,
     signature,
-    weights_of_driver,
 )
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
 from sumo_adv.memory.bank import MemoryBank
@@ -85,8 +84,7 @@ def with_predictions(
     modified = episode.agents is not None and episode.agents.by_model("modifier")
     share = settings.per_planner if modified else settings.attempts
     weights = SearchSettings(proposals=settings.proposals, share=share)
-    shown = {} if settings.learn == "off" else weights_of_driver(bank, episode.task.ego_driver)
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, shown, episode.stopped)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
     search, recalled = searched(episode, found, predictor, library, bank, weights, forecast)
@@ -107,7 +105,7 @@ def searched(
     search = AttackSearch(
         predictor, found.situations, library,
         weights, seed=settings.seed, goal=settings.goal,
-        selection=selection_of(episode, bank), unknown_driver=not driver.known, exact_driver=exact(driver),
+        selection=selection_of(episode, bank), exact_driver=exact(driver),
         recalled=None if recalled is None else recalled[1], adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
         predicts=forecast or driver.known or settings.adversaries > 1 or _evidence_wanted(episode),

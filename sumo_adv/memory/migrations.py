@@ -100,6 +100,10 @@ MIGRATIONS: tuple[Migration, ...] = (
             "ALTER TABLE evidence ADD COLUMN knots TEXT CHECK (knots IS NULL OR json_valid(knots))",
         ),
     ),
+    Migration(
+        "0003_no_driver_weights",  # unknown drivers are asked by attempts, so nothing is kept of how they drive
+        ("DELETE FROM settings WHERE key LIKE 'driver.%'",),
+    ),
 )
 
 

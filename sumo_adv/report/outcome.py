@@ -226,11 +226,10 @@ def _composed(p: Proposal) -> dict[str, Any]:
 
 
 def _predicted(made: Prediction | None) -> dict[str, Any]:
-    """The level that was predicted for the most likely driver, and how likely a valid collision was."""
+    """The level that was predicted, and whether that is a valid collision: 1 or 0."""
     if made is None:
         return {"predicted_level": None, "predicted_valid": None}
-    likely = float(made.level >= Level.VALID) if made.likely is None else made.likely
-    return {"predicted_level": str(made.level), "predicted_valid": number(likely)}
+    return {"predicted_level": str(made.level), "predicted_valid": number(float(made.level >= Level.VALID))}
 
 
 def _successes(episode: Episode) -> list[dict[str, Any]]:

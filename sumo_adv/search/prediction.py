@@ -8,15 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
-import numpy as np
-
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import DriverModel, Duty, Level, Limits, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import Duty, Limits, ObservedMotion, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
 from sumo_adv.road_users import road_user
-from sumo_adv.search.driver_identification import DriverIdentification, apart, in_traffic
 from sumo_adv.search.escapes import predicted_escapes
 from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.rollouts import Rollouts, lined_up, predict
@@ -33,27 +30,15 @@ class Predictor:
 
     def __init__(
         self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation],
-        weights: ScoreSettings | None = None, driver_weights: Mapping[str, float] | None = None,
-        stopped: Mapping[str, int] | None = None,
+        weights: ScoreSettings | None = None, stopped: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
-        """``driver_weights``: what earlier encounters showed of an unknown driver; ``stopped``: how many calls of each
-        planner ran into a limit in them, by hash."""
+        """``stopped``: how many calls of each planner ran into a limit in earlier encounters, by hash."""
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
-        first = next(iter(situations.values()))
-        self._driver = DriverIdentification(first.baseline.model, driver_weights or {})
-        self._situations = self._all_driven_by(self._driver.model)
-        if self._driver.open and self._driver.observe([in_traffic(first, m) for m in self._driver.models]):
-            self._situations = self._all_driven_by(self._driver.model)
         self.seconds, self.count = 0.0, 0
         self.failures: dict[str, str] = {}  # planner hash -> sentence
         self.stopped: Mapping[str, int] = dict(stopped or {})
-
-    @property
-    def driver_weights(self) -> dict[str, float]:
-        """How likely each driver is that the ego may be."""
-        return dict(zip(self._driver.names, self._driver.weights.tolist(), strict=True))
 
     def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
@@ -72,30 +57,6 @@ class Predictor:
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """Predicted candidates with the scores that are expected over the likely drivers, and ``likely``: how likely a
-        valid collision is. A known driver is the case of one.
-
-        A score that was corrected by the ego's own motion stays.
-        """
-        scored, likely = list(proposals), self._driver.likely
-        if len(likely) == 1 or not scored:
-            return scored
-        worst = self._weights.expected_worst
-        sums = np.array([[min(p.score, worst), _is_valid(p)] for p in scored]) * likely[0][1]
-        before = self._situations
-        for model, weight in likely[1:]:
-            self._situations = self._all_driven_by(model)
-            sums += weight * np.array([[min(p.score, worst), _is_valid(p)] for p in self.score(scored)])
-        self._situations = before
-        results = []
-        for p, (score, valid) in zip(scored, sums.tolist(), strict=True):
-            assert p.prediction is not None
-            own = p.score if p.uncorrected is not None or p.prediction.hopeless else score
-            expectation = replace(p.prediction, likely=valid)
-            results.append(replace(p, score=own, nominal=p.nominal_score, prediction=expectation))
-        return results
-
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
         """What supports have to do against the predicted escape of the ego from each candidate."""
         began = time.perf_counter()
@@ -108,29 +69,9 @@ class Predictor:
         self.seconds += time.perf_counter() - began
         return [duties[k] for k in range(len(proposals))]
 
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        """Hold the driver models against the ego's motion in an attempt; whether another one is believed from now on,
-        so that predictions must be repeated."""
-        if not self._driver.open or tried.course is not None:
-            return False
-        began, situation = time.perf_counter(), self._situations[tried.delay]
-        real = situation.baseline.path.at(motion.s, motion.d)
-        distances = []
-        for model in self._driver.models:
-            ego = self.rolled({tried.delay: situation.driven_by(model)}, [tried]).ego
-            distances.append(apart((real[0], real[1]), (ego[0][0], ego[1][0]), motion, situation.dt))
-        changed = self._driver.observe(distances)
-        if changed:
-            self._situations = self._all_driven_by(self._driver.model)
-        self.seconds += time.perf_counter() - began
-        return changed
-
     def _limits(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Limits:
         """The limits of candidates that are all of one kind of road user."""
         return self._settings.limits.of(situations[proposals[0].delay].targets[proposals[0].bv].state)
-
-    def _all_driven_by(self, model: DriverModel) -> dict[float, Situation]:
-        return {delay: situation.driven_by(model) for delay, situation in self._situations.items()}
 
     def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
         limits = self._limits(self._situations, proposals)
@@ -181,10 +122,6 @@ def _no_garbage_collection() -> Iterator[None]:
     finally:
         if enabled:
             gc.enable()
-
-
-def _is_valid(p: Proposal) -> float:
-    return float(p.prediction is not None and p.prediction.level >= Level.VALID)
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:

@@ -15,16 +15,8 @@ class Scorer(Protocol):
         """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
         ...
 
-    def expected(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """Predicted candidates with the scores that are expected over all drivers that the ego may be."""
-        ...
-
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
         """What supports have to do against the predicted escape of the ego from each candidate."""
-        ...
-
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> bool:
-        """Take note of the ego's motion in an attempt; whether predictions differ from now on."""
         ...
 
 

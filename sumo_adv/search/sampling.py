@@ -71,7 +71,7 @@ def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     range, within the bounds; so have its supports. It counts as proposed by the search."""
     numbers = {}
     for q in p.planner.parameters:
-        value = p.parameters[q.name] + random.gauss(0.0, spread * (q.high - q.low))
+        value = p.parameters.get(q.name, q.default) + random.gauss(0.0, spread * (q.high - q.low))
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
     supports = tuple(varied(support, random, spread) for support in p.supports)
     return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner", supports=supports)

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
@@ -53,7 +52,6 @@ class AttackSearch:
         seed: int,
         goal: Goal | None = None,
         selection: Selection | None = None,
-        unknown_driver: bool = False,
         exact_driver: bool = False,
         recalled: Proposal | None = None,
         adversaries: int = 1,
@@ -64,8 +62,7 @@ class AttackSearch:
         """Predict the first candidates.
 
         situations: by delay after the trigger [s]. goal: what is wanted, a serious collision by default. selection: the
-        intents that may be tried, all by default. unknown_driver: no model of the ego's driver is known; exact_driver:
-        the model is the driver's own.
+        intents that may be tried, all by default. exact_driver: the model of the ego is its driver's own.
         recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
         has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for
         all; compositions: composed intents that the bank knows. predicts: whether
@@ -74,7 +71,7 @@ class AttackSearch:
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
         self._level = max(self._goal.level, Level.VALID)
-        self._selection, self._unknown_driver = selection or Selection(), unknown_driver
+        self._selection = selection or Selection()
         self._sampler = Sampler(settings.sampling, seed)
         self._correction = PredictionCorrection(scorer, settings.correction, known_driver=exact_driver)
         self._ranks: Mapping[tuple[str, str], int] = {}
@@ -90,7 +87,7 @@ class AttackSearch:
         )
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
-        self._evolution = Evolution(self._sampler, self._goal, settings.evolution)
+        self._evolution = Evolution(Sampler(settings.sampling, seed), self._goal, settings.evolution)
         self._predicts = predicts
         self.pool: list[Proposal] = []
         if recalled is not None:
@@ -148,9 +145,7 @@ class AttackSearch:
         weights, seen = self._settings.price, p.prediction
         if seen is None:
             return p.score
-        hurried = max(1.0 - seen.spare / weights.spare, 0.0) if self._unknown_driver else 0.0
-        late = weights.late * seen.time + weights.at_the_end * hurried
-        return p.score + late + weights.harsh * seen.braking + weights.support * len(p.supports)
+        return p.score + weights.late * seen.time + weights.harsh * seen.braking + weights.support * len(p.supports)
 
     def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
         """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
@@ -226,7 +221,6 @@ class AttackSearch:
             return
         if reached < Level.VALID:
             self._support.observe(tried, motion)
-        self.pool = self._predicted_again(tried, motion)
         if not tried.supports and (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
             self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
@@ -393,19 +387,6 @@ class AttackSearch:
             loose = [p for p in selected if p is not first and not is_robust(p) and p.score < settings.avoidable]
             best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
             taken = {id(p) for p in best}
-            expected = self._scorer.expected(best)
-            weighed = weighed_with_neighbours(expected, self._scored, self._sampler.random, settings.robustness)
+            weighed = weighed_with_neighbours(best, self._scored, self._sampler.random, settings.robustness)
             selected = weighed + [p for p in selected if id(p) not in taken]  # of equals a robust one comes first
-        return selected
-
-    def _predicted_again(self, tried: Proposal, motion: ObservedMotion) -> list[Proposal]:
-        """The pool after an attempt: the best candidates are predicted again if another driver model is believed."""
-        selected = list(self.pool)
-        if not self._scorer.observe(tried, motion):
-            return selected
-        rows = sorted((k for k, p in enumerate(selected) if p.by != "memory"), key=lambda k: self.price(selected[k]))
-        rows = rows[: self._settings.correction.repeated]
-        scored = self._correction.corrected(self._scorer.score([selected[k].unscored() for k in rows]))
-        for k, again in zip(rows, scored, strict=True):
-            selected[k] = replace(again, is_neighbour=selected[k].is_neighbour)
         return selected

@@ -30,7 +30,6 @@ class ScoreSettings:
     third_party: float = 4.0  # touches another vehicle first
     rear_end: float = 5.0  # runs into the back of the ego
     failed: float = 9.0  # the planner failed
-    expected_worst: float = 1.8  # a score above it counts as this in the mean over the drivers that the ego may be
     to_delta_v: float = 0.2  # added to a strict one: the share of a serious delta-v that is missing
     not_human: float = 0.06  # added to a strict collision if no person would drive so
     to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
@@ -44,8 +43,6 @@ class PriceSettings:
 
     harsh: float = 0.1  # times the share of steps in which the adversary brakes: traffic hardly brakes
     late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
-    at_the_end: float = 0.3  # a contact at the very end, if the ego's driver is unknown: it may come too late
-    spare: float = 2.0  # s before the end from which on that costs nothing
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.03  # for each place in a model's ranking
     support: float = 0.03  # for each support: fewer adversaries are more likely in traffic
@@ -84,7 +81,6 @@ class CorrectionSettings:
     share: float = 0.5  # of what is left of a prediction's weight goes to the observation, for each surprise
     worst: float = 2.5  # a score above it (a miss by far, a rear-end) counts as this
     at_once: int = 300  # the best candidates that one surprise corrects
-    repeated: int = 240  # the best candidates predicted again where another driver model is believed
 
 
 @dataclass(frozen=True, slots=True)
