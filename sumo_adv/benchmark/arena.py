@@ -111,7 +111,7 @@ class Arena:
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
             opponent.begin(self.encounter(encounter, bank))
-            while len(done.attempts) < settings.attempts or exhaustive:
+            while exhaustive or (len(done.attempts) < settings.attempts and clock.seconds < settings.seconds):
                 if not self._one(opponent, episode, encounter, clock):
                     break
                 if done.goal.met(done.attempts[-1].verdict):
@@ -175,21 +175,27 @@ class Arena:
 
 
 class _Clock:
-    """Seconds of a row, and until its first valid attempt."""
+    """Seconds of a row, and until its first attempt of each level."""
 
     def __init__(self) -> None:
         self._began = time.perf_counter()
-        self._first: float | None = None
+        self._first: dict[Level, float] = {}
 
     def tell(self, what: str, value: Any) -> None:
         """Hears of every attempt."""
-        if self._first is None and isinstance(value, Attempt) and value.verdict.level >= Level.VALID:
-            self._first = time.perf_counter() - self._began
+        if isinstance(value, Attempt):
+            for level in (Level.VALID, Level.STRICT, Level.SERIOUS):
+                if value.verdict.level >= level:
+                    self._first.setdefault(level, self.seconds)
+
+    @property
+    def seconds(self) -> float:
+        """Since it was started."""
+        return time.perf_counter() - self._began
 
     def stop(self, episode: Episode) -> None:
-        """Into the episode's timing: ``row``, ``first_valid`` (from the encounter on), ``total``."""
-        row = time.perf_counter() - self._began
+        """Into the episode's timing: ``row``, ``first_valid`` and so on (from the encounter on), ``total``."""
+        row = self.seconds
         episode.timing["row"] = row
-        if self._first is not None:
-            episode.timing["first_valid"] = self._first
+        episode.timing |= {f"first_{level}": seconds for level, seconds in self._first.items()}
         episode.timing["total"] = episode.timing.get("opened", 0.0) + row

@@ -39,6 +39,7 @@ SuiteOption = Annotated[
 Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
+Seconds = Annotated[float, typer.Option(min=0.1, help="Budget of every row, per encounter, s.")]
 Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
 Out = Annotated[Path | None, typer.Option(help="Folder (default: runs/bench-<suite>); the same one goes on.")]
@@ -61,6 +62,7 @@ def table(
     ] = None,
     seed: Seed = 0,
     attempts: Attempts = 25,
+    seconds: Seconds = 60.0,
     until: Until = "valid",
     reference: Annotated[
         str | None, typer.Option(help="Row the others are compared with (default: the first expert).")
@@ -79,7 +81,7 @@ def table(
     rows = _unique([r for given in row or ROWS for r in (EVERY_FIXED if given == "fixed" else (given,))])
     if reference is not None and reference not in (*rows, BEST_FIXED):
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
-    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs)
+    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs, seconds)
     cells = _run(request, means, as_json=as_json)
     _write(
         request,
@@ -235,6 +237,7 @@ def _unique(rows: Sequence[str]) -> tuple[str, ...]:
 def _order(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
     setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, keep_runs: bool,
+    seconds: float = 60.0,
 ) -> tuple[TableRequest, Means]:  # fmt: skip
     from sumo_adv.app import bench_parts
     from sumo_adv.benchmark.run import Means, TableRequest
@@ -246,7 +249,7 @@ def _order(
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*suite)
-    settings = {**_settings(setting or ()), "attempts": attempts, "until": until}
+    settings = {"seconds": seconds, **_settings(setting or ()), "attempts": attempts, "until": until}
     limit = load_settings(None, **settings).cell_seconds
     settings.pop("cell_seconds", None)  # it may be another when a table goes on
     request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))

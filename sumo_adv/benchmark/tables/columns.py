@@ -17,6 +17,7 @@ from sumo_adv.metrics.levels import AVOIDS, NOT_APPLICABLE
 from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
+SECONDS = (10, 60)
 UNSEEN = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
 CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --critical-ttc
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
@@ -181,9 +182,25 @@ def _tokens(cell: Cell) -> Value:
     return float((llm.get("prompt_tokens") or 0) + (llm.get("completion_tokens") or 0))
 
 
-def _to_first_valid(cell: Cell) -> Value:
-    seconds = (cell.get("timing") or {}).get("first_valid")
-    return None if seconds is None or c.first_valid(cell) is None else float(seconds)
+def _to_first(level: str) -> Callable[[Cell], Value]:
+    """Seconds from the encounter to the first attempt of a level or a higher one."""
+
+    def seconds(cell: Cell) -> Value:
+        took = (cell.get("timing") or {}).get(f"first_{level}")
+        return None if took is None or not _within(level, len(c.attempts(cell)))(cell) else float(took)
+
+    return seconds
+
+
+def _within_seconds(level: str, most: float) -> Callable[[Cell], Value]:
+    """Whether an attempt reached a level within so many seconds."""
+    return lambda cell: (took := _to_first(level)(cell)) is not None and took <= most
+
+
+def _pace(cell: Cell) -> Value:
+    """Attempts a second, with all that the row did in between."""
+    seconds, count = (cell.get("timing") or {}).get("row"), len(c.attempts(cell))
+    return count / seconds if seconds and count else None
 
 
 COLUMNS: tuple[Column, ...] = (
@@ -264,7 +281,13 @@ COLUMNS: tuple[Column, ...] = (
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
            lambda cell: _seconds(cell, model=True)),
     Column("seconds_valid", "s to the first valid", "Cost", "median, from the row's first look on", MEDIAN,
-           _to_first_valid, asked_of_all=False),
+           _to_first("valid"), asked_of_all=False),
+    *(Column(f"seconds_{level}", f"s to the first {level}", "Cost", "median, from the row's first look on", MEDIAN,
+             _to_first(level), asked_of_all=False) for level in ("strict", "serious")),
+    *(Column(f"{level}_within_{most}_s", f"{level} within {most} s", "Cost", "from the row's first look on",
+             of=_within_seconds(level, float(most))) for most in SECONDS for level in ("valid", "strict", "serious")),
+    Column("attempts_per_second", "attempts a second", "Cost", "with all that the row did in between", MEAN,
+           _pace, asked_of_all=False, digits=1),
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
            lambda cell: float((cell.get("llm") or {}).get("calls") or 0), digits=1),
     Column("tokens", "tokens", "Cost", "an encounter, prompt and completion", MEAN, _tokens, digits=0),
