@@ -2,6 +2,7 @@
 
 From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``),
 ``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")`` (``api_batch.py``),
+``found = sumo_adv.hunt("motorway", minutes=30)`` (``api_hunt.py``),
 ``found = sumo_adv.crash_rate("straight_2lane", ego="idm")`` (``api_rate.py``; ``sumo_adv.rate`` is the package).
 A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
 """
@@ -14,19 +15,21 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sumo_adv.api import Result, judge, load, run
     from sumo_adv.api_batch import Campaign, batch
+    from sumo_adv.api_hunt import hunt
     from sumo_adv.api_rate import crash_rate
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
 __version__ = "0.2.0"
 __all__ = [
     "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "crash_rate",
-    "judge", "load", "run",
+    "hunt", "judge", "load", "run",
 ]  # fmt: skip
 
 _HOMES = {
     **dict.fromkeys(("Result", "judge", "load", "run"), "sumo_adv.api"),
     **dict.fromkeys(("Campaign", "batch"), "sumo_adv.api_batch"),
     "crash_rate": "sumo_adv.api_rate",
+    "hunt": "sumo_adv.api_hunt",
     **dict.fromkeys(("LaneSpeed", "Observation", "Pose", "Steer"), "sumo_adv.drivers"),
 }
 

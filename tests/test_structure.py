@@ -22,16 +22,16 @@ LEVELS = (
     ("agents",),
     ("episode",),
     ("serve", "campaigns", "benchmark", "womd", "report", "driver_check"),
-    ("regression", "rate"),
+    ("regression", "rate", "hunting"),
     ("comparison",),
     ("app",),
-    ("cli", "api", "api_batch", "api_rate", "gym", "world", "__main__"),
+    ("cli", "api", "api_batch", "api_hunt", "api_rate", "gym", "world", "__main__"),
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
             ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
-            ("cli", "api"), ("api_batch", "api"), ("__main__", "cli")}  # fmt: skip
+            ("cli", "api"), ("api_batch", "api"), ("api_hunt", "api"), ("cli", "api_hunt"), ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"
 SKIPPED = {".venv", ".git", "__pycache__", "runs", "build", "dist"}

@@ -17,6 +17,7 @@ from sumo_adv.cli import (
     doctor,
     export,
     figure,
+    hunt,
     import_fcd,
     judge,
     keep,
@@ -41,6 +42,7 @@ app = typer.Typer(
     epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
 )  # fmt: skip
 app.command("run", epilog=run.EXAMPLE)(run.run)
+app.command("hunt", epilog=hunt.EXAMPLE)(hunt.hunt)
 app.command("scenarios", epilog=scenarios.EXAMPLE)(scenarios.scenarios)
 app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
 app.command("convert", epilog=convert.EXAMPLE)(convert.convert)

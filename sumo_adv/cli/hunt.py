@@ -1,0 +1,112 @@
+"""``hunt``: the worst distinct failures of a driver that the time is enough for."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv.cli import options as shared
+from sumo_adv.cli.options import ATTACK, INPUT, OUTPUT, RUNNING, SEARCH, option
+from sumo_adv.datatypes import Level
+
+if TYPE_CHECKING:
+    from sumo_adv.hunting.hunt import Found, HuntProgress
+
+EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.driver:MyDriver --minutes 30"
+SHOWN = 20  # failures in the table on the screen
+
+Given = Annotated[
+    list[str], typer.Argument(metavar="INPUT...", help="Networks, .sumocfg files, scenarios, records, folders, names.")
+]
+Ego = Annotated[str | None, option(INPUT, "Driver under test: idm, module:Class ...", default="the inputs'")]
+Minutes = Annotated[float, option(ATTACK, "Of the whole hunt, several calls together.", default="30", min=0.1)]
+Distinct = Annotated[int | None, option(ATTACK, "End sooner, with this many distinct failures.", min=1)]
+Seed = Annotated[int, option(SEARCH, "The first seed of traffic and search.", default="0", min=0)]
+Memory = Annotated[Path | None, option(SEARCH, "Memory bank; it is only read.", default="your own")]
+Out = Annotated[Path | None, option(OUTPUT, "Folder; the same one goes on.", default="runs/hunt")]
+Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
+NoPages = Annotated[bool, option(OUTPUT, "Make no index page and no replays.", "--no-pages")]
+
+
+def hunt(
+    context: typer.Context, given: Given, ego: Ego = None, minutes: Minutes = 30.0, distinct: Distinct = None,
+    until: shared.UntilLevel = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
+    exclude: shared.Exclude = None, kind: shared.Kind = None, adversaries: shared.Adversaries = None,
+    settings_file: shared.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: shared.Workers = None,
+    deadline: Deadline = 600.0, cluster: Annotated[
+        str | None, option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", default="none")
+    ] = None,
+    out: Out = None, no_pages: NoPages = False, as_json: shared.AsJson = False,
+) -> None:  # fmt: skip
+    """Find the worst distinct failures of a driver in a given time. The same command again goes on.
+
+    Ctrl-C finishes what runs, and leaves what was found. Keep all failures with: sumo-adv keep OUT/failures --suite DIR
+    """
+    from sumo_adv.api_hunt import hunt as hunted
+
+    chosen = shared.given(
+        context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries")
+    )  # fmt: skip
+    tell = None if as_json else _tell
+    found = hunted(
+        given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
+        workers=workers or os.cpu_count() or 1, deadline=deadline, cluster=cluster, settings_file=settings_file,
+        pages=not no_pages, tell=tell, **chosen,
+    )  # fmt: skip
+    if as_json:
+        typer.echo(json.dumps(_document(found.found, found.rows)))
+    else:
+        _show(found.found, found.rows, found.index)
+    if found.found.ended == "stopped":
+        raise typer.Exit(1)
+
+
+def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
+        "encounters": found.encounters, "attempts": found.attempts, "failures": rows,
+    }  # fmt: skip
+
+
+def _tell(progress: HuntProgress) -> None:
+    """A line for a round."""
+    levels = ", ".join(f"{progress.count(level)} {level}" for level in (Level.SERIOUS, Level.STRICT, Level.VALID))
+    newest = f" Newest: {progress.newest.words}." if progress.newest is not None else ""
+    typer.echo(
+        f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
+        f"({progress.attempts_per_second:.0f} a second), distinct failures (that or worse): {levels}.{newest}"
+    )
+
+
+def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
+    """The ranked table, and what to do next."""
+    from rich.console import Console
+    from rich.table import Table
+
+    ends = {
+        "time": "The time is used up", "distinct": "Enough distinct failures were found", "stopped": "Stopped by Ctrl-C"
+    }  # fmt: skip
+    if rows:
+        shown = Table(box=None, pad_edge=False)
+        for name in ("rank", "level", "intent", "relation", "road", "side", "delta-v", "count", "network"):
+            shown.add_column(name, justify="right" if name in ("rank", "delta-v", "count") else "left", overflow="fold")
+        for row in rows[:SHOWN]:
+            values = ("rank", "level", "intent", "relation", "road", "side", "delta_v", "count", "network")
+            shown.add_row(*(str(row[v]) for v in values))
+        Console(highlight=False).print(shown)
+    more = f" The table shows the first {SHOWN}." if len(rows) > SHOWN else ""
+    typer.echo(
+        f"{ends[found.ended]}: {len(rows)} distinct failures in {found.encounters} encounters, "
+        f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
+    )
+    typer.echo(f"Table: {found.folder / 'results.csv'}")
+    if index is not None:
+        typer.echo(f"Pages: {index}")
+    if rows:
+        typer.echo(f"Keep them as a regression suite: sumo-adv keep {found.folder / 'failures'} --suite regression")
+    if found.ended == "stopped":
+        typer.echo("The same command goes on.")

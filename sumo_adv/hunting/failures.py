@@ -1,0 +1,96 @@
+"""Distinct failures: one representative of each cell, the most serious one, and how many others it stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from sumo_adv.datatypes import Level
+from sumo_adv.report.coverage import BANDS, band_of
+
+COLUMNS = (
+    "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
+    "adversary", "preventable_by", "run",
+)  # fmt: skip
+
+
+class FailureCell(NamedTuple):
+    """What makes two failures different: intent, relation of the adversary, kind of road, speed band of the ego, and
+    the side of the ego that is hit."""
+
+    intent: str
+    relation: str
+    road: str
+    speed_band: str
+    side: str
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A cell with its representative. run: its folder; count: how many failures of the cell were found."""
+
+    cell: FailureCell
+    level: Level
+    delta_v: float  # m/s, of the ego
+    network: str
+    seed: int
+    adversary: str
+    preventable_by: str
+    run: Path
+    count: int = 1
+
+    @property
+    def worth(self) -> tuple[int, float]:
+        """Sorts failures, the most serious one last."""
+        return (int(self.level), self.delta_v)
+
+    @property
+    def words(self) -> str:
+        """The failure for people."""
+        c = self.cell
+        return f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
+
+
+def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
+    """The failure of an episode from its row of ``results.csv``; None if no valid collision counts."""
+    level = Level[str(row["level"] or "none").upper()]
+    if level < Level.VALID:
+        return None
+    speed = row["ego_speed"]
+    low, high = BANDS[band_of(float(speed))] if speed is not None else (0.0, 0.0)
+    band = f"{low:g}-{high:g} m/s" if speed is not None else "unknown"
+    side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
+    words = (row["composition"] or row["intent"], row["relation"], row["road"])
+    intent, relation, road = (str(word or "unknown") for word in words)
+    cell = FailureCell(intent, relation, road, band, side)
+    return Failure(
+        cell, level, float(row["delta_v"] or 0.0), str(row["network"]), int(row["seed"]), str(row["adversary"]),
+        str(row["preventable_by"] or ""), runs / str(row["id"]),
+    )  # fmt: skip
+
+
+def distinct(failures: Iterable[Failure]) -> list[Failure]:
+    """One failure of each cell, most serious first; of equals the first one found."""
+    cells: dict[FailureCell, Failure] = {}
+    for failure in failures:
+        best = cells.get(failure.cell)
+        if best is None:
+            cells[failure.cell] = failure
+        else:
+            chosen = failure if failure.worth > best.worth else best
+            cells[failure.cell] = replace(chosen, count=best.count + failure.count)
+    return sorted(cells.values(), key=lambda f: (-f.level, -f.delta_v, f.cell))
+
+
+def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
+    """A row for each distinct failure, with the columns ``COLUMNS``; ``folder``: of the hunt, paths count from it."""
+    return [
+        {
+            "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,
+            "network": f.network, "seed": f.seed, "adversary": f.adversary, "preventable_by": f.preventable_by,
+            "run": f.run.relative_to(folder).as_posix(),
+        }
+        for k, f in enumerate(found)
+    ]  # fmt: skip
