@@ -38,7 +38,9 @@ Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may atta
 Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]
 TotalSeconds = Annotated[
     float | None,
-    option(ATTACK, "Go on with the next encounter until so many seconds are over, 0: never.", setting="total_seconds"),
+    option(
+        ATTACK, "Seconds after which no further encounter is begun; 0: the first one alone.", setting="total_seconds"
+    ),
 ]
 Tuner = Annotated[str | None, option(SEARCH, "builtin, or off: try only what the analyzer proposes.", setting="tuner")]
 Learn = Annotated[str | None, option(SEARCH, "on or off: keep what was critical in the bank.", setting="learn")]

@@ -135,7 +135,7 @@ class SearchSettings:
     same_gate: int = 3
     few: int = 5
     diverse_every: int = 3
-    predicted: int = 25
+    predicted: int = 3
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)

@@ -1,0 +1,149 @@
+"""A hunt: distinct failures, rounds that follow from what was found, a clock, and going on."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import Program
+
+import sumo_adv
+from sumo_adv.campaigns.campaign import Orders, Summary
+from sumo_adv.campaigns.local import Pace
+from sumo_adv.campaigns.nouns import Input, Learn
+from sumo_adv.campaigns.plan import Plan
+from sumo_adv.datatypes import Level
+from sumo_adv.errors import UsageError
+from sumo_adv.hunting.failures import distinct, failure_of
+from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress
+
+ROW: Mapping[str, Any] = {
+    "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
+    "ego_speed": 25.0, "kind": "Cut / neighbour / left", "delta_v": 3.0, "network": "good", "seed": 1,
+    "adversary": "bv", "preventable_by": "cc_human", "attempts": 2, "failure": "", "critical": True,
+    "ending": "critical",
+}  # fmt: skip
+
+
+def row(**changes: Any) -> dict[str, Any]:
+    return {**ROW, **changes}
+
+
+def test_a_cell_is_the_intent_the_relation_the_road_the_speed_and_the_side() -> None:
+    failure = failure_of(ROW, Path("runs"))
+    assert failure is not None
+    assert failure.cell == ("Cut", "neighbour", "motorway", "22-inf m/s", "left")
+    assert failure.words == "serious: Cut (neighbour, motorway), hit on the left with 3.0 m/s"
+    assert failure.run == Path("runs/a")
+
+
+@pytest.mark.parametrize("level", ["collision", "critical", None])
+def test_what_no_reference_driver_avoids_is_no_failure(level: str | None) -> None:
+    assert failure_of(row(level=level), Path()) is None
+
+
+def test_the_most_serious_one_stands_for_its_cell_and_the_worst_comes_first() -> None:
+    """Two of a cell, a harder one of the same level, and a valid one of another side."""
+    rows = [row(), row(id="b", delta_v=5.0), row(id="c", level="strict", delta_v=9.0), row(
+        id="d", level="valid", delta_v=12.0, kind="Cut / neighbour / rear")]  # fmt: skip
+    found = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
+    assert [(f.run.name, f.count, f.level) for f in found] == [("b", 3, Level.SERIOUS), ("d", 1, Level.VALID)]
+
+
+class Campaigns:
+    """Rounds in which the input ``good`` always fails on a side of its own for each seed, and ``dull`` never does."""
+
+    def __init__(self) -> None:
+        self.rounds: list[tuple[tuple[str, ...], tuple[int, ...]]] = []
+
+    def __call__(self, plan: Plan, orders: Orders) -> Summary:
+        self.rounds.append((tuple(i.name for i in plan.inputs), tuple(plan.seeds)))
+        rows = []
+        for job in plan.jobs:
+            (orders.out / "runs" / job.id).mkdir(parents=True, exist_ok=True)
+            level = "serious" if job.input.name == "good" else "collision"
+            kind = f"Cut / neighbour / side {job.seed}"
+            rows.append(row(id=job.id, network=job.input.name, seed=job.seed, level=level, kind=kind))
+        return Summary(orders.out, len(rows), rows, len(rows))
+
+
+def plan_of(*names: str) -> Plan:
+    inputs = [Input(name, Path(name), None, f"content of {name}") for name in names]
+    return Plan(inputs, ("idm",), (0,), [{"until": "serious"}], [{}], Learn.OFF, None, False)
+
+
+def hunted(folder: Path, campaign: Campaigns, most: int | None = 4, plan: Plan | None = None) -> Found:
+    orders = Orders(folder / "out", folder / "bank.sqlite", {}, Pace(1, 60.0, 200))
+    told: list[HuntProgress] = []
+    return Hunt(plan or plan_of("good", "dull"), orders, campaign, 10.0, most).run(told.append)
+
+
+def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path) -> None:
+    """A round of one worker has three episodes: of two inputs, so one seed each. Four sides take four rounds."""
+    campaign = Campaigns()
+    found = hunted(tmp_path, campaign)
+    assert (found.ended, len(found.failures), found.encounters, found.attempts) == ("distinct", 4, 8, 16)
+    assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,), (3,)]
+    with (tmp_path / "out" / "results.csv").open(newline="") as text:
+        table = list(csv.DictReader(text))
+    assert [r["rank"] for r in table] == ["1", "2", "3", "4"]
+    assert all((tmp_path / "out" / r["run"]).is_dir() for r in table)
+    assert {r["network"] for r in table} == {"good"}
+
+
+def test_where_failures_come_from_gets_more_of_the_rounds(tmp_path: Path) -> None:
+    """Ten inputs, one of which fails; a round has three of them. By chance it would be in three of ten rounds."""
+    campaign = Campaigns()
+    hunted(tmp_path, campaign, 8, plan_of("good", *(f"dull {k}" for k in range(9))))
+    later = [inputs for inputs, _ in campaign.rounds][-8:]
+    assert sum("good" in inputs for inputs in later) >= 6
+
+
+def test_the_same_hunt_goes_on_and_another_is_refused(tmp_path: Path) -> None:
+    first = hunted(tmp_path, Campaigns(), 2)
+    campaign = Campaigns()
+    again = hunted(tmp_path, campaign, 3)
+    assert (len(first.failures), len(again.failures)) == (2, 3)
+    assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,)]  # finished rounds are read again
+    with pytest.raises(UsageError, match="holds a hunt with other inputs, egos or settings"):
+        hunted(tmp_path, Campaigns(), plan=plan_of("good"))
+
+
+def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="is not empty and holds no hunt"):
+        hunted(tmp_path, Campaigns())
+
+
+def test_without_an_input_that_can_be_run_the_reason_is_said(tmp_path: Path) -> None:
+    broken = plan_of("good")
+    broken = replace(broken, inputs=[replace(broken.inputs[0], error="It is no network.")])
+    with pytest.raises(UsageError, match=r"No input of the hunt can be run: It is no network\."):
+        hunted(tmp_path, Campaigns(), plan=broken)
+
+
+def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: Program) -> None:
+    options = ("--ego", "idm", "--distinct", "1", "--minutes", "2", "--workers", "1", "--out", "hunt")
+    done = program("hunt", "motorway_cut_in_left", *options)
+    assert done.status == 0, done.err
+    assert "Enough distinct failures were found: " in done.out
+    assert (program.folder / "hunt" / "report" / "index.html").is_file()
+    kept = program("keep", "hunt/failures", "--suite", "suite")
+    assert kept.status == 0, kept.err
+    assert "into suite" in kept.out
+    refused = program("hunt", "motorway", *options)
+    assert (refused.status, "holds a hunt with other inputs" in refused.err) == (2, True)
+
+
+def test_the_result_of_a_hunt_is_a_table() -> None:
+    """The columns are those of ``results.csv``."""
+    from sumo_adv.api_hunt import HuntResult
+
+    result = HuntResult(Found(Path(), [], 0, 0, 0.0, "time"), [], None)
+    assert list(result.table)[:3] == ["rank", "level", "intent"]
+    assert sumo_adv.hunt.__module__ == "sumo_adv.api_hunt"
