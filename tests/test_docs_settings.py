@@ -105,4 +105,4 @@ def test_the_page_says_what_is_read(heading: str) -> None:
 
 def test_a_changed_default_would_be_seen() -> None:
     attempts = {name: (default, allowed) for name, default, allowed in fields_of(Settings)}["attempts"]
-    assert attempts == ("25", "whole number, >= 1, <= 10000")
+    assert attempts == ("400", "whole number, >= 1, <= 10000")
