@@ -31,7 +31,7 @@ LEVELS = (
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
             ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
-            ("cli", "api"), ("api_batch", "api"), ("__main__", "cli")}  # fmt: skip
+            ("report", "womd"), ("cli", "api"), ("api_batch", "api"), ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"
 SKIPPED = {".venv", ".git", "__pycache__", "runs", "build", "dist"}
