@@ -37,7 +37,7 @@ def map_lanes(piece: Piece) -> list[MapLane]:
     """
     from shapely import MultiPoint, dwithin, linestrings
 
-    road = _network(piece.network)
+    road = network_of(piece)
     lanes = [lane for lane in road.lanes.values() if lane.passenger and len(lane.shape) > 1]
     points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
     near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
@@ -47,9 +47,14 @@ def map_lanes(piece: Piece) -> list[MapLane]:
     return [_map_lane(lane, road, numbers, exits) for lane in kept]
 
 
+def network_of(piece: Piece) -> RoadMap:
+    """The network of a run. Raises UsageError: it is unreadable."""
+    return _network(piece.network)
+
+
 @lru_cache(maxsize=2)
 def _network(path: Path) -> RoadMap:
-    """The runs of a campaign share theirs, and so do the formats of one run."""
+    """The formats of one run share theirs."""
     return read_network(path)
 
 

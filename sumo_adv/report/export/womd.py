@@ -1,13 +1,15 @@
-"""A run as a record of the Waymo Open Motion Dataset: 91 steps of 0.1 s, the takeover at step 10, in a TFRecord file.
+"""A run as a record of the Waymo Open Motion Dataset: 91 steps of 0.1 s in a TFRecord file.
 
+The takeover is at the current step, 10; where the contact comes more than 8 s after it, the record begins later.
 The ego is ``sdc_track_index``; the adversaries are ``objects_of_interest`` and ``tracks_to_predict``. Tracks are
 numbered from 1 in the order of the run; ids of the record's own objects stay.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +18,13 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.entities import HEIGHT, kind
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.road import MapLane, map_lanes
+from sumo_adv.report.export.road import MapLane, map_lanes, network_of
 
 STEPS, CURRENT, STEP = 91, 10, 0.1
+AFTER = 0.5  # s that a record goes on after the contact
 MPH = 0.44704  # m/s
 SPACING = 0.5  # m between points of a line
+SEAM = 0.2  # m, gaps between lanes that are no gaps of the road
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
 FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
@@ -38,8 +42,7 @@ def scenario(piece: Piece) -> Any:
     """The Scenario message. Raises UsageError: the network is unreadable."""
     from sumo_adv.womd.scenario_pb2 import Scenario
 
-    start = piece.begin if piece.takeover is None else piece.takeover - CURRENT * STEP
-    time = start + STEP * np.arange(STEPS)
+    time = first_step(piece) + STEP * np.arange(STEPS)
     message = Scenario(scenario_id=_safe(piece.name), current_time_index=CURRENT)
     message.timestamps_seconds.extend((STEP * np.arange(STEPS)).tolist())
     numbers = track_numbers(piece)
@@ -55,9 +58,19 @@ def scenario(piece: Piece) -> Any:
     lines = {each.number: spaced(each.lane.shape) for each in lanes}
     for each in lanes:
         _add_lane(message, each, lines)
+    _add_edges(message, lanes, network_of(piece).junctions)
     for _ in range(STEPS):
         message.dynamic_map_states.add()
     return message
+
+
+def first_step(piece: Piece) -> float:
+    """When the record begins [s]: with the takeover at its current step, later if the contact needs it."""
+    if piece.takeover is None:
+        return piece.begin
+    start, contact = piece.takeover - CURRENT * STEP, piece.contact()
+    late = 0 if contact is None else math.ceil((min(contact + AFTER, piece.end) - start) / STEP - 1e-6) - (STEPS - 1)
+    return start + STEP * max(0, late)
 
 
 def track_numbers(piece: Piece) -> dict[str, int]:
@@ -95,7 +108,7 @@ def _add_track(message: Any, track: Track, number: int, time: Floats) -> None:
 
 
 def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
-    """The lane's centre line, and its sides as a line beside a neighbour, else as the road's edge."""
+    """The lane's centre line, and a line at each side that has a neighbour of the same direction."""
     lane = message.map_features.add(id=each.number).lane
     lane.speed_limit_mph = each.lane.speed / MPH
     lane.type = FREEWAY if each.lane.speed >= FREEWAY_SPEED else SURFACE
@@ -103,26 +116,40 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
     lane.entry_lanes.extend(each.entries)
     lane.exit_lanes.extend(each.exits)
     _extend(lane.polyline, lines[each.number])
-    if each.lane.internal:
-        return
     last = len(lines[each.number]) - 1
     for side, line, neighbour, near, parts in (
         (0, each.left, each.beside_left, lane.left_neighbors, lane.left_boundaries),
         (1, each.right, each.beside_right, lane.right_neighbors, lane.right_boundaries),
     ):
-        boundary = message.map_features.add(id=len(lines) + 2 * each.number + side)
-        kind = 0
         if neighbour is None:
-            boundary.road_edge.type = EDGE_BOUNDARY
-            _extend(boundary.road_edge.polyline, spaced(line))
-        else:
-            kind = boundary.road_line.type = BROKEN_WHITE
-            _extend(boundary.road_line.polyline, spaced(line))
-            near.add(
-                feature_id=neighbour, self_start_index=0, self_end_index=last, neighbor_start_index=0,
-                neighbor_end_index=len(lines[neighbour]) - 1,
-            )  # fmt: skip
-        parts.add(lane_start_index=0, lane_end_index=last, boundary_feature_id=boundary.id, boundary_type=kind)
+            continue
+        near.add(
+            feature_id=neighbour, self_start_index=0, self_end_index=last, neighbor_start_index=0,
+            neighbor_end_index=len(lines[neighbour]) - 1,
+        )  # fmt: skip
+        number = len(lines) + 2 * each.number + side
+        parts.add(lane_start_index=0, lane_end_index=last, boundary_feature_id=number, boundary_type=BROKEN_WHITE)
+        boundary = message.map_features.add(id=number).road_line
+        boundary.type = BROKEN_WHITE
+        _extend(boundary.polyline, spaced(line))
+
+
+def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Floats]) -> None:
+    """The outline of all lanes and junctions, with the road to the left of it."""
+    from shapely import Polygon, get_parts, union_all
+
+    strips = [Polygon(np.concatenate([each.left, each.right[::-1]])).buffer(SEAM) for each in lanes]
+    ground = union_all(strips)
+    areas = [Polygon(shape).buffer(SEAM) for shape in junctions]
+    ground = union_all([ground, *(area for area in areas if area.intersects(ground))]).buffer(-SEAM)
+    number = 3 * len(lanes) + 2  # behind the lines' numbers
+    for part in get_parts(ground):
+        outline = part.exterior if part.exterior.is_ccw else part.exterior.reverse()
+        for ring in (outline, *(r.reverse() if r.is_ccw else r for r in part.interiors)):
+            edge = message.map_features.add(id=number).road_edge
+            edge.type = EDGE_BOUNDARY
+            _extend(edge.polyline, spaced(np.asarray(ring.coords)[:, :2]))
+            number += 1
 
 
 def spaced(line: Floats) -> Floats:

@@ -62,7 +62,7 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
     site, cell = shapely.STRtree(cells).query(shapely.points(sites), predicate="intersects")
     whose = np.full(len(cells), -1)
     whose[cell] = owner[site]
-    regions = [shapely.coverage_union_all(cells[whose == k]) for k in np.unique(whose)]
+    regions = [shapely.union_all(cells[whose == k]) for k in np.unique(whose)]
     cuts = [*shapely.boundary(regions), near.boundary, *close, *(_extended(line) for line in close)]
     faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.union_all(cuts))))
     inside = shapely.point_on_surface(faces)
