@@ -212,6 +212,35 @@ def test_metadrives_own_check_takes_the_scenario(piece: Piece, tmp_path: Path) -
     check_contact(piece, motion(piece.ego), motion(attacker))
 
 
+def test_metadrive_replays_into_the_hit(piece: Piece, tmp_path: Path) -> None:
+    pytest.importorskip("metadrive.scenario", reason="metadrive-simulator is not installed")
+    from metadrive.engine.asset_loader import AssetLoader
+    from metadrive.envs.scenario_env import ScenarioEnv
+    from metadrive.policy.replay_policy import ReplayEgoCarPolicy
+
+    try:
+        incomplete = AssetLoader.should_update_asset()
+    except ValueError:
+        incomplete = True
+    if incomplete:
+        pytest.skip("MetaDrive's assets are not there: it would download them")
+    folder = exported(piece, Format.SCENARIONET, tmp_path)
+    env = ScenarioEnv({
+        "data_directory": str(folder), "num_scenarios": 1, "agent_policy": ReplayEgoCarPolicy, "log_level": 50,
+        "relax_out_of_road_done": True,
+    })  # fmt: skip
+    try:
+        env.reset()
+        ego = piece.track(piece.ego)
+        hit = next(k for k in range(1, len(ego.time)) if env.step([0, 0])[4].get("crash_vehicle"))
+        place = env.agent.position
+    finally:
+        env.close()
+    assert piece.begin + hit * piece.step == pytest.approx(piece.contact(), abs=0.1)
+    moved = place[0] + ego.x[0] - ego.x[hit], place[1] + ego.y[0] - ego.y[hit]  # MetaDrive's origin is the ego's start
+    assert math.hypot(*moved) < 0.2
+
+
 # -- the command
 
 

@@ -90,7 +90,7 @@ def _features(each: MapLane) -> list[tuple[str, dict[str, Any]]]:
     """A lane, and the lines at its sides outside junctions."""
     lane = {
         "type": "LANE_SURFACE_STREET", "polyline": _flat(each.lane.shape),
-        "polygon": _flat(np.concatenate([each.left, each.right[::-1]])),
+        "polygon": np.concatenate([each.left, each.right[::-1]]),
         "speed_limit_kmh": each.lane.speed * 3.6, "interpolating": each.lane.internal,
         "entry_lanes": [str(n) for n in each.entries], "exit_lanes": [str(n) for n in each.exits],
         "left_neighbor": [] if each.beside_left is None else [str(each.beside_left)],

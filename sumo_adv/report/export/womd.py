@@ -19,12 +19,12 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.entities import HEIGHT, kind
 from sumo_adv.report.export.piece import Piece
 from sumo_adv.report.export.road import MapLane, map_lanes, network_of
+from sumo_adv.womd.outline import road_outline
 
 STEPS, CURRENT, STEP = 91, 10, 0.1
 AFTER = 0.5  # s that a record goes on after the contact
 MPH = 0.44704  # m/s
 SPACING = 0.5  # m between points of a line
-SEAM = 0.2  # m, gaps between lanes that are no gaps of the road
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
 FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
@@ -136,20 +136,15 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
 
 def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Floats]) -> None:
     """The outline of all lanes and junctions, with the road to the left of it."""
-    from shapely import Polygon, get_parts, union_all
+    from shapely import Polygon, union_all
 
-    strips = [Polygon(np.concatenate([each.left, each.right[::-1]])).buffer(SEAM) for each in lanes]
-    ground = union_all(strips)
-    areas = [Polygon(shape).buffer(SEAM) for shape in junctions]
-    ground = union_all([ground, *(area for area in areas if area.intersects(ground))]).buffer(-SEAM)
-    number = 3 * len(lanes) + 2  # behind the lines' numbers
-    for part in get_parts(ground):
-        outline = part.exterior if part.exterior.is_ccw else part.exterior.reverse()
-        for ring in (outline, *(r.reverse() if r.is_ccw else r for r in part.interiors)):
-            edge = message.map_features.add(id=number).road_edge
-            edge.type = EDGE_BOUNDARY
-            _extend(edge.polyline, spaced(np.asarray(ring.coords)[:, :2]))
-            number += 1
+    strips = [Polygon(np.concatenate([each.left, each.right[::-1]])) for each in lanes]
+    road = union_all(strips)
+    near = [area for shape in junctions if (area := Polygon(shape)).intersects(road)]
+    for number, line in enumerate(road_outline([*strips, *near]), 3 * len(lanes) + 2):  # behind the lines' numbers
+        edge = message.map_features.add(id=number).road_edge
+        edge.type = EDGE_BOUNDARY
+        _extend(edge.polyline, spaced(line))
 
 
 def spaced(line: Floats) -> Floats:
