@@ -53,9 +53,10 @@ def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
     SubElement(SubElement(root, "scenarioTags"), "critical")
     for lane in lanes:
         _add_lanelet(root, lane)
-    obstacles = [(n, t) for n, t in enumerate(piece.tracks, len(lanes) + 1) if t.id != piece.ego]
-    for number, track in sorted(obstacles, key=lambda pair: pair[1].role is not Role.OBSTACLE):  # static ones first
-        _add_obstacle(root, number, track, piece)
+    tracks = sorted(enumerate(piece.tracks, len(lanes) + 1), key=lambda pair: pair[1].role is not Role.OBSTACLE)
+    for number, track in tracks:  # static ones first
+        if track.id != piece.ego:
+            _add_obstacle(root, number, track, piece)
     _add_problem(root, piece, problem)
     return root
 
@@ -87,10 +88,9 @@ def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> Non
         metres(track.width),
     )
     steps = _steps(track, piece)
+    _add_state(obstacle, "initialState", track, 0, 0 if static else steps[0])
     if static or len(steps) == 1:
-        _add_state(obstacle, "initialState", track, 0, 0 if static else steps[0])
         return
-    _add_state(obstacle, "initialState", track, 0, steps[0])
     trajectory = SubElement(obstacle, "trajectory")
     for k, step in enumerate(steps[1:], 1):
         _add_state(trajectory, "state", track, k, step)

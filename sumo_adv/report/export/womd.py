@@ -42,7 +42,7 @@ def scenario(piece: Piece) -> Any:
     """The Scenario message. Raises UsageError: the network is unreadable."""
     from sumo_adv.womd.scenario_pb2 import Scenario
 
-    time = first_step(piece) + STEP * np.arange(STEPS)
+    time: Floats = first_step(piece) + STEP * np.arange(STEPS, dtype=np.float64)
     message = Scenario(scenario_id=_safe(piece.name), current_time_index=CURRENT)
     message.timestamps_seconds.extend((STEP * np.arange(STEPS)).tolist())
     numbers = track_numbers(piece)
