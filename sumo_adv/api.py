@@ -90,7 +90,7 @@ class Result:
     def export(self, out: str | Path, format: Format | str = "openscenario", variant: Variant | str = "replay") -> Path:
         """Write the run for other tools; formats and files are those of ``sumo-adv export`` (docs/exports.md).
 
-        ``all`` makes ``out`` a folder with each format whose packages are installed.
+        ``all`` makes ``out`` a folder with each format that has its packages installed.
 
         Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
         """

@@ -21,7 +21,7 @@ def export(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Folder of a run, or of many: a hunt, a regression suite, a campaign.")
     ],
-    format: Annotated[Format, typer.Option(help="What to write; all: each whose packages are installed.")],
+    format: Annotated[Format, typer.Option(help="What to write; all: each that has its packages installed.")],
     out: Annotated[
         Path | None,
         typer.Option(

@@ -1,7 +1,8 @@
 """A CommonRoad scenario (XML, format 2020a) as a record that the converter takes.
 
 Lanelets become lanes with their centre lines, obstacles become tracks from time step 0 on; the planning problem's
-initial state is the ego, whose track ends there. Signs other than speed limits, lights and uncertain states are left.
+initial state is the ego. Its track ends one step later. Signs other than speed limits, lights and
+occupancy sets are left out.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Format(StrEnum):
-    """What may be written; ``all``: each format whose packages are installed."""
+    """What may be written; ``all``: each format that has its packages installed."""
 
     OPENSCENARIO = "openscenario"
     SUMO = "sumo"

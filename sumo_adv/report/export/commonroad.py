@@ -7,17 +7,14 @@ file gives each number's id.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-import numpy as np
-
 from sumo_adv import __version__
-from sumo_adv.datatypes import Floats, Role, Track
-from sumo_adv.report.export.entities import WHEELBASE, kind, metres, printable
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.report.export.entities import kind, metres, printable, steering
 from sumo_adv.report.export.piece import Piece
 from sumo_adv.report.export.road import MapLane, map_lanes
 
@@ -138,7 +135,7 @@ def _solution(piece: Piece, problem: int) -> Element:
     root = Element("CommonRoadSolution", benchmark_id=f"{VEHICLE}:JB1:{benchmark_id(piece)}:2020a")
     root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
     trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
-    for k, (step, steer) in enumerate(zip(_steps(ego, piece), _steering(ego).tolist(), strict=True)):
+    for k, (step, steer) in enumerate(zip(_steps(ego, piece), steering(ego).tolist(), strict=True)):
         state = SubElement(trajectory, "ksState")
         for name, value in (
             ("x", metres(float(ego.x[k]))), ("y", metres(float(ego.y[k]))), ("steeringAngle", f"{steer:.6f}"),
@@ -146,12 +143,3 @@ def _solution(piece: Piece, problem: int) -> Element:
         ):  # fmt: skip
             SubElement(state, name).text = value
     return root
-
-
-def _steering(track: Track) -> Floats:
-    """Steering angles [rad] of a single-track model from heading over distance, 0 at standstill."""
-    if len(track.time) < 2:
-        return np.zeros(len(track.time))
-    turn = np.gradient(np.unwrap(track.heading), track.time)
-    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > 1.0)
-    return np.clip(np.arctan(WHEELBASE * track.length * curvature), -math.pi / 4, math.pi / 4)

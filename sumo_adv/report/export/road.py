@@ -14,6 +14,7 @@ from sumo_adv.report.export.piece import Piece
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
 
 REACH = 220.0  # m around the vehicles' paths
+SPACING = 0.5  # m between points of a spaced line
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,3 +88,10 @@ def shifted(line: Floats, offset: float) -> Floats:
     mean = np.concatenate([along[:1], along[:-1] + along[1:], along[-1:]])
     mean = mean / np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
     return line + offset * np.column_stack([-mean[:, 1], mean[:, 0]])
+
+
+def spaced(line: Floats) -> Floats:
+    """A line ``(n, 2)`` with a point every ``SPACING`` m and at its ends."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING) + 1))
+    return np.column_stack([np.interp(stations, along, line[:, k]) for k in (0, 1)])

@@ -1,8 +1,7 @@
 """A run as a record of the Waymo Open Motion Dataset: 91 steps of 0.1 s in a TFRecord file.
 
 The takeover is at the current step, 10; where the contact comes more than 8 s after it, the record begins later.
-The ego is ``sdc_track_index``; the adversaries are ``objects_of_interest`` and ``tracks_to_predict``. Tracks are
-numbered from 1 in the order of the run; ids of the record's own objects stay.
+The ego is ``sdc_track_index``; the adversaries are ``objects_of_interest`` and ``tracks_to_predict``.
 """
 
 from __future__ import annotations
@@ -18,13 +17,12 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.entities import HEIGHT, kind
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.road import MapLane, map_lanes, network_of
+from sumo_adv.report.export.road import MapLane, map_lanes, network_of, spaced
 from sumo_adv.womd.outline import road_outline
 
 STEPS, CURRENT, STEP = 91, 10, 0.1
 AFTER = 0.5  # s that a record goes on after the contact
 MPH = 0.44704  # m/s
-SPACING = 0.5  # m between points of a line
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
 FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
@@ -145,13 +143,6 @@ def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Float
         edge = message.map_features.add(id=number).road_edge
         edge.type = EDGE_BOUNDARY
         _extend(edge.polyline, spaced(line))
-
-
-def spaced(line: Floats) -> Floats:
-    """A line ``(n, 2)`` with a point every ``SPACING`` m and at its ends."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING) + 1))
-    return np.column_stack([np.interp(stations, along, line[:, k]) for k in (0, 1)])
 
 
 def _extend(points: Any, line: Floats) -> None:

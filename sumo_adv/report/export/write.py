@@ -28,7 +28,7 @@ def chosen(format: Format) -> list[Format]:
 
 
 def left_out() -> Iterator[str]:
-    """A sentence for each format whose packages are missing."""
+    """A sentence for each format that lacks a package."""
     for format, entry in FORMATS.items():
         try:
             entry.need(format)
