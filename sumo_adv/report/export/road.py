@@ -72,13 +72,23 @@ def _exits(road: RoadMap, numbers: dict[str, int]) -> dict[int, list[int]]:
 
 
 def _map_lane(lane: Lane, road: RoadMap, numbers: dict[str, int], exits: dict[int, list[int]]) -> MapLane:
-    number, row = numbers[lane.id], road.edges[lane.edge]  # rightmost first
+    number, row = numbers[lane.id], road.edges[lane.edge]
     at = row.index(lane.id)
-    beside = [None if lane.internal or not 0 <= k < len(row) else numbers.get(row[k]) for k in (at + 1, at - 1)]
+    beside: dict[bool, int | None] = {True: None, False: None}
+    for k in (at - 1, at + 1):
+        if not lane.internal and 0 <= k < len(row) and row[k] in numbers:
+            beside[_is_left(road.lanes[row[k]], lane)] = numbers[row[k]]
     return MapLane(
         number, lane, shifted(lane.shape, lane.width / 2), shifted(lane.shape, -lane.width / 2),
-        tuple(a for a, following in exits.items() if number in following), tuple(exits[number]), *beside,
+        tuple(a for a, following in exits.items() if number in following), tuple(exits[number]), beside[True],
+        beside[False],
     )  # fmt: skip
+
+
+def _is_left(other: Lane, lane: Lane) -> bool:
+    """Whether a lane of the same edge is to the left; SUMO counts from the kerb, in left-hand traffic from the left."""
+    (ax, ay), (dx, dy) = lane.shape[1] - lane.shape[0], other.shape[0] - lane.shape[0]
+    return bool(ax * dy - ay * dx > 0.0)
 
 
 def shifted(line: Floats, offset: float) -> Floats:
