@@ -88,19 +88,25 @@ class Result:
         return Shown(make_page(self.folder), height)
 
     def export(self, out: str | Path, format: Format | str = "openscenario", variant: Variant | str = "replay") -> Path:
-        """Write the run for other tools: openscenario or sumo (a folder), fcd or csv (a file); as ``sumo-adv export``.
+        """Write the run for other tools; formats and files are those of ``sumo-adv export`` (docs/exports.md).
+
+        ``all`` makes ``out`` a folder with each format that has its packages installed.
 
         Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
         """
         from sumo_adv.report.export.choices import Format, Variant
+        from sumo_adv.report.export.formats import FORMATS
         from sumo_adv.report.export.piece import read_piece
-        from sumo_adv.report.export.write import write_export
+        from sumo_adv.report.export.write import chosen, write_export
 
         try:
-            chosen, driven = Format(format), Variant(variant)
+            kind, driven = Format(format), Variant(variant)
         except ValueError as error:
             raise UsageError(f"{str(error)[:1].upper()}{str(error)[1:]} of an export.") from error
-        write_export(Path(out), read_piece(self.folder), chosen, driven, force=False)
+        piece = read_piece(self.folder)
+        for each in chosen(kind):
+            target = Path(out) / f"{self.folder.name}{FORMATS[each].ending}" if kind is Format.ALL else Path(out)
+            write_export(target, piece, each, driven, force=False)
         return Path(out)
 
     def __repr__(self) -> str:

@@ -47,21 +47,24 @@ if TYPE_CHECKING:
 
 
 def load(source: Path, record: str | None) -> RunInput:
-    """The input at ``source``. A file of Waymo records is converted, or its conversion is taken from the cache.
+    """The input at ``source``. A Waymo record or a CommonRoad scenario is converted, or taken from the cache.
 
     record: the id, or the place from 0, of the record to take from such a file (default: the first).
     Raises SumoAdvError for what cannot be read or converted.
     """
     from sumo_adv.simulation.inputs import load_input
+    from sumo_adv.womd.commonroad import is_commonroad, read_commonroad
 
-    if ".tfrecord" not in source.name.lower() or not source.is_file():
-        if record is not None:
-            raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
+    commonroad = is_commonroad(source)
+    waymo = ".tfrecord" in source.name.lower() and source.is_file()
+    if record is not None and not waymo:
+        raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
+    if not waymo and not commonroad:
         return load_input(source)
     from sumo_adv.womd.convert import conversion
     from sumo_adv.womd.reader import choice_of, find_record
 
-    chosen = find_record(source, choice_of(record))
+    chosen = read_commonroad(source) if commonroad else find_record(source, choice_of(record))
     stack = ExitStack()  # a conversion that cannot be cached is removed at exit
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))

@@ -222,5 +222,5 @@ def test_without_the_schema_nothing_is_written_and_said_why(tmp_path: Path) -> N
         capture_output=True, text=True, check=False, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 2
-    assert done.stderr.startswith("sumo-adv: ASAM's schema") and "sumo-adv[export]" in done.stderr
+    assert done.stderr.startswith("sumo-adv: The format openscenario needs") and "sumo-adv[export]" in done.stderr
     assert len(done.stderr.splitlines()) == 1 and list(tmp_path.iterdir()) == []

@@ -31,7 +31,7 @@ LEVELS = (
 SIDEWAYS = {("config", "config_model"), ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
             ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
-            ("cli", "api"), ("cli", "api_hunt"), ("api_batch", "api"), ("api_hunt", "api"),
+            ("report", "womd"), ("cli", "api"), ("cli", "api_hunt"), ("api_batch", "api"), ("api_hunt", "api"),
             ("__main__", "cli")}  # fmt: skip
 """Pairs of neighbours of which the first may import the second."""
 TOP = "sumo_adv"

@@ -14,20 +14,13 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.framing import masked_crc
+from sumo_adv.womd.framing import frame
 from sumo_adv.womd.scenario_pb2 import Scenario
 
 STEPS, CURRENT = 91, 10
 VEHICLE, PEDESTRIAN, CYCLIST = 1, 2, 3
 HALF = 1.75  # m, half a lane
 Corner = tuple[float, ...]
-
-
-def frame(data: bytes) -> bytes:
-    """One TFRecord frame."""
-    length = len(data).to_bytes(8, "little")
-    checks = [masked_crc(part).to_bytes(4, "little") for part in (length, data)]
-    return length + checks[0] + data + checks[1]
 
 
 def write(path: Path, *messages: Any) -> Path:

@@ -1,4 +1,4 @@
-"""``export``: a run in the formats of other tools."""
+"""``export``: a run, or each of many, in the formats of other tools."""
 
 from __future__ import annotations
 
@@ -16,14 +16,18 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: sumo-adv export runs/priority_crossing-3 --format openscenario --variant free-ego --out scenario"
 
-ENDINGS = {Format.OPENSCENARIO: "-openscenario", Format.SUMO: "-sumo", Format.FCD: ".fcd.xml", Format.CSV: ".csv"}
-
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
-    format: Annotated[Format, typer.Option(help="openscenario and sumo make a folder, fcd and csv a file.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="Folder of a run, or of many: a hunt, a regression suite, a campaign.")
+    ],
+    format: Annotated[Format, typer.Option(help="What to write; all: each that has its packages installed.")],
     out: Annotated[
-        Path | None, typer.Option(help="What to write; .gz for a packed fcd or csv (default: beside DIR).")
+        Path | None,
+        typer.Option(
+            help="File or folder to write, .gz for a packed fcd or csv; of several exports the folder for them "
+            "(default: beside DIR)."
+        ),
     ] = None,
     variant: Annotated[
         Variant, typer.Option(help="Of openscenario: all replayed, or the ego left to the player.")
@@ -36,20 +40,48 @@ def export(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier export.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """Write a run for other tools: OpenSCENARIO with OpenDRIVE, SUMO's FCD, a replay for plain SUMO, one CSV."""
+    """Write a run, or each of many, for other tools: one format, or all."""
     if whole and before is not None:
         raise UsageError("Give either --whole or --before, not both.")
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
+    from sumo_adv.report.export.formats import FORMATS
     from sumo_adv.report.export.piece import read_piece
-    from sumo_adv.report.export.write import write_export
+    from sumo_adv.report.export.write import chosen, left_out, runs_in, write_export
     from sumo_adv.report.page.read import reading
 
-    target = out or folder.resolve().parent / f"{folder.resolve().name}{ENDINGS[format]}"
-    with reading(folder):
-        piece = read_piece(folder, unattacked=unattacked, before=before, whole=whole)
-        write_export(target, piece, format, variant, force=force)
-    _say(target, piece, format, as_json=as_json)
+    runs, formats = runs_in(folder), chosen(format)
+    if format is Format.ALL:
+        for sentence in left_out():
+            typer.echo(f"Left out: {sentence}", err=True)
+    one = runs == [folder] and format is not Format.ALL
+    place = _place(folder, out, many=runs != [folder])
+    made = 0
+    for run in runs:
+        try:
+            with reading(run):
+                piece = read_piece(run, unattacked=unattacked, before=before, whole=whole)
+        except UsageError as error:
+            if runs == [folder]:
+                raise
+            typer.echo(f"Left out: {error}", err=True)
+            continue
+        for each in formats:
+            target = out if one and out is not None else place / f"{run.resolve().name}{FORMATS[each].ending}"
+            with reading(run):
+                write_export(target, piece, each, variant, force=force)
+            _say(target, piece, each, as_json=as_json)
+            made += 1
+    if not made:
+        raise UsageError(f"None of the {len(runs)} runs in {folder} could be exported.")
+
+
+def _place(folder: Path, out: Path | None, *, many: bool) -> Path:
+    """The folder of exports that are not named one by one."""
+    whole = folder.resolve()
+    if out is None:
+        return whole.with_name(f"{whole.name}-exports") if many else whole.parent
+    return out
 
 
 def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:

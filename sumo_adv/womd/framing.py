@@ -67,6 +67,13 @@ def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
         number += 1
 
 
+def frame(data: bytes) -> bytes:
+    """``data`` as one record of a TFRecord file."""
+    length = len(data).to_bytes(8, "little")
+    checks = [masked_crc(part).to_bytes(4, "little") for part in (length, data)]
+    return length + checks[0] + data + checks[1]
+
+
 def masked_crc(data: bytes) -> int:
     """TFRecord's masked CRC-32C of ``data``."""
     crc = crc32c(data)

@@ -6,12 +6,18 @@ from enum import StrEnum
 
 
 class Format(StrEnum):
-    """What may be written."""
+    """What may be written; ``all``: each format that has its packages installed."""
 
     OPENSCENARIO = "openscenario"
-    FCD = "fcd"
     SUMO = "sumo"
+    FCD = "fcd"
     CSV = "csv"
+    WOMD = "womd"
+    COMMONROAD = "commonroad"
+    MCAP = "mcap"
+    OSI = "osi"
+    SCENARIONET = "scenarionet"
+    ALL = "all"
 
 
 class Variant(StrEnum):

@@ -21,6 +21,7 @@ WHEEL = 0.65  # m
 LARGEST_STEER = 0.6  # rad
 HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none either
 MASS = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}  # kg
+SLOWEST = 1.0  # m/s, below which no steering angle follows from the motion
 SHORTEST_TRUCK, NARROWEST_CAR = 6.5, 1.0  # m
 FASTEST, ACCELERATION, BRAKING = 70.0, 4.0, 9.0  # m/s, m/s2: wide enough for every trajectory
 
@@ -110,3 +111,12 @@ def _add_vehicle_parts(thing: Element, track: Track) -> None:
 def metres(value: float) -> str:
     """0.1 mm."""
     return f"{value + 0.0:.4f}"
+
+
+def steering(track: Track) -> Floats:
+    """Steering angles [rad] of a single-track model from heading over distance, 0 where it hardly moves."""
+    if len(track.time) < 2:
+        return np.zeros(len(track.time))
+    turn = np.gradient(np.unwrap(track.heading), track.time)
+    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > SLOWEST)
+    return np.clip(np.arctan(WHEELBASE * track.length * curvature), -LARGEST_STEER, LARGEST_STEER)

@@ -14,7 +14,7 @@ from sumo_adv.report.export.choices import Variant
 from sumo_adv.report.export.entities import add_entities, entity_names, printable
 from sumo_adv.report.export.opendrive import write_opendrive
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.schema import check_openscenario, need_schema
+from sumo_adv.report.export.schema import check_openscenario
 from sumo_adv.report.export.storyboard import add_free_ego, add_replay
 
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
@@ -24,10 +24,9 @@ def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Va
     """Write ``scenario.xosc``, checked against ASAM's schema, and ``road.xodr`` into ``folder``.
 
     Raises:
-        UsageError: the schema is not installed, or there is no adversary for a free ego.
+        UsageError: there is no adversary for a free ego.
         SumoAdvError: netconvert failed.
     """
-    need_schema()
     text = openscenario(piece, variant)
     check_openscenario(text)
     write_opendrive(netconvert, piece.network, folder / ROAD, piece.written)

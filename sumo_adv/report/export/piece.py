@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -10,6 +11,7 @@ from typing import Any
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
+from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
 
 
@@ -18,7 +20,8 @@ class Piece:
     """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
 
     network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
-    when they begin to be driven [s], None if unattacked. written: when the run was made.
+    when they begin to be driven [s], None if unattacked. written: when the run was made. level: what the attempt came
+    to, empty if unattacked.
     """
 
     name: str
@@ -32,10 +35,23 @@ class Piece:
     takeover: float | None
     written: datetime
     supports: tuple[str, ...] = ()
+    level: str = ""
 
     def track(self, vehicle: str) -> Track:
         """The track of that id, which is there."""
         return next(t for t in self.tracks if t.id == vehicle)
+
+    def contact(self) -> float | None:
+        """When the boxes of ego and collider first touch [s]; None if they do not."""
+        if self.adversary is None:
+            return None
+        ego, other = self.track(self.ego), self.track(self.adversary)
+        start, end = max(ego.time[0], other.time[0]), min(ego.time[-1], other.time[-1])
+        if end < start:
+            return None
+        ego, other = ego.between(start, end), other.between(start, end)
+        time = float(first_contact(row_of(ego), row_of(other), ego.time)[0])
+        return time if math.isfinite(time) else None
 
 
 def read_piece(folder: Path, *, unattacked: bool = False, before: float | None = None, whole: bool = False) -> Piece:
@@ -82,5 +98,11 @@ def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: floa
         str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
         float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
         datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
-        tuple(supports),
+        tuple(supports), _level(run, attacked),
     )  # fmt: skip
+
+
+def _level(run: RunRead, attacked: str | None) -> str:
+    """The level of the attempt that counts."""
+    best = run.outcome.get("best")
+    return "" if attacked is None or best is None else str(run.outcome["attempts"][best]["level"] or "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.errors import SumoAdvError
 
 VERSION = "1.2.0"
 
@@ -13,9 +13,7 @@ VERSION = "1.2.0"
 def check_openscenario(text: str) -> None:
     """Nothing, if the document is valid against ASAM OpenSCENARIO 1.2.
 
-    Raises:
-        UsageError: the schema is not installed.
-        SumoAdvError: the document is not valid (a fault of ours).
+    Raises SumoAdvError: the document is not valid (a fault of ours).
     """
     from lxml import etree
 
@@ -27,21 +25,11 @@ def check_openscenario(text: str) -> None:
         )
 
 
-def need_schema() -> None:
-    """Raise UsageError, saying what to install, if the schema is not there."""
-    _schema()
-
-
 @cache
 def _schema() -> Any:
     from importlib.resources import files
 
-    try:
-        from lxml import etree
+    from lxml import etree
 
-        file = files("qc_openscenario") / "schema" / VERSION / "OpenSCENARIO.xsd"
-        return etree.XMLSchema(etree.fromstring(file.read_bytes()))
-    except ImportError as error:
-        raise UsageError(
-            "ASAM's schema, which OpenSCENARIO files are checked against, is missing: pip install 'sumo-adv[export]'."
-        ) from error
+    file = files("qc_openscenario") / "schema" / VERSION / "OpenSCENARIO.xsd"
+    return etree.XMLSchema(etree.fromstring(file.read_bytes()))

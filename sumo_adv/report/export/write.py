@@ -1,50 +1,76 @@
-"""Writes a run in the chosen format of another tool."""
+"""Writes runs in the formats of other tools."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences, write_text, write_whole
+from sumo_adv.files import sentences, write_whole
 from sumo_adv.report.export.choices import Format, Variant
-from sumo_adv.report.export.fcd import fcd
-from sumo_adv.report.export.openscenario import SCENARIO, write_openscenario
+from sumo_adv.report.export.formats import FORMATS, Entry
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.replay import CONFIGURATION, write_replay
-from sumo_adv.report.export.table import table
+from sumo_adv.report.page.read import OUTCOME
 from sumo_adv.report.staging import staged
-from sumo_adv.report.tables import write_gzip
-from sumo_adv.simulation.programs import find_netconvert
+
+HOLDERS = (".", "failures", "runs")  # where hunts, regression suites and campaigns keep their runs
+
+
+def chosen(format: Format) -> list[Format]:
+    """The formats that ``format`` stands for.
+
+    Raises UsageError: a package of the one format is missing.
+    """
+    if format is Format.ALL:
+        return [each for each, entry in FORMATS.items() if not entry.missing]
+    FORMATS[format].need(format)
+    return [format]
+
+
+def left_out() -> Iterator[str]:
+    """A sentence for each format that lacks a package."""
+    for format, entry in FORMATS.items():
+        try:
+            entry.need(format)
+        except UsageError as error:
+            yield str(error)
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """``folder`` itself if it is a run's, else the runs of a hunt, a regression suite or a campaign.
+
+    Raises UsageError: there is no run.
+    """
+    if (folder / OUTCOME).is_file() or not folder.is_dir():
+        return [folder]
+    places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
+    runs = [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
+    if not runs:
+        raise UsageError(
+            f"{folder} holds no {OUTCOME} and no runs; give the folder of a run, a hunt, a regression suite or a "
+            "campaign (unpack a packed one first)."
+        )
+    return runs
 
 
 def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    """Write a run in another tool's format: the whole file or folder, or nothing.
+    """Write a run in one format: the whole file or folder, or nothing.
 
-    Raises UsageError: ``target`` exists, or an error of the format.
+    Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.
     """
-    if format in (Format.OPENSCENARIO, Format.SUMO):
-        _folder(target, piece, format, variant, force=force)
+    entry = FORMATS[format]
+    entry.need(format)
+    if entry.marker:
+        with staged(target, force=force, marker=entry.marker) as folder:
+            entry.write(folder.stage, piece, variant)
+            folder.keep(force=force)
     else:
-        _file(target, piece, format, force=force)
+        _file(target, piece, entry, variant, force=force)
 
 
-def _folder(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    marker = SCENARIO if format is Format.OPENSCENARIO else CONFIGURATION
-    with staged(target, force=force, marker=marker) as folder:
-        if format is Format.OPENSCENARIO:
-            write_openscenario(folder.stage, piece, find_netconvert(), variant)
-        else:
-            write_replay(folder.stage, piece)
-        folder.keep(force=force)
-
-
-def _file(target: Path, piece: Piece, format: Format, *, force: bool) -> None:
+def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> None:
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
-    text = fcd(piece) if format is Format.FCD else table(piece)
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.suffix == ".gz":
-            write_whole(target, lambda part: write_gzip(part, text))
-        else:
-            write_text(target, text)
+        write_whole(target, lambda part: entry.write(part, piece, variant))

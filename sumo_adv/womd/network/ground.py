@@ -59,10 +59,11 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
     near = near.intersection(shapely.union_all(shapely.buffer(shapely.simplify(close, 0.2), KNOWN, quad_segs=4)))
     owner, sites = _sites(close)
     cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(sites), extend_to=near.envelope))
+    cells = np.where(shapely.is_valid(cells), cells, shapely.buffer(cells, 0.0))  # of evenly spaced points on a grid
     site, cell = shapely.STRtree(cells).query(shapely.points(sites), predicate="intersects")
     whose = np.full(len(cells), -1)
     whose[cell] = owner[site]
-    regions = [shapely.coverage_union_all(cells[whose == k]) for k in np.unique(whose)]
+    regions = [shapely.union_all(cells[whose == k]) for k in np.unique(whose)]
     cuts = [*shapely.boundary(regions), near.boundary, *close, *(_extended(line) for line in close)]
     faces = shapely.get_parts(shapely.polygonize(shapely.get_parts(shapely.union_all(cuts))))
     inside = shapely.point_on_surface(faces)

@@ -1,0 +1,145 @@
+"""A run as a CommonRoad scenario (XML, format 2020a) with the ego's recorded motion as a solution: two files.
+
+Time step 0 is the first exported step; a step is the run's. The ego is the planning problem, and no obstacle; its
+goal is where it was at the end. Obstacles are numbered in the order of the run after the lanelets; a comment in the
+file gives each number's id.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+from sumo_adv import __version__
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.report.export.entities import kind, metres, printable, steering
+from sumo_adv.report.export.piece import Piece
+from sumo_adv.report.export.road import MapLane, map_lanes
+
+SCENARIO, SOLUTION = "scenario.xml", "solution.xml"
+GOAL = 10.0, 4.0  # m, length and width of the goal around the ego's last place
+VEHICLE = "KS2"  # of the solution: kinematic single-track model, BMW 320i
+
+
+def write_commonroad(folder: Path, piece: Piece) -> None:
+    """Write ``scenario.xml`` and ``solution.xml`` into ``folder``. Raises UsageError: the network is unreadable."""
+    lanes = map_lanes(piece)
+    problem = len(lanes) + len(piece.tracks) + 1
+    for name, root in ((SCENARIO, _scenario(piece, lanes, problem)), (SOLUTION, _solution(piece, problem))):
+        indent(root)
+        text = tostring(root, encoding="unicode")
+        (folder / name).write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
+
+
+def benchmark_id(piece: Piece) -> str:
+    """The scenario's name as CommonRoad spells names: ``ZAM_PriorityCrossing-1_1_T-1``."""
+    words = re.findall(r"[A-Za-z0-9]+", piece.name)
+    return f"ZAM_{''.join(w[:1].upper() + w[1:] for w in words) or 'Run'}-1_1_T-1"
+
+
+def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
+    root = Element(
+        "commonRoad", commonRoadVersion="2020a", benchmarkID=benchmark_id(piece), author=f"sumo_adv {__version__}",
+        date=piece.written.strftime("%Y-%m-%d"), affiliation="", source="sumo_adv", timeStepSize=f"{piece.step:g}",
+    )  # fmt: skip
+    location = SubElement(root, "location")
+    for name, value in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):  # not given
+        SubElement(location, name).text = value
+    SubElement(SubElement(root, "scenarioTags"), "critical")
+    for lane in lanes:
+        _add_lanelet(root, lane)
+    tracks = sorted(enumerate(piece.tracks, len(lanes) + 1), key=lambda pair: pair[1].role is not Role.OBSTACLE)
+    for number, track in tracks:  # static ones first
+        if track.id != piece.ego:
+            _add_obstacle(root, number, track, piece)
+    _add_problem(root, piece, problem)
+    return root
+
+
+def _add_lanelet(root: Element, lane: MapLane) -> None:
+    lanelet = SubElement(root, "lanelet", id=str(lane.number))
+    for name, line in (("leftBound", lane.left), ("rightBound", lane.right)):
+        bound = SubElement(lanelet, name)
+        for x, y in line.tolist():
+            _add_point(bound, x, y)
+    for name, numbers in (("predecessor", lane.entries), ("successor", lane.exits)):
+        for number in numbers:
+            SubElement(lanelet, name, ref=str(number))
+    for name, beside in (("adjacentLeft", lane.beside_left), ("adjacentRight", lane.beside_right)):
+        if beside is not None:
+            SubElement(lanelet, name, ref=str(beside), drivingDir="same")
+    SubElement(lanelet, "laneletType").text = "intersection" if lane.lane.internal else "unknown"
+    SubElement(lanelet, "userOneWay").text = "vehicle"
+
+
+def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> None:
+    static = track.role is Role.OBSTACLE
+    root.append(Comment(f" {number}: {printable(track.id).replace('-', '_')}, {track.role} "))
+    obstacle = SubElement(root, "staticObstacle" if static else "dynamicObstacle", id=str(number))
+    SubElement(obstacle, "type").text = "parkedVehicle" if static else kind(track)
+    rectangle = SubElement(SubElement(obstacle, "shape"), "rectangle")
+    SubElement(rectangle, "length").text, SubElement(rectangle, "width").text = (
+        metres(track.length),
+        metres(track.width),
+    )
+    steps = _steps(track, piece)
+    _add_state(obstacle, "initialState", track, 0, 0 if static else steps[0])
+    if static or len(steps) == 1:
+        return
+    trajectory = SubElement(obstacle, "trajectory")
+    for k, step in enumerate(steps[1:], 1):
+        _add_state(trajectory, "state", track, k, step)
+
+
+def _steps(track: Track, piece: Piece) -> list[int]:
+    """The time steps of a track's states."""
+    return [round((time - piece.begin) / piece.step) for time in track.time.tolist()]
+
+
+def _add_state(parent: Element, tag: str, track: Track, k: int, step: int) -> Element:
+    state = SubElement(parent, tag)
+    _add_point(SubElement(state, "position"), float(track.x[k]), float(track.y[k]))
+    for name, value in (
+        ("orientation", f"{track.heading[k]:.6f}"), ("time", str(step)), ("velocity", metres(float(track.speed[k]))),
+        ("acceleration", metres(float(track.acceleration[k]))),
+    ):  # fmt: skip
+        SubElement(SubElement(state, name), "exact").text = value
+    return state
+
+
+def _add_point(parent: Element, x: float, y: float) -> None:
+    point = SubElement(parent, "point")
+    SubElement(point, "x").text, SubElement(point, "y").text = metres(x), metres(y)
+
+
+def _add_problem(root: Element, piece: Piece, number: int) -> None:
+    ego = piece.track(piece.ego)
+    problem = SubElement(root, "planningProblem", id=str(number))
+    state = _add_state(problem, "initialState", ego, 0, 0)
+    for name in ("yawRate", "slipAngle"):
+        SubElement(SubElement(state, name), "exact").text = "0.0"
+    goal = SubElement(problem, "goalState")
+    last, time = _steps(ego, piece)[-1], SubElement(goal, "time")
+    SubElement(time, "intervalStart").text, SubElement(time, "intervalEnd").text = str(max(0, last - 1)), str(last)
+    rectangle = SubElement(SubElement(goal, "position"), "rectangle")
+    SubElement(rectangle, "length").text, SubElement(rectangle, "width").text = map(str, GOAL)
+    SubElement(rectangle, "orientation").text = f"{ego.heading[-1]:.6f}"
+    centre = SubElement(rectangle, "center")
+    SubElement(centre, "x").text, SubElement(centre, "y").text = metres(float(ego.x[-1])), metres(float(ego.y[-1]))
+
+
+def _solution(piece: Piece, problem: int) -> Element:
+    ego = piece.track(piece.ego)
+    root = Element("CommonRoadSolution", benchmark_id=f"{VEHICLE}:JB1:{benchmark_id(piece)}:2020a")
+    root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
+    trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
+    for k, (step, steer) in enumerate(zip(_steps(ego, piece), steering(ego).tolist(), strict=True)):
+        state = SubElement(trajectory, "ksState")
+        for name, value in (
+            ("x", metres(float(ego.x[k]))), ("y", metres(float(ego.y[k]))), ("steeringAngle", f"{steer:.6f}"),
+            ("velocity", metres(float(ego.speed[k]))), ("orientation", f"{ego.heading[k]:.6f}"), ("time", str(step)),
+        ):  # fmt: skip
+            SubElement(state, name).text = value
+    return root
