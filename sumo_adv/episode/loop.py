@@ -94,7 +94,7 @@ def may_go_on(episode: Episode) -> bool:
 
 
 def _worth(episode: Episode) -> tuple[float, float]:
-    """Sorts encounters without success: the one that came to most first."""
+    """A key that sorts encounters without success, the best attempt first."""
     return (math.inf, 0.0) if episode.best is None else rank(episode.best.verdict)
 
 
