@@ -136,6 +136,7 @@ class SearchSettings:
     few: int = 5
     diverse_every: int = 3
     predicted: int = 3
+    predicted_together: int = 25
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
