@@ -53,7 +53,7 @@ def test_importing_is_light(tmp_path: Path) -> None:
 
 def test_the_names_are_few() -> None:
     drivers = {"LaneSpeed", "Observation", "Pose", "Steer"}
-    names = {"Campaign", "Result", "__version__", "batch", "crash_rate", "judge", "load", "run"}
+    names = {"Campaign", "Result", "__version__", "batch", "crash_rate", "hunt", "judge", "load", "run"}
     assert set(sumo_adv.__all__) == names | drivers == set(dir(sumo_adv))
     assert all(getattr(sumo_adv, name) for name in sumo_adv.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'walk'"):

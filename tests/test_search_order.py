@@ -94,7 +94,7 @@ class InTurn:
 
 def search_of(scorer, situations, library, proposals: int = 30, share: int = 8, seed: int = 7) -> AttackSearch:
     """A search that has predicted its first candidates and follows the intents of the library."""
-    settings = SearchSettings(proposals=proposals, share=share)
+    settings = SearchSettings(proposals=proposals, share=share, predicted=25)
     search = AttackSearch(scorer, situations, library, settings, seed=seed)
     search.follow([Intent("bv", e.label, "", "high", 0.0) for e in library], library)
     return search
