@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from random import Random
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
@@ -16,6 +17,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
+from sumo_adv.episode.neighbours import Robustness, neighbours
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
@@ -27,6 +29,7 @@ GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do 
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
+POLISHED = 3  # attempts at most whose neighbours are simulated, once the goal is reached
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 
@@ -36,7 +39,8 @@ class Refinement:
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
     the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
-    ranked first, empty if it does.
+    ranked first, empty if it does. polished: the attempt that took the best one's place, because more of its
+    neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was simulated.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -49,12 +53,16 @@ class Refinement:
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
     why_first: str = ""
+    polished: int | None = None
+    robustness: Robustness | None = None
 
     @property
     def best(self) -> int | None:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
+        if self.polished is not None:
+            return self.polished
         verdicts = [a.verdict for a in self.attempts]
         return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
 
@@ -117,6 +125,7 @@ class Refiner:
         if found.attempts and all(a.ending == "crashed" for a in found.attempts):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
+        self._polish(found, began)
         found.seconds = time.perf_counter() - began
 
     def _explain(self, first: Proposal, found: Refinement) -> None:
@@ -174,6 +183,47 @@ class Refiner:
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
 
+    def _polish(self, found: Refinement, began: float) -> None:
+        """Simulate neighbours of the success that counts. A neighbour takes its place if it holds in more of its own,
+        or if it is gentler."""
+        tested: dict[int, Robustness] = {}
+        now, random = found.best if found.successes else None, Random(self._settings.seed)
+        while now is not None and len(tested) < POLISHED and self._has_left(found, began):
+            attempt = found.attempts[now]
+            near = neighbours(attempt, found.results[now], random, self._settings.step_length)
+            tried = [
+                (self._attempt(len(found.attempts), p, result), result)
+                for p, result in zip(near, self._runner.attempt(near), strict=True)
+            ]
+            held = [(a, result) for a, result in tried if found.goal.met(a.verdict)]
+            tested[now] = Robustness(len(held), len(tried))
+            if tested[now].enough and attempt.verdict.humanlike:
+                break
+            same = [each for each in held if each[0].proposal.course is None and each[0].kind == attempt.kind]
+            now = self._next_winner(same, found)
+        if tested:
+            best = max(tested, key=lambda k: _worth(tested[k], found.attempts[k]))
+            found.robustness = tested[best]
+            if best != found.best:
+                before, found.polished = found.best, best
+                found.successes = [best if k == before else k for k in found.successes]
+
+    def _next_winner(self, held: Sequence[tuple[Attempt, AttemptResult]], found: Refinement) -> int | None:
+        """The index of the neighbour that is looked at next, the gentlest one; it joins the attempts."""
+        for attempt, result in sorted(held, key=lambda each: (not each[0].verdict.humanlike, *rank(each[0].verdict))):
+            again = checked(attempt, result, self._runner, found.goal)
+            if found.goal.met(again.verdict):
+                found.attempts.append(replace(again, index=len(found.attempts), phase="polish"))
+                found.results.append(result)
+                self._tell("attempt", found.attempts[-1])
+                return len(found.attempts) - 1
+        return None
+
+    def _has_left(self, found: Refinement, began: float) -> bool:
+        """Whether attempts and seconds are left for neighbours."""
+        settings = self._settings
+        return settings.attempts - len(found.attempts) >= GENERATION and time.perf_counter() - began < settings.seconds
+
     def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
         """Take note of a success; whether there are enough of different kinds now."""
         if found.first_success_seconds is None:
@@ -222,6 +272,12 @@ class Refiner:
                     search.add_version(candidate.planner)
                 else:
                     search.add_chosen([candidate])
+
+
+def _worth(robustness: Robustness, attempt: Attempt) -> tuple[bool, bool, int, int]:
+    """Sorts successes, the best last: robust ones, then what a person could drive, then those that hold in more of
+    their neighbours."""
+    return robustness.enough, bool(attempt.verdict.humanlike), robustness.held, -attempt.index
 
 
 def _since_better(found: Refinement) -> int:
