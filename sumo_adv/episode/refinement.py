@@ -14,7 +14,7 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
 from sumo_adv.episode.neighbours import Robustness, neighbours
@@ -27,7 +27,8 @@ from sumo_adv.search.search import AttackSearch
 
 GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
-HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come
+HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
+HOPELESS = 40  # so many where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
 POLISHED = 3  # attempts at most whose neighbours are simulated, once the goal is reached
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
@@ -107,8 +108,8 @@ class Refiner:
             if time.perf_counter() - began >= self._settings.seconds:
                 found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
                 break
-            if self._another and _since_better(found) >= HOPEFUL:
-                found.reason = f"The last {HOPEFUL} attempts came to no more, and another encounter may come."
+            if self._another and (vain := _in_vain(found)):
+                found.reason = f"The last {vain} attempts came to no more, and another encounter may come."
                 break
             plans = self._next(optimizer, found)
             if not plans:
@@ -280,10 +281,12 @@ def _worth(robustness: Robustness, attempt: Attempt) -> tuple[bool, bool, int, i
     return robustness.enough, bool(attempt.verdict.humanlike), robustness.held, -attempt.index
 
 
-def _since_better(found: Refinement) -> int:
-    """How many attempts were made since the first one of the highest level so far."""
+def _in_vain(found: Refinement) -> int:
+    """How many attempts were made since the first one of the highest level, once these are enough to leave; else 0."""
     levels = [found.goal.reached(a.verdict) for a in found.attempts]
-    return len(levels) - levels.index(max(levels)) if levels else 0
+    since = len(levels) - levels.index(max(levels)) if levels else 0
+    enough = HOPEFUL if levels and max(levels) >= Level.CRITICAL else HOPELESS
+    return since if since >= enough else 0
 
 
 def _tried(found: Refinement) -> list[tuple[Attempt, AttemptResult]]:
