@@ -65,7 +65,7 @@ def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp
     script.write_text(UNGUARDED)
     once, ending_and_events, there = python(script, tmp_path).splitlines()
     assert once == "once"  # the engine's process did not run the script again
-    assert ending_and_events.endswith("['encounter', 'intents', 'why_first', 'attempt']")
+    assert ending_and_events.endswith("['encounter', 'intents', 'attempt']")
     assert there == "False"
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith("bank.sqlite")) == ["script.py"]
 

@@ -21,7 +21,7 @@ class Reporter(Protocol):
     """Told what happens."""
 
     def tell(self, what: str, value: Any) -> None:
-        """``encounter``, ``intents``, ``why_first`` or ``attempt``."""
+        """``encounter``, ``intents`` or ``attempt``."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -118,8 +118,6 @@ def line(what: str, value: Any) -> str:
     if what == "intents":
         top = value[0]
         return f"Most dangerous: {top.bv} — {top.label} (risk {top.risk}; {top.reason})"
-    if what == "why_first":
-        return f"  {value}"
     return _attempt(value) if what == "attempt" else ""
 
 

@@ -35,8 +35,7 @@ from sumo_adv.simulation.engine import Engine
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]
-"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("why_first", sentence),
-("attempt", Attempt)."""
+"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,9 +39,8 @@ class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
-    ranked first, empty if it does. polished: the attempt that took the best one's place, because more of its
-    neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was simulated.
+    the attempt that counts, if it is not the best. polished: the attempt that took the best one's place, because more
+    of its neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was tried.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -53,7 +52,6 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
-    why_first: str = ""
     polished: int | None = None
     robustness: Robustness | None = None
 
@@ -98,12 +96,11 @@ class Refiner:
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
         self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
-        self._intents: Sequence[Intent] = ()
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
-        optimizer, self._intents = self.optimizer(intents), intents
+        optimizer = self.optimizer(intents)
         while len(found.attempts) < self._settings.attempts:
             if time.perf_counter() - began >= self._settings.seconds:
                 found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
@@ -115,8 +112,6 @@ class Refiner:
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
                 break
-            if not found.attempts:
-                self._explain(plans[0], found)
             if self._try(plans, found, began):
                 break
             self._observe(optimizer, found, len(plans))
@@ -128,12 +123,6 @@ class Refiner:
         settle_best(found, self._runner)
         self._polish(found, began)
         found.seconds = time.perf_counter() - began
-
-    def _explain(self, first: Proposal, found: Refinement) -> None:
-        """Say why the first attempt does not try the intent that is ranked first, if it does not."""
-        found.why_first = self._search.why_first(first, self._intents)
-        if found.why_first:
-            self._tell("why_first", found.why_first)
 
     def optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its

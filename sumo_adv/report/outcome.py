@@ -64,7 +64,7 @@ def outcome(
         "encounters_tried": [_tried(t) for t in episode.tried], "seconds_allowed": settings.seconds,
         "best": episode.refinement.best, "robust": _robust(episode),
         "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
-        "attempts_allowed": settings.attempts, "why_first": episode.refinement.why_first or None,
+        "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),

@@ -26,7 +26,6 @@ from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.correction import PredictionCorrection
 from sumo_adv.search.evolution import Evolution
-from sumo_adv.search.first_attempt import why_first
 from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.ranking import ranked_intents, unpredicted_intents
@@ -147,12 +146,6 @@ class AttackSearch:
         if seen is None:
             return p.score
         return p.score + weights.late * seen.time + weights.harsh * seen.braking + weights.support * len(p.supports)
-
-    def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
-        """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
-        if not self._predicts:
-            return ""
-        return why_first(first, intents[0], self.pool, self._price_now, self._goal, self._settings.price)
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
