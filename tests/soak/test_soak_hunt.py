@@ -41,7 +41,7 @@ def test_a_hunt_that_is_killed_ten_times_loses_nothing(tmp_path: Path) -> None:
         with subprocess.Popen(
             command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         ) as process:
-            time.sleep(draw.uniform(4.0, 16.0))
+            time.sleep(draw.uniform(10.0, 40.0))
             family = children_of(process.pid)
             os.kill(process.pid, signal.SIGKILL)
             for pid in family:
