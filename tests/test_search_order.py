@@ -13,8 +13,9 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
 from sumo_adv.search.fixed_order import as_written
 from sumo_adv.search.prediction import batches_of
+from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.settings import SamplingSettings, SearchSettings
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -256,12 +257,10 @@ def test_more_is_drawn_until_the_goal_is_predicted_with_something_to_spare(score
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
     """Of the gaps from -3 to 4 m those of the ten best are all -3 m: with a spread of 0.12 * 7 = 0.84 m, cut off at the
     bound, variations lie at -2.7 m in the mean, evenly drawn ones at 0.5 m."""
-    search = shifts_of(InTurn((1, 1.2)))
-    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in search.pool[:10]]
-    search.pool[:10] = best
-    search.propose(1)
-    last_round = search.pool[-150:]
-    gaps = [p.parameters["gap"] for p in last_round]
+    templates = templates_of({0.0: straight_situation()}, [entry("Shift", ("neighbour",))])
+    best = [replace(templates[0].proposal(None), parameters={"gap": -3.0, "drift": 3.0})] * 10
+    gaps = [p.parameters["gap"] for p in Sampler(SamplingSettings(), 7).more(templates, best)]
+    assert len(gaps) == 150
     assert np.mean(gaps[75:]) < -2.2
     assert np.mean(gaps[:75]) > -1.0
 
