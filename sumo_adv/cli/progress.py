@@ -143,6 +143,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    if best is not None and best.get("cause"):
+        lines.append(f"Why: {best['cause']['sentence']}")
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")

@@ -1,0 +1,397 @@
+"""Why an attempt came to a contact or a near miss: what the ego did, against the careful driver, in a sentence.
+
+============= ====================================================================================================
+kind          meaning
+============= ====================================================================================================
+unforeseeable no danger shows to ``cc_human`` soon enough for it to brake, and no reference driver avoids the contact
+steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
+no_reaction   the ego neither braked nor steered away before the contact
+late          it began more than 0.2 s after the careful driver
+too_little    it began in time, and did too little
+no_swerve     it braked in time, and no constant braking up to 0.774 g avoids the contact
+evaded        no contact: it began in time
+============= ====================================================================================================
+
+A reaction is what the attack changed.  The ego brakes where it loses speed, by at least 1 m/s2 more than it did at the
+same time without the attack, for 0.2 s: braking for a red light is no reaction.  It steers where it leaves both its way
+without the attack and the straight on by 0.375 m (the zone of wandering of UN R157).
+
+The careful driver is ``cc_human`` (UN R157) on the ego's path: it is alarmed, and begins to brake 0.75 s later.  Where
+it brakes too late to count, the reference driver that was alarmed first of those that avoid the contact takes its
+place.  ``enough`` is the least constant braking from the same moment on that touches no vehicle in the kinematic
+counterfactual (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Track, Verdict
+from sumo_adv.metrics.boxes import at_time, row_of
+from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.reference import MANOEUVRE, fsm, manoeuvre, reg157, rss
+from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION, WANDERING, CcHuman
+from sumo_adv.metrics.reference.counterfactual import Counterfactual
+from sumo_adv.metrics.reference.view import View
+
+MORE = 1.0  # m/s2 more braking than without the attack is a reaction
+LOSING = 0.5  # m/s2 that the ego loses at least while it brakes
+HELD = 0.2  # s for which it does so
+PAUSE = 0.5  # s without braking that do not end it
+IN_TIME = 0.2  # s after the careful driver is still in time
+STANDS = 0.1  # m/s
+STEP = 0.1  # m/s2, between the constant brakings that are tried
+CAREFUL = CcHuman.name
+DELAYS = {
+    CAREFUL: REACTION, MANOEUVRE: manoeuvre.DELAY - PERCEPTION, reg157.Reg157.name: reg157.DELAY,
+    rss.RssDriver.name: rss.NUMBERS.response, fsm.Fsm.name: fsm.REACTION,
+}  # fmt: skip
+"""Seconds from a reference driver's alarm until it acts."""
+
+
+class CauseKind(StrEnum):
+    """What kind of fault led to it; the table above has the meanings."""
+
+    UNFORESEEABLE = "unforeseeable"
+    STEERED_IN = "steered_in"
+    NO_REACTION = "no_reaction"
+    LATE = "late"
+    TOO_LITTLE = "too_little"
+    NO_SWERVE = "no_swerve"
+    EVADED = "evaded"
+
+
+class Action(StrEnum):
+    """What the ego did first."""
+
+    BRAKED = "braked"
+    STEERED = "steered"
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why, in a sentence and in numbers.  Times are of the simulation [s]; None: the question does not arise.
+
+    moment: of the contact, or of the least TTC without one.  reference: the driver that the ego is compared with;
+    alarm: when a danger showed to it; careful: when it began to act.  began: when the ego reacted first, and action:
+    how.  braking: the mean from there until the contact, the standstill or the end of braking [m/s2]; hardest: the most
+    for 0.2 s [m/s2]; let_go: when it stopped braking before the contact.  shift: how far it had left its way at the
+    moment [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
+    """
+
+    kind: CauseKind
+    sentence: str
+    moment: float
+    reference: str = CAREFUL
+    alarm: float | None = None
+    careful: float | None = None
+    began: float | None = None
+    action: Action | None = None
+    braking: float | None = None
+    hardest: float | None = None
+    let_go: float | None = None
+    shift: float | None = None
+    enough: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Braking:
+    """A spell of braking beyond what the ego did without the attack. let_go: None where it lasts to the moment."""
+
+    began: float
+    mean: float
+    hardest: float
+    let_go: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Steering:
+    began: float
+    shift: float  # m at the moment, left positive
+    away: bool
+
+
+def cause_of(
+    ego: Track,
+    adversary: Track,
+    others: Sequence[Track],
+    verdict: Verdict,
+    *,
+    trigger_time: float,
+    lane_half_width: float = 1.6,
+    unattacked: Track | None = None,
+) -> Cause | None:
+    """The cause of a contact or near miss; None where there is neither, or the adversary ran into the ego's back.
+
+    The tracks are those of :func:`sumo_adv.metrics.levels.with_level`: one grid, the adversary past the contact as it
+    planned.  ``unattacked``: the ego's motion without the attack, recorded or foreseen; without it, the ego is compared
+    with a straight way at constant speed.
+    """
+    contact = verdict.contact_time
+    moment = contact if contact is not None else verdict.min_ttc_time
+    if moment is None or verdict.rear_end or not (verdict.collided or verdict.critical):
+        return None
+    check = Counterfactual(encounter_of(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked))
+    begin = max(float(ego.time[0]), float(adversary.time[0]))
+    reference, alarm, careful = _reference(check, begin, moment, verdict)
+    braking = _braking(ego, unattacked, trigger_time, moment, alarm)
+    steering = _steering(ego, adversary, unattacked, trigger_time, moment)
+    enough = None
+    if contact is not None and careful is not None and not check.unchanged().avoids[0]:
+        enough = _enough(check, round((careful - begin) / check.given.dt))
+    found = Cause(
+        CauseKind.EVADED, "", moment, reference, alarm, careful, enough=enough,
+        shift=None if steering is None else steering.shift,
+    )  # fmt: skip
+    if braking is not None:
+        found = replace(
+            found, began=braking.began, action=Action.BRAKED, braking=braking.mean, hardest=braking.hardest,
+            let_go=braking.let_go,
+        )  # fmt: skip
+    if steering is not None and steering.away and (found.began is None or steering.began < found.began):
+        found = replace(found, began=steering.began, action=Action.STEERED)
+    into = contact is not None and steering is not None and not steering.away
+    into = into and _missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
+    avoided = verdict.preventability is not None and bool(verdict.preventability.by)
+    kind = _kind(found, contact is not None, into, avoided)
+    return replace(found, kind=kind, sentence=_sentence(replace(found, kind=kind), contact is not None))
+
+
+def _kind(c: Cause, met: bool, into: bool, avoided: bool) -> CauseKind:
+    """``met``: there was a contact; ``into``: the ego steered into it; ``avoided``: by some reference driver."""
+    if into:
+        return CauseKind.STEERED_IN
+    if c.careful is None or (met and not avoided and c.enough is None):
+        return CauseKind.UNFORESEEABLE
+    if c.began is None:
+        return CauseKind.NO_REACTION
+    if c.began > c.careful + IN_TIME + 1e-9:
+        return CauseKind.LATE
+    if not met:
+        return CauseKind.EVADED
+    return CauseKind.NO_SWERVE if c.enough is None and c.action is Action.BRAKED else CauseKind.TOO_LITTLE
+
+
+# -- the careful driver ---------------------------------------------------------------------------------------------
+
+
+class _Watched(CcHuman):
+    """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake."""
+
+    def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
+        super().__init__(shape, dt)
+        self._start = start
+        self.alarm, self.brakes = math.inf, math.inf
+
+    def step(self, view: View) -> Floats:
+        now = self._now
+        answer = super().step(view)
+        if self.danger[0, 0] and not math.isfinite(self.brakes):
+            self.alarm = float(self._decided_at[0, 0])
+            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now - self.alarm >= REACTION - 1e-9:
+                self.brakes = now
+        return answer
+
+
+def _reference(
+    check: Counterfactual, begin: float, moment: float, verdict: Verdict
+) -> tuple[str, float | None, float | None]:
+    """The reference driver, when it was alarmed and when it acted [s]; None where that was not before the moment."""
+    drivers: list[_Watched] = []
+
+    def driver(shape: tuple[int, int], dt: float) -> _Watched:
+        drivers.append(_Watched(shape, dt, float(check.time[check.given.start[0]])))
+        return drivers[-1]
+
+    check.roll_out(driver)
+    alarm, brakes = begin + drivers[0].alarm, begin + drivers[0].brakes
+    known = alarm if alarm < moment else None
+    if brakes < moment:
+        return CAREFUL, known, brakes
+    p = verdict.preventability
+    others = {} if p is None else {n: a for n, a in p.alarms.items() if n in p.by and a + DELAYS[n] < moment}
+    if others:
+        name = min(others, key=lambda n: others[n] + DELAYS[n])
+        return name, others[name], others[name] + DELAYS[name]
+    return CAREFUL, known, None
+
+
+def _enough(check: Counterfactual, first: int) -> float | None:
+    """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
+    paths = check.paths
+    station, speed = paths.station[0].copy(), np.array(np.broadcast_to(check.ego.speed, paths.station.shape))[0]
+    since = np.maximum(check.time - check.time[first], 0.0)
+    after = np.arange(check.steps) > first
+    for k in range(int(FULL_BRAKING / STEP) + 1):
+        braking = k * STEP
+        lasts = np.minimum(since, speed[first] / braking) if k else since
+        there = np.where(after, station[first] + speed[first] * lasts - braking * lasts**2 / 2, station)
+        pace = np.where(after, np.maximum(speed[first] - braking * since, 0.0), speed)
+        if check.moving(there[None], pace[None]).avoids[0]:
+            return round(braking, 1)
+    return None
+
+
+# -- the ego --------------------------------------------------------------------------------------------------------
+
+
+def _braking(ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None) -> _Braking | None:
+    """The first spell of braking that lasts beyond the alarm; None without one."""
+    driven = ego.between(start, moment)
+    if len(driven.time) < 2:
+        return None
+    dt = float(np.diff(driven.time).min())
+    change = np.diff(driven.speed) / dt
+    usual = np.zeros(len(change))
+    if unattacked is not None and len(unattacked.time) > 1:
+        pace = np.interp(driven.time, unattacked.time, unattacked.speed)
+        known = driven.time[1:] <= unattacked.time[-1] + 5e-4
+        usual = np.where(known, np.diff(pace) / dt, 0.0)
+    brakes = _lasting((change <= -LOSING) & (usual - change >= MORE), round(HELD / dt))
+    stands = driven.speed[1:] < STANDS
+    spells = [
+        (first, last) for first, last in _spells(brakes, stands, round(PAUSE / dt))
+        if alarm is None or driven.time[last] >= alarm - 5e-4
+    ]  # fmt: skip
+    if not spells:
+        return None
+    first, last = spells[0]
+    hold = max(round(HELD / dt), 1)
+    lost = [-float(change[k : k + hold].mean()) for k in range(first, max(last - hold, first) + 1)]
+    still = np.flatnonzero(driven.speed[first:last] < STANDS)
+    until = first + int(still[0]) if len(still) else last
+    mean = float(driven.speed[first] - driven.speed[until]) / max((until - first) * dt, dt)
+    ended = float(driven.time[last])
+    let_go = ended if moment - ended > PAUSE and not len(still) else None
+    return _Braking(float(driven.time[first]), mean, max(lost), let_go)
+
+
+def _lasting(holds: Bools, least: int) -> Bools:
+    """Without the spells of fewer than ``least`` steps."""
+    kept = holds.copy()
+    for first, last in _spells(holds, np.zeros(len(holds), bool), 0):
+        kept[first:last] = last - first >= least
+    return kept
+
+
+def _spells(holds: Bools, on: Bools, pause: int) -> list[tuple[int, int]]:
+    """First step and the step after the last one of each spell; it goes on where ``on`` holds, and over a pause of at
+    most so many steps."""
+    spells: list[tuple[int, int]] = []
+    for k in range(len(holds)):
+        goes_on = bool(spells) and spells[-1][1] == k and bool(on[k])
+        if not holds[k] and not goes_on:
+            continue
+        if spells and k - spells[-1][1] <= pause:
+            spells[-1] = (spells[-1][0], k + 1)
+        else:
+            spells.append((k, k + 1))
+    return spells
+
+
+def _steering(ego: Track, adversary: Track, unattacked: Track | None, start: float, moment: float) -> _Steering | None:
+    """How the ego left both its way without the attack and the straight on; None where it did not."""
+    driven = ego.between(start, moment)
+    if len(driven.time) < 2:
+        return None
+    x, y, h = float(driven.x[0]), float(driven.y[0]), float(driven.heading[0])
+    straight = (driven.y - y) * math.cos(h) - (driven.x - x) * math.sin(h)
+    left = straight if unattacked is None else _beside(driven, unattacked)
+    least = np.where(np.abs(left) < np.abs(straight), left, straight)
+    least = np.where(left * straight > 0.0, least, 0.0)
+    if abs(least[-1]) < WANDERING:
+        return None
+    side = float(np.sign(least[-1]))
+    still = np.flatnonzero(least * side < WANDERING / 4)
+    began = float(driven.time[min(int(still[-1]) + 1 if len(still) else 0, len(driven.time) - 1)])
+    then, foe = at_time(driven, began), at_time(adversary, began)
+    there = (foe.y - then.y) * np.cos(then.heading) - (foe.x - then.x) * np.sin(then.heading)
+    ahead = abs(float(there)) < (ego.width + adversary.width) / 2
+    return _Steering(began, float(least[-1]), bool(ahead or np.sign(there) != side))
+
+
+def _beside(driven: Track, unattacked: Track) -> Floats:
+    """Offsets of the ego from its way without the attack [m, left positive], 0 at first."""
+    left = EgoPaths(row_of(unattacked)).locate(driven.x[None], driven.y[None])[1][0]
+    return np.asarray(left - left[0])
+
+
+def _missed_on_its_way(
+    ego: Track, adversary: Track, others: Sequence[Track], start: float, moment: float, lane_half_width: float,
+    unattacked: Track | None,
+) -> bool:  # fmt: skip
+    """Whether the ego, as far along its way without the attack at each time, would not have been hit."""
+    after = ego.time > start
+    if unattacked is not None:
+        way = EgoPaths(row_of(unattacked))
+        station, left, _ = (v[0] for v in way.locate(ego.x[None], ego.y[None]))
+        x, y, heading = (v[0] for v in way.poses(station[None]))
+        first = float(left[int(np.argmax(after))])
+        x, y = x - first * np.sin(heading), y + first * np.cos(heading)
+    else:
+        k = int(np.argmax(after))
+        heading = np.full(len(ego.time), float(ego.heading[k]))
+        along = (ego.x - ego.x[k]) * np.cos(heading) + (ego.y - ego.y[k]) * np.sin(heading)
+        x, y = ego.x[k] + along * np.cos(heading), ego.y[k] + along * np.sin(heading)
+    kept = replace(
+        ego, x=np.where(after, x, ego.x), y=np.where(after, y, ego.y), heading=np.where(after, heading, ego.heading)
+    )  # fmt: skip
+    given = encounter_of(kept, adversary, others, start, moment, lane_half_width, unattacked)
+    return bool(Counterfactual(given).unchanged().avoids[0])
+
+
+# -- the sentence ---------------------------------------------------------------------------------------------------
+
+
+def _sentence(c: Cause, met: bool) -> str:
+    moment = "the contact" if met else "the least TTC"
+    if c.kind is CauseKind.STEERED_IN:
+        return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
+    if c.kind is CauseKind.UNFORESEEABLE:
+        if c.alarm is None:
+            return f"No one could have known before {moment}."
+        known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
+        return f"{known}, and no reference driver avoids it." if c.careful is not None else f"{known}."
+    careful = "the careful one" if c.reference == CAREFUL else f"the reference driver {c.reference}"
+    if c.kind is CauseKind.NO_REACTION:
+        after = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
+        return f"Your driver did not react before {moment}{after}{_enough_words(c, met)}."
+    did = _did(c)
+    if c.kind is CauseKind.LATE:
+        assert c.began is not None and c.careful is not None
+        later = f"{c.began - c.careful:.1f} s after {careful}"
+        return f"Your driver began to {did[0]} {later}, {did[1]}{_enough_words(c, met)}."
+    if c.kind is CauseKind.EVADED:
+        return f"Your driver {c.action} in time, {did[1]}; there was no contact."
+    if c.kind is CauseKind.NO_SWERVE:
+        return f"Your driver braked in time, {did[1]}, and did not steer; braking alone would not have been enough."
+    too = "too gently" if c.action is Action.BRAKED else "not far enough"
+    return f"Your driver {c.action} in time and {too}, {did[1]}{_enough_words(c, met)}."
+
+
+def _did(c: Cause) -> tuple[str, str]:
+    """What the ego did, as a verb and its size."""
+    if c.action is Action.STEERED:
+        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}"
+    let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before"
+    return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}"
+
+
+def _side(c: Cause) -> str:
+    return "left" if (c.shift or 0.0) > 0.0 else "right"
+
+
+def _enough_words(c: Cause, met: bool) -> str:
+    if not met:
+        return "; there was no contact"
+    if c.enough is None:
+        return "; braking alone would not have been enough"
+    how = f"{c.enough:.1f} m/s2" if c.enough > 0.0 else "keeping its speed"
+    braking = "" if c.began is not None and c.action is Action.BRAKED else "braking at " if c.enough > 0.0 else ""
+    return f"; {braking}{how} would have been enough"
