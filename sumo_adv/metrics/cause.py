@@ -46,6 +46,7 @@ HELD = 0.2  # s for which it does so
 PAUSE = 0.5  # s without braking that do not end it
 IN_TIME = 0.2  # s after the careful driver is still in time
 STANDS = 0.1  # m/s
+BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen to have begun
 STEP = 0.1  # m/s2, between the constant brakings that are tried
 CAREFUL = CcHuman.name
 DELAYS = {
@@ -144,7 +145,7 @@ def cause_of(
     steering = _steering(ego, adversary, unattacked, trigger_time, moment)
     enough = None
     if contact is not None and careful is not None and not check.unchanged().avoids[0]:
-        enough = _enough(check, round((careful - begin) / check.given.dt))
+        enough = _enough(check, math.ceil((careful - begin) / check.given.dt - 1e-6))
     found = Cause(
         CauseKind.EVADED, "", moment, reference, alarm, careful, enough=enough,
         shift=None if steering is None else steering.shift,
@@ -194,8 +195,8 @@ class _Watched(CcHuman):
         answer = super().step(view)
         if self.danger[0, 0] and not math.isfinite(self.brakes):
             self.alarm = float(self._decided_at[0, 0])
-            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now - self.alarm >= REACTION - 1e-9:
-                self.brakes = now
+            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > self.alarm + REACTION:
+                self.brakes = max(self.alarm + REACTION, self._start)
         return answer
 
 
@@ -308,7 +309,7 @@ def _steering(ego: Track, adversary: Track, unattacked: Track | None, start: flo
     if abs(least[-1]) < WANDERING:
         return None
     side = float(np.sign(least[-1]))
-    still = np.flatnonzero(least * side < WANDERING / 4)
+    still = np.flatnonzero(least * side < BESIDE)
     began = float(driven.time[min(int(still[-1]) + 1 if len(still) else 0, len(driven.time) - 1)])
     then, foe = at_time(driven, began), at_time(adversary, began)
     there = (foe.y - then.y) * np.cos(then.heading) - (foe.x - then.x) * np.sin(then.heading)
@@ -368,19 +369,19 @@ def _sentence(c: Cause, met: bool) -> str:
         later = f"{c.began - c.careful:.1f} s after {careful}"
         return f"Your driver began to {did[0]} {later}, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.EVADED:
-        return f"Your driver {c.action} in time, {did[1]}; there was no contact."
+        return f"Your driver {did[2]} in time, {did[1]}; there was no contact."
     if c.kind is CauseKind.NO_SWERVE:
         return f"Your driver braked in time, {did[1]}, and did not steer; braking alone would not have been enough."
     too = "too gently" if c.action is Action.BRAKED else "not far enough"
-    return f"Your driver {c.action} in time and {too}, {did[1]}{_enough_words(c, met)}."
+    return f"Your driver {did[2]} in time and {too}, {did[1]}{_enough_words(c, met)}."
 
 
-def _did(c: Cause) -> tuple[str, str]:
-    """What the ego did, as a verb and its size."""
+def _did(c: Cause) -> tuple[str, str, str]:
+    """What the ego did: a verb, its size, and the verb in the past."""
     if c.action is Action.STEERED:
-        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}"
+        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}", "steered away"
     let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before"
-    return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}"
+    return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}", "braked"
 
 
 def _side(c: Cause) -> str:
