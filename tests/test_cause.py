@@ -80,11 +80,14 @@ def test_an_ego_that_lets_go_says_so() -> None:
     """It brakes at 4.5 m/s2 from 2.9 to 3.9 s, and then no more."""
     speed = 20.0 - 4.5 * np.clip(TIME - 2.9, 0.0, 1.0)
     cause = why(car("ego", np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 0.1)]), 0.0, speed))
-    assert cause is not None and cause.kind is CauseKind.TOO_LITTLE
+    assert cause is not None and (cause.kind, cause.held) == (CauseKind.LET_GO, True)
     assert (cause.began, cause.let_go, cause.braking) == (
         pytest.approx(2.9), pytest.approx(3.9), pytest.approx(4.5),
     )  # fmt: skip
-    assert f"at 4.5 m/s2, and let go {cause.moment - 3.9:.1f} s before;" in cause.sentence
+    assert cause.sentence == (
+        f"Your driver braked in time, at 4.5 m/s2, and let go {cause.moment - 3.9:.1f} s before the contact; "
+        "held, it would have been enough."
+    )
 
 
 def test_an_ego_that_leaves_its_lane_into_a_vehicle_beside_it_steered_in() -> None:

@@ -7,8 +7,11 @@ unforeseeable no danger shows to ``cc_human`` soon enough for it to brake, and n
 steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
 no_reaction   the ego neither braked nor steered away before the contact
 late          it began more than 0.2 s after the careful driver
+let_go        it braked in time, and stopped braking more than 0.5 s before the contact
 too_little    it began in time, and did too little
 no_swerve     it braked in time, and no constant braking up to 0.774 g avoids the contact
+braked_in     it braked, and keeping its speed would have been enough, or braking in time harder than was enough did not
+              avoid it: its braking brought it into the adversary's path
 evaded        no contact: it began in time
 ============= ====================================================================================================
 
@@ -16,10 +19,12 @@ A reaction is what the attack changed.  The ego brakes where it loses speed, by 
 same time without the attack, for 0.2 s: braking for a red light is no reaction.  It steers where it leaves both its way
 without the attack and the straight on by 0.375 m (the zone of wandering of UN R157).
 
-The careful driver is ``cc_human`` (UN R157) on the ego's path: it is alarmed, and begins to brake 0.75 s later.  Where
-it brakes too late to count, the reference driver that was alarmed first of those that avoid the contact takes its
-place.  ``enough`` is the least constant braking from the same moment on that touches no vehicle in the kinematic
-counterfactual (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.
+The careful driver is ``cc_human`` (UN R157) on the ego's path: the adversary alarms it, and it begins to brake 0.75 s
+later.  Where it does not avoid the contact and another reference driver does, that one takes its place: ``manoeuvre``,
+else of the three that have rules for one direction the one that, watching the ego, last began to want to brake.
+``enough`` is the least constant braking from the same moment on that touches no vehicle in the kinematic counterfactual
+(``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The adversary moves as it did, whatever the ego
+does.
 """
 
 from __future__ import annotations
@@ -35,7 +40,7 @@ from sumo_adv.datatypes import Bools, Floats, Track, Verdict
 from sumo_adv.metrics.boxes import at_time, row_of
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.paths import EgoPaths
-from sumo_adv.metrics.reference import MANOEUVRE, fsm, manoeuvre, reg157, rss
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, fsm, manoeuvre, reg157, rss
 from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION, WANDERING, CcHuman
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
@@ -56,6 +61,10 @@ DELAYS = {
 """Seconds from a reference driver's alarm until it acts."""
 
 
+NAMES = {CAREFUL: "the careful one", MANOEUVRE: "one that brakes and steers"}
+"""Reference drivers in sentences."""
+
+
 class CauseKind(StrEnum):
     """What kind of fault led to it; the table above has the meanings."""
 
@@ -63,8 +72,10 @@ class CauseKind(StrEnum):
     STEERED_IN = "steered_in"
     NO_REACTION = "no_reaction"
     LATE = "late"
+    LET_GO = "let_go"
     TOO_LITTLE = "too_little"
     NO_SWERVE = "no_swerve"
+    BRAKED_IN = "braked_in"
     EVADED = "evaded"
 
 
@@ -81,9 +92,10 @@ class Cause:
 
     moment: of the contact, or of the least TTC without one.  reference: the driver that the ego is compared with;
     alarm: when a danger showed to it; careful: when it began to act.  began: when the ego reacted first, and action:
-    how.  braking: the mean from there until the contact, the standstill or the end of braking [m/s2]; hardest: the most
-    for 0.2 s [m/s2]; let_go: when it stopped braking before the contact.  shift: how far it had left its way at the
-    moment [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
+    how.  braking: the mean from there, or from ``careful`` if that is later, until the contact, the standstill or the
+    end of braking [m/s2]; hardest: the most for 0.2 s [m/s2]; let_go: when it stopped braking before the contact;
+    held: whether the same braking, held, would have avoided it.  shift: how far the ego had left its way at the moment
+    [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
     """
 
     kind: CauseKind
@@ -97,6 +109,7 @@ class Cause:
     braking: float | None = None
     hardest: float | None = None
     let_go: float | None = None
+    held: bool = False
     shift: float | None = None
     enough: float | None = None
 
@@ -139,47 +152,70 @@ def cause_of(
     if moment is None or verdict.rear_end or not (verdict.collided or verdict.critical):
         return None
     check = Counterfactual(encounter_of(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked))
-    begin = max(float(ego.time[0]), float(adversary.time[0]))
-    reference, alarm, careful = _reference(check, begin, moment, verdict)
-    braking = _braking(ego, unattacked, trigger_time, moment, alarm)
+    begin, dt = max(float(ego.time[0]), float(adversary.time[0])), check.given.dt
+    reference = _reference(check, begin, moment, verdict)
+    careful = reference.acts
+    braking = _braking(ego, unattacked, trigger_time, moment, reference.danger, careful)
     steering = _steering(ego, adversary, unattacked, trigger_time, moment)
-    enough = None
-    if contact is not None and careful is not None and not check.unchanged().avoids[0]:
-        enough = _enough(check, math.ceil((careful - begin) / check.given.dt - 1e-6))
+    first = 0 if careful is None else math.ceil((careful - begin) / dt - 1e-6)
+    met = contact is not None and not check.unchanged().avoids[0]
+    enough = _enough(check, first) if met and careful is not None else None
     found = Cause(
-        CauseKind.EVADED, "", moment, reference, alarm, careful, enough=enough,
+        CauseKind.EVADED, "", moment, reference.name, reference.alarm, careful, enough=enough,
         shift=None if steering is None else steering.shift,
     )  # fmt: skip
     if braking is not None:
         found = replace(
             found, began=braking.began, action=Action.BRAKED, braking=braking.mean, hardest=braking.hardest,
             let_go=braking.let_go,
+            held=braking.let_go is not None and _avoids(check, round((braking.began - begin) / dt), braking.mean),
         )  # fmt: skip
     if steering is not None and steering.away and (found.began is None or steering.began < found.began):
         found = replace(found, began=steering.began, action=Action.STEERED)
     into = contact is not None and steering is not None and not steering.away
     into = into and _missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
     avoided = verdict.preventability is not None and bool(verdict.preventability.by)
-    kind = _kind(found, contact is not None, into, avoided)
+    harder = enough is not None and _avoids(check, first, FULL_BRAKING)
+    kind = _kind(found, contact is not None, into, avoided, harder)
     return replace(found, kind=kind, sentence=_sentence(replace(found, kind=kind), contact is not None))
 
 
-def _kind(c: Cause, met: bool, into: bool, avoided: bool) -> CauseKind:
-    """``met``: there was a contact; ``into``: the ego steered into it; ``avoided``: by some reference driver."""
+def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> CauseKind:
+    """``met``: there was a contact; ``into``: the ego steered into it; ``avoided``: by some reference driver;
+    ``harder``: braking at 0.774 g would have been enough, too."""
     if into:
         return CauseKind.STEERED_IN
     if c.careful is None or (met and not avoided and c.enough is None):
         return CauseKind.UNFORESEEABLE
     if c.began is None:
         return CauseKind.NO_REACTION
+    if met and c.action is Action.BRAKED and (c.held or c.enough == 0.0):
+        return CauseKind.LET_GO if c.held else CauseKind.BRAKED_IN
     if c.began > c.careful + IN_TIME + 1e-9:
         return CauseKind.LATE
     if not met:
         return CauseKind.EVADED
-    return CauseKind.NO_SWERVE if c.enough is None and c.action is Action.BRAKED else CauseKind.TOO_LITTLE
+    if c.action is Action.STEERED:
+        return CauseKind.TOO_LITTLE
+    if c.let_go is not None:
+        return CauseKind.LET_GO
+    if c.enough is None:
+        return CauseKind.NO_SWERVE
+    return CauseKind.TOO_LITTLE if (c.braking or 0.0) < c.enough or harder else CauseKind.BRAKED_IN
 
 
 # -- the careful driver ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Reference:
+    """When a driver was alarmed and when it acted [s], None where that was not before the moment.  danger: the alarm of
+    the careful driver, or of this one where the careful driver has none."""
+
+    name: str
+    alarm: float | None
+    acts: float | None
+    danger: float | None
 
 
 class _Watched(CcHuman):
@@ -188,61 +224,84 @@ class _Watched(CcHuman):
     def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
         super().__init__(shape, dt)
         self._start = start
-        self.alarm, self.brakes = math.inf, math.inf
+        self.first, self.alarm, self.brakes = math.inf, math.inf, math.inf
 
     def step(self, view: View) -> Floats:
         now = self._now
         answer = super().step(view)
         if self.danger[0, 0] and not math.isfinite(self.brakes):
-            self.alarm = float(self._decided_at[0, 0])
+            self.first, self.alarm = min(self.first, now), float(self._decided_at[0, 0])
             if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > self.alarm + REACTION:
                 self.brakes = max(self.alarm + REACTION, self._start)
         return answer
 
 
-def _reference(
-    check: Counterfactual, begin: float, moment: float, verdict: Verdict
-) -> tuple[str, float | None, float | None]:
-    """The reference driver, when it was alarmed and when it acted [s]; None where that was not before the moment."""
+def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verdict) -> _Reference:
+    """The driver that the ego is compared with."""
     drivers: list[_Watched] = []
+    start = float(check.time[check.given.start[0]])
 
     def driver(shape: tuple[int, int], dt: float) -> _Watched:
-        drivers.append(_Watched(shape, dt, float(check.time[check.given.start[0]])))
+        drivers.append(_Watched(shape, dt, start))
         return drivers[-1]
 
     check.roll_out(driver)
-    alarm, brakes = begin + drivers[0].alarm, begin + drivers[0].brakes
-    known = alarm if alarm < moment else None
-    if brakes < moment:
-        return CAREFUL, known, brakes
+    first, alarm, brakes = (begin + t for t in (drivers[0].first, drivers[0].alarm, drivers[0].brakes))
     p = verdict.preventability
-    others = {} if p is None else {n: a for n, a in p.alarms.items() if n in p.by and a + DELAYS[n] < moment}
-    if others:
-        name = min(others, key=lambda n: others[n] + DELAYS[n])
-        return name, others[name], others[name] + DELAYS[name]
-    return CAREFUL, known, None
+    avoided, alarms = ((), {}) if p is None else (p.by, dict(p.alarms))
+    known = alarm if alarm < moment else None
+    if brakes < moment and (CAREFUL in avoided or not avoided):
+        return _Reference(CAREFUL, known, brakes, known)
+    alarms[MANOEUVRE] = min(first, alarms.get(MANOEUVRE, math.inf))
+    acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
+    acts |= {n: begin + _last_onset(check, n, moment - begin) for n in acts if n in SAME_DIRECTION_ONLY}
+    acts = {n: when for n, when in acts.items() if when < moment}
+    if acts:
+        name = MANOEUVRE if MANOEUVRE in acts else max(acts, key=lambda n: acts[n])
+        own = acts[name] - DELAYS[name]
+        return _Reference(name, own, acts[name], own if known is None else known)
+    return _Reference(CAREFUL, known, brakes if brakes < moment else None, known)
+
+
+def _last_onset(check: Counterfactual, name: str, moment: float) -> float:
+    """When a driver that watches the recorded ego last began to want to brake [s from step 0]; ``inf`` = never."""
+    others = 0 if check.others is None else check.others.x.shape[1]
+    driver = BRAKERS[name]((1, 1 + others), check.given.dt)
+    station, speed = check.paths.station, np.broadcast_to(check.ego.speed, check.paths.station.shape)
+    change = np.diff(speed, axis=1, prepend=speed[:, :1]) / check.given.dt
+    onset, braked, start = math.inf, False, int(check.given.start[0])
+    for k in range(int(np.searchsorted(check.time, moment))):
+        brakes = bool(np.isfinite(driver.step(check.views.at(k, station[:, k], speed[:, k], change[:, k]))[0]))
+        if brakes and (not braked or k <= start):
+            onset = float(check.time[max(k, start)])
+        braked = brakes
+    return onset
 
 
 def _enough(check: Counterfactual, first: int) -> float | None:
     """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
-    paths = check.paths
-    station, speed = paths.station[0].copy(), np.array(np.broadcast_to(check.ego.speed, paths.station.shape))[0]
+    tried = (round(k * STEP, 1) for k in range(int(FULL_BRAKING / STEP) + 1))
+    return next((braking for braking in tried if _avoids(check, first, braking)), None)
+
+
+def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
+    """Whether the ego avoids the contact if it brakes evenly [m/s2] from the step ``first`` on."""
+    station = check.paths.station[0]
+    speed = np.broadcast_to(check.ego.speed, check.paths.station.shape)[0]
     since = np.maximum(check.time - check.time[first], 0.0)
     after = np.arange(check.steps) > first
-    for k in range(int(FULL_BRAKING / STEP) + 1):
-        braking = k * STEP
-        lasts = np.minimum(since, speed[first] / braking) if k else since
-        there = np.where(after, station[first] + speed[first] * lasts - braking * lasts**2 / 2, station)
-        pace = np.where(after, np.maximum(speed[first] - braking * since, 0.0), speed)
-        if check.moving(there[None], pace[None]).avoids[0]:
-            return round(braking, 1)
-    return None
+    lasts = np.minimum(since, speed[first] / braking) if braking > 0.0 else since
+    there = np.where(after, station[first] + speed[first] * lasts - braking * lasts**2 / 2, station)
+    pace = np.where(after, np.maximum(speed[first] - braking * since, 0.0), speed)
+    return bool(check.moving(there[None], pace[None]).avoids[0])
 
 
 # -- the ego --------------------------------------------------------------------------------------------------------
 
 
-def _braking(ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None) -> _Braking | None:
+def _braking(
+    ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None, careful: float | None
+) -> _Braking | None:
     """The first spell of braking that lasts beyond the alarm; None without one."""
     driven = ego.between(start, moment)
     if len(driven.time) < 2:
@@ -267,7 +326,9 @@ def _braking(ego: Track, unattacked: Track | None, start: float, moment: float, 
     lost = [-float(change[k : k + hold].mean()) for k in range(first, max(last - hold, first) + 1)]
     still = np.flatnonzero(driven.speed[first:last] < STANDS)
     until = first + int(still[0]) if len(still) else last
-    mean = float(driven.speed[first] - driven.speed[until]) / max((until - first) * dt, dt)
+    since = first if careful is None else max(first, int(np.searchsorted(driven.time, careful - 5e-4)))
+    since = since if since < until else first
+    mean = float(driven.speed[since] - driven.speed[until]) / max((until - since) * dt, dt)
     ended = float(driven.time[last])
     let_go = ended if moment - ended > PAUSE and not len(still) else None
     return _Braking(float(driven.time[first]), mean, max(lost), let_go)
@@ -359,28 +420,35 @@ def _sentence(c: Cause, met: bool) -> str:
             return f"No one could have known before {moment}."
         known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
         return f"{known}, and no reference driver avoids it." if c.careful is not None else f"{known}."
-    careful = "the careful one" if c.reference == CAREFUL else f"the reference driver {c.reference}"
+    careful = NAMES.get(c.reference, f"the reference driver {c.reference}")
     if c.kind is CauseKind.NO_REACTION:
         after = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
         return f"Your driver did not react before {moment}{after}{_enough_words(c, met)}."
-    did = _did(c)
+    did = _did(c, moment)
     if c.kind is CauseKind.LATE:
         assert c.began is not None and c.careful is not None
         later = f"{c.began - c.careful:.1f} s after {careful}"
         return f"Your driver began to {did[0]} {later}, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.EVADED:
         return f"Your driver {did[2]} in time, {did[1]}; there was no contact."
+    if c.kind is CauseKind.LET_GO:
+        return f"Your driver braked in time, {did[1]}{'; held, it would have been enough' * c.held}."
+    if c.kind is CauseKind.BRAKED_IN:
+        return f"Your driver braked into the adversary's path, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.NO_SWERVE:
         return f"Your driver braked in time, {did[1]}, and did not steer; braking alone would not have been enough."
     too = "too gently" if c.action is Action.BRAKED else "not far enough"
+    if c.action is Action.BRAKED and c.enough is not None and (c.braking or 0.0) >= c.enough:
+        return f"Your driver braked in time and at first too gently{_enough_words(c, met)}."
     return f"Your driver {did[2]} in time and {too}, {did[1]}{_enough_words(c, met)}."
 
 
-def _did(c: Cause) -> tuple[str, str, str]:
+def _did(c: Cause, moment: str) -> tuple[str, str, str]:
     """What the ego did: a verb, its size, and the verb in the past."""
     if c.action is Action.STEERED:
-        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}", "steered away"
-    let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before"
+        braking = "" if c.braking is None else f", braking at {c.braking:.1f} m/s2"
+        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}{braking}", "steered away"
+    let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before {moment}"
     return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}", "braked"
 
 

@@ -161,9 +161,8 @@ def figures(judged: Judged | None) -> dict[str, Any]:
 def _cause(c: Cause | None) -> dict[str, Any] | None:
     if c is None:
         return None
-    words = ("kind", "sentence", "reference", "action")
-    written = {name: value if value is None else str(value) for name, value in asdict(c).items() if name in words}
-    return {**written, **{name: number(value) for name, value in asdict(c).items() if name not in words}}
+    plain = {name: str(value) if isinstance(value, str) else value for name, value in asdict(c).items()}
+    return {name: number(value) if isinstance(value, float) else value for name, value in plain.items()}
 
 
 def _impact(i: Impact | None) -> dict[str, Any] | None:

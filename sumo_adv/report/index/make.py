@@ -57,7 +57,8 @@ def make_index(
     rows = table.rows
     pages = [made.get(str(row["id"])) for row in rows]
     maps = [n for n, _ in Counter(m.network for m in pages if m and m.place and m.network in roads).most_common()]
-    columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *LATER, *NUMBERS, *TRUTHS, *table.varied)}
+    columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *NUMBERS, *TRUTHS, *table.varied)}
+    columns |= {n: [row.get(n) or "" for row in rows] for n in LATER}
     data = {
         "schema": SCHEMA, "name": name, "varied": list(table.varied),
         "columns": {n: _coded(v) if n in CODED else v for n, v in columns.items()},

@@ -31,7 +31,7 @@ class Table:
 
 def table_of(rows: Iterable[Mapping[str, Any]]) -> Table:
     """The table of rows that were made here, not read from a file."""
-    return Table([{**row, **{name: row.get(name) or "" for name in (*WORDS, *LATER)}} for row in rows])
+    return Table([{**row, **{name: row[name] or "" for name in WORDS}} for row in rows])
 
 
 def read_rows(file: Path) -> Table:
