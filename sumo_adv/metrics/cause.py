@@ -7,7 +7,7 @@ unforeseeable no danger shows to ``cc_human`` soon enough for it to brake, and n
 steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
 no_reaction   the ego neither braked nor steered away before the contact
 late          it began more than 0.2 s after the careful driver
-let_go        it braked in time, and stopped braking more than 0.5 s before the contact
+let_go        it braked, and let go for more than 0.5 s before the contact, or stopped and drove on
 too_little    it began in time, and did too little
 no_swerve     it braked in time, and no constant braking up to 0.774 g avoids the contact
 braked_in     it braked, and keeping its speed would have been enough, or braking in time harder than was enough did not
@@ -16,7 +16,8 @@ evaded        no contact: it began in time
 ============= ====================================================================================================
 
 A reaction is what the attack changed.  The ego brakes where it loses speed, by at least 1 m/s2 more than it did at the
-same time without the attack, for 0.2 s: braking for a red light is no reaction.  It steers where it leaves both its way
+same time without the attack, for 0.2 s, and from then on while it loses speed or stands: braking for a red light is no
+reaction.  It steers where it leaves both its way
 without the attack and the straight on by 0.375 m (the zone of wandering of UN R157).
 
 The careful driver is ``cc_human`` (UN R157) on the ego's path: the adversary alarms it, and it begins to brake 0.75 s
@@ -50,7 +51,7 @@ LOSING = 0.5  # m/s2 that the ego loses at least while it brakes
 HELD = 0.2  # s for which it does so
 PAUSE = 0.5  # s without braking that do not end it
 IN_TIME = 0.2  # s after the careful driver is still in time
-STANDS = 0.1  # m/s
+STANDS, DRIVES = 0.1, 1.0  # m/s
 BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen to have begun
 STEP = 0.1  # m/s2, between the constant brakings that are tried
 CAREFUL = CcHuman.name
@@ -93,7 +94,8 @@ class Cause:
     moment: of the contact, or of the least TTC without one.  reference: the driver that the ego is compared with;
     alarm: when a danger showed to it; careful: when it began to act.  began: when the ego reacted first, and action:
     how.  braking: the mean from there, or from ``careful`` if that is later, until the contact, the standstill or the
-    end of braking [m/s2]; hardest: the most for 0.2 s [m/s2]; let_go: when it stopped braking before the contact;
+    end of braking [m/s2]; hardest: the most for 0.2 s [m/s2]; let_go: when it last stopped braking for more than 0.5 s
+    before the moment, or, where it had ``stopped``, when it drove on;
     held: whether the same braking, held, would have avoided it.  shift: how far the ego had left its way at the moment
     [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
     """
@@ -109,6 +111,7 @@ class Cause:
     braking: float | None = None
     hardest: float | None = None
     let_go: float | None = None
+    stopped: bool = False
     held: bool = False
     shift: float | None = None
     enough: float | None = None
@@ -116,12 +119,14 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class _Braking:
-    """A spell of braking beyond what the ego did without the attack. let_go: None where it lasts to the moment."""
+    """Braking beyond what the ego did without the attack. let_go: None where it lasts to the moment; stopped: whether
+    the ego stood until then."""
 
     began: float
     mean: float
     hardest: float
     let_go: float | None
+    stopped: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +172,7 @@ def cause_of(
     if braking is not None:
         found = replace(
             found, began=braking.began, action=Action.BRAKED, braking=braking.mean, hardest=braking.hardest,
-            let_go=braking.let_go,
+            let_go=braking.let_go, stopped=braking.stopped,
             held=braking.let_go is not None and _avoids(check, round((braking.began - begin) / dt), braking.mean),
         )  # fmt: skip
     if steering is not None and steering.away and (found.began is None or steering.began < found.began):
@@ -189,16 +194,17 @@ def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> Cause
         return CauseKind.UNFORESEEABLE
     if c.began is None:
         return CauseKind.NO_REACTION
-    if met and c.action is Action.BRAKED and (c.held or c.enough == 0.0):
-        return CauseKind.LET_GO if c.held else CauseKind.BRAKED_IN
-    if c.began > c.careful + IN_TIME + 1e-9:
+    late = c.began > c.careful + IN_TIME + 1e-9
+    if met and c.let_go is not None and (c.held or c.stopped or c.enough == 0.0 or not late):
+        return CauseKind.LET_GO
+    if met and c.action is Action.BRAKED and c.enough == 0.0:
+        return CauseKind.BRAKED_IN
+    if late:
         return CauseKind.LATE
     if not met:
         return CauseKind.EVADED
     if c.action is Action.STEERED:
         return CauseKind.TOO_LITTLE
-    if c.let_go is not None:
-        return CauseKind.LET_GO
     if c.enough is None:
         return CauseKind.NO_SWERVE
     return CauseKind.TOO_LITTLE if (c.braking or 0.0) < c.enough or harder else CauseKind.BRAKED_IN
@@ -302,36 +308,42 @@ def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
 def _braking(
     ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None, careful: float | None
 ) -> _Braking | None:
-    """The first spell of braking that lasts beyond the alarm; None without one."""
+    """The braking that lasts beyond the alarm; None without any."""
     driven = ego.between(start, moment)
     if len(driven.time) < 2:
         return None
     dt = float(np.diff(driven.time).min())
-    change = np.diff(driven.speed) / dt
-    usual = np.zeros(len(change))
+    change, stands = np.diff(driven.speed) / dt, driven.speed[1:] < STANDS
+    usual, pace = np.zeros(len(change)), np.full(len(driven.time), driven.speed[0])
     if unattacked is not None and len(unattacked.time) > 1:
         pace = np.interp(driven.time, unattacked.time, unattacked.speed)
         known = driven.time[1:] <= unattacked.time[-1] + 5e-4
         usual = np.where(known, np.diff(pace) / dt, 0.0)
-    brakes = _lasting((change <= -LOSING) & (usual - change >= MORE), round(HELD / dt))
-    stands = driven.speed[1:] < STANDS
+    loses = change <= -LOSING
+    brakes = _lasting(loses & (usual - change >= MORE), round(HELD / dt)) | (stands & (pace[1:] >= DRIVES))
     spells = [
-        (first, last) for first, last in _spells(brakes, stands, round(PAUSE / dt))
-        if alarm is None or driven.time[last] >= alarm - 5e-4
+        (begun, ended) for begun, ended in _spells(brakes, loses | stands, round(PAUSE / dt))
+        if alarm is None or driven.time[ended] >= alarm - 5e-4
     ]  # fmt: skip
     if not spells:
         return None
-    first, last = spells[0]
-    hold = max(round(HELD / dt), 1)
-    lost = [-float(change[k : k + hold].mean()) for k in range(first, max(last - hold, first) + 1)]
-    still = np.flatnonzero(driven.speed[first:last] < STANDS)
-    until = first + int(still[0]) if len(still) else last
+    first, until, let_go = spells[0][0], spells[-1][1], None
+    still = first + np.flatnonzero(driven.speed[first:] < STANDS)
+    stopped = bool(len(still)) and float(driven.speed[-1]) >= STANDS
+    if len(still):
+        until = int(still[0])
+        let_go = float(driven.time[still[-1]]) if stopped else None
+    else:
+        followed = [float(driven.time[begun]) for begun, _ in spells[1:]] + [moment]
+        gaps = [end for (_, end), then in zip(spells, followed, strict=True) if then - driven.time[end] > PAUSE + 1e-9]
+        if gaps:
+            until, let_go = gaps[-1], float(driven.time[gaps[-1]])
     since = first if careful is None else max(first, int(np.searchsorted(driven.time, careful - 5e-4)))
     since = since if since < until else first
     mean = float(driven.speed[since] - driven.speed[until]) / max((until - since) * dt, dt)
-    ended = float(driven.time[last])
-    let_go = ended if moment - ended > PAUSE and not len(still) else None
-    return _Braking(float(driven.time[first]), mean, max(lost), let_go)
+    hold = max(round(HELD / dt), 1)
+    hardest = max(-float(change[k : k + hold].mean()) for k in range(first, max(spells[-1][1] - hold, first) + 1))
+    return _Braking(float(driven.time[first]), mean, hardest, let_go, stopped)
 
 
 def _lasting(holds: Bools, least: int) -> Bools:
@@ -416,6 +428,8 @@ def _sentence(c: Cause, met: bool) -> str:
     if c.kind is CauseKind.STEERED_IN:
         return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
     if c.kind is CauseKind.UNFORESEEABLE:
+        if c.alarm is None and c.began is not None:
+            return f"No danger showed to a careful driver before {moment}, and what yours did was not enough."
         if c.alarm is None:
             return f"No one could have known before {moment}."
         known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
@@ -425,14 +439,19 @@ def _sentence(c: Cause, met: bool) -> str:
         after = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
         return f"Your driver did not react before {moment}{after}{_enough_words(c, met)}."
     did = _did(c, moment)
+    after = (c.began or 0.0) - (c.careful or 0.0)
+    later = f"{after:.1f} s after {careful}"
     if c.kind is CauseKind.LATE:
-        assert c.began is not None and c.careful is not None
-        later = f"{c.began - c.careful:.1f} s after {careful}"
         return f"Your driver began to {did[0]} {later}, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.EVADED:
         return f"Your driver {did[2]} in time, {did[1]}; there was no contact."
     if c.kind is CauseKind.LET_GO:
-        return f"Your driver braked in time, {did[1]}{'; held, it would have been enough' * c.held}."
+        let_go = f"{c.moment - (c.let_go or 0.0):.1f} s before {moment}"
+        if c.stopped:
+            return f"Your driver stopped, and drove on {let_go}."
+        when = "in time" if after <= IN_TIME + 1e-9 else later
+        enough = "; held, it would have been enough" * c.held
+        return f"Your driver braked {when}, at {c.braking or 0.0:.1f} m/s2, and let go {let_go}{enough}."
     if c.kind is CauseKind.BRAKED_IN:
         return f"Your driver braked into the adversary's path, {did[1]}{_enough_words(c, met)}."
     if c.kind is CauseKind.NO_SWERVE:

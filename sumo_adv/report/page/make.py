@@ -82,11 +82,12 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
     verdict = outcome.get("outcome") or {}
     shown = {a.key: a for a in attempts}
     best, cause = shown.get("best"), verdict.get("cause") or {}
+    reacts = REACTIONS.get(str(cause.get("action")), "reacts")
     moments = [
         ("trigger", "trigger", outcome.get("trigger_time")),
         ("hazard", "hazard shows", verdict.get("hazard_time")),
         ("alarm", "the careful driver is alarmed", cause.get("alarm")),
-        ("began", f"the ego {REACTIONS.get(cause.get('action'), 'reacts')}", cause.get("began")),
+        ("began", f"the ego {reacts}", cause.get("began")),
         ("contact", "contact", verdict.get("contact_time")),
     ]
     if best is not None and best.closest is not None and verdict.get("contact_time") is None:
