@@ -90,6 +90,25 @@ def test_an_ego_that_lets_go_says_so() -> None:
     )
 
 
+def test_an_ego_that_stops_in_time_and_drives_on_says_so() -> None:
+    """It stands from 6.2 s to 8.0 s, then speeds up at 2 m/s2: 12 m to the leader's back take 3.5 s."""
+    speed = np.where(TIME <= 8.0, np.maximum(20.0 - 6.0 * np.maximum(TIME - 2.9, 0.0), 0.0), 2.0 * (TIME - 8.0))
+    cause = why(car("ego", np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * 0.1)]), 0.0, speed))
+    assert cause is not None and (cause.kind, cause.stopped) == (CauseKind.LET_GO, True)
+    assert cause.let_go == pytest.approx(8.0)
+    assert cause.sentence == "Your driver stopped, and drove on 3.5 s before the contact."
+
+
+def test_an_ego_that_would_have_passed_ahead_braked_into_the_path() -> None:
+    """A crossing car is 1 m beside the ego's path at 3.25 s.  At 20 m/s the ego's back is past it at 3.175 s; with
+    5 m/s2 from 2.4 s on, the ego's centre is at 63.2 m at 3.25 s and not at 63.5 m."""
+    cause = why(braking("ego", 0.0, 0.0, 20.0, 2.4, 5.0), cruise("adversary", 60.0, -36.0, 10.0, np.pi / 2))
+    assert cause is not None and (cause.kind, cause.enough) == (CauseKind.BRAKED_IN, 0.0)
+    assert cause.sentence == (
+        "Your driver braked into the adversary's path, at 5.0 m/s2; keeping its speed would have been enough."
+    )
+
+
 def test_an_ego_that_leaves_its_lane_into_a_vehicle_beside_it_steered_in() -> None:
     """Boxes of 2 m in lanes 3.2 m apart touch at 1.2 m; at 0.1 rad the ego's corner is 0.25 m further to the left."""
     cause = why(drift("ego", 0.0, 0.0, 20.0, 3.0, 3.0, 3.2), cruise("adversary", 0.0, 3.2, 20.0))

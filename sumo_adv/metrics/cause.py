@@ -17,8 +17,8 @@ evaded        no contact: it began in time
 
 A reaction is what the attack changed.  The ego brakes where it loses speed, by at least 1 m/s2 more than it did at the
 same time without the attack, for 0.2 s, and from then on while it loses speed or stands: braking for a red light is no
-reaction.  It steers where it leaves both its way
-without the attack and the straight on by 0.375 m (the zone of wandering of UN R157).
+reaction.  It steers where it leaves both its way without the attack and the straight on by 0.375 m (the zone of
+wandering of UN R157).
 
 The careful driver is ``cc_human`` (UN R157) on the ego's path: the adversary alarms it, and it begins to brake 0.75 s
 later.  Where it does not avoid the contact and another reference driver does, that one takes its place: ``manoeuvre``,
@@ -53,7 +53,7 @@ PAUSE = 0.5  # s without braking that do not end it
 IN_TIME = 0.2  # s after the careful driver is still in time
 STANDS, DRIVES = 0.1, 1.0  # m/s
 BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen to have begun
-STEP = 0.1  # m/s2, between the constant brakings that are tried
+STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
 CAREFUL = CcHuman.name
 DELAYS = {
     CAREFUL: REACTION, MANOEUVRE: manoeuvre.DELAY - PERCEPTION, reg157.Reg157.name: reg157.DELAY,
@@ -286,8 +286,12 @@ def _last_onset(check: Counterfactual, name: str, moment: float) -> float:
 
 def _enough(check: Counterfactual, first: int) -> float | None:
     """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
-    tried = (round(k * STEP, 1) for k in range(int(FULL_BRAKING / STEP) + 1))
-    return next((braking for braking in tried if _avoids(check, first, braking)), None)
+    coarse = range(0, int(FULL_BRAKING / STEP) + 1, COARSE)
+    found = next((k for k in coarse if _avoids(check, first, k * STEP)), None)
+    if found is None:
+        return None
+    finer = range(max(found - COARSE + 1, 0), found)
+    return round(next((k for k in finer if _avoids(check, first, k * STEP)), found) * STEP, 1)
 
 
 def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
