@@ -27,8 +27,8 @@ BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen 
 class Braking:
     """Braking beyond what the ego did without the attack.
 
-    began: when [s]; mean, hardest [m/s2]; let_go: when it ended [s], None where it lasts to the moment; stopped: whether
-    the ego stood until then.
+    began: when [s]; mean, hardest [m/s2]; let_go: when it ended [s], None where it lasts to the moment; stopped:
+    whether the ego stood until then.
     """
 
     began: float
