@@ -22,7 +22,7 @@ wandering of UN R157).
 
 The careful driver is ``cc_human`` (UN R157) on the ego's path: the adversary alarms it, and it begins to brake 0.75 s
 later.  Where it does not avoid the contact and another reference driver does, that one takes its place: ``manoeuvre``,
-else of the three that have rules for one direction the one that, watching the ego, last began to want to brake.
+else a driver for one direction: of those that watch the recorded ego, the last to begin to want to brake.
 ``enough`` is the least constant braking from the same moment on that touches no vehicle in the kinematic counterfactual
 (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The adversary moves as it did, whatever the ego
 does.
@@ -55,7 +55,7 @@ DELAYS = {
 """Seconds from a reference driver's alarm until it acts."""
 
 
-NAMES = {CAREFUL: "the careful one", MANOEUVRE: "one that brakes and steers"}
+NAMES = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
 """Reference drivers in sentences."""
 
 

@@ -104,8 +104,8 @@ def _lasting(holds: Bools, least: int) -> Bools:
 
 
 def _spells(holds: Bools, on: Bools, pause: int) -> list[tuple[int, int]]:
-    """First step and the step after the last one of each spell; it goes on where ``on`` holds, and over a pause of at
-    most so many steps."""
+    """First step and the step after the last one of each spell; it goes on where ``on`` holds, and over a ``pause``
+    of at most this number of steps."""
     spells: list[tuple[int, int]] = []
     for k in range(len(holds)):
         goes_on = bool(spells) and spells[-1][1] == k and bool(on[k])
