@@ -20,12 +20,12 @@ same time without the attack, for 0.2 s, and from then on while it loses speed o
 reaction.  It steers where it leaves both its way without the attack and the straight on by 0.375 m (the zone of
 wandering of UN R157).
 
-The careful driver is ``cc_human`` (UN R157) on the ego's path: the adversary alarms it, and it begins to brake 0.75 s
-later.  Where it does not avoid the contact and another reference driver does, that one takes its place: ``manoeuvre``,
-else a driver for one direction: of those that watch the recorded ego, the last to begin to want to brake.
-``enough`` is the least constant braking from the same moment on that touches no vehicle in the kinematic counterfactual
-(``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The adversary moves as it did, whatever the ego
-does.
+The careful driver is ``cc_human`` (UN R157).  It watches the ego as it drove, up to the contact: the adversary alarms
+it, anew after 2 s without a danger, and 0.75 s later it would begin to brake.  Where it does not avoid the
+contact and another reference driver does, that one takes its place: ``manoeuvre``, else a driver for one direction: of
+those the last to begin to want to brake.  ``enough`` is the least constant braking from the same moment on that touches
+no vehicle in the kinematic counterfactual (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The
+adversary moves as it did, whatever the ego does.
 """
 
 from __future__ import annotations
@@ -40,12 +40,14 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track, Verdict
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
-from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, fsm, manoeuvre, reg157, rss
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker, fsm, manoeuvre, reg157, rss
 from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION, CcHuman
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
 
 IN_TIME = 0.2  # s after the careful driver is still in time
+CALM = 2.0  # s without a danger, after which the next one is another
+SOON = 0.05  # s before the moment, which is 0.0 s in words
 STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
 CAREFUL = CcHuman.name
 DELAYS = {
@@ -199,42 +201,44 @@ class _Reference:
 
 
 class _Watched(CcHuman):
-    """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake."""
+    """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake; after
+    ``CALM`` without a danger it begins anew."""
 
     def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
         super().__init__(shape, dt)
         self._start = start
-        self.first, self.alarm, self.brakes = math.inf, math.inf, math.inf
+        self.first, self.brakes, self._dangerous_at = math.inf, math.inf, math.inf
 
     def step(self, view: View) -> Floats:
         now = self._now
         answer = super().step(view)
-        if self.danger[0, 0] and not math.isfinite(self.brakes):
-            self.first, self.alarm = min(self.first, now), float(self._decided_at[0, 0])
-            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > self.alarm + REACTION:
-                self.brakes = max(self.alarm + REACTION, self._start)
+        if self.danger[0, 0]:
+            if now - self._dangerous_at > CALM:
+                self.first, self.brakes = math.inf, math.inf
+            self._dangerous_at, self.first = now, min(self.first, now)
+            acts = float(self._decided_at[0, 0]) + REACTION
+            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > acts:
+                self.brakes = min(self.brakes, max(acts, self._start))
         return answer
 
 
 def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verdict) -> _Reference:
     """The driver that the ego is compared with."""
-    drivers: list[_Watched] = []
     start = float(check.time[check.given.start[0]])
-
-    def driver(shape: tuple[int, int], dt: float) -> _Watched:
-        drivers.append(_Watched(shape, dt, start))
-        return drivers[-1]
-
-    check.roll_out(driver)
-    first, alarm, brakes = (begin + t for t in (drivers[0].first, drivers[0].alarm, drivers[0].brakes))
+    careful = _Watched(_shape(check), check.given.dt, start)
+    _watch(check, careful, moment - begin)
+    alarm, brakes = begin + careful.first, begin + careful.brakes
     p = verdict.preventability
     avoided, alarms = ((), {}) if p is None else (p.by, dict(p.alarms))
     known = alarm if alarm < moment else None
     if brakes < moment and (CAREFUL in avoided or not avoided):
-        return _Reference(CAREFUL, known, brakes, known)
-    alarms[MANOEUVRE] = min(first, alarms.get(MANOEUVRE, math.inf))
+        return _Reference(CAREFUL, brakes - REACTION, brakes, known)
+    alarms |= {MANOEUVRE: alarm} if alarm + DELAYS[MANOEUVRE] < moment else {}
     acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
-    acts |= {n: begin + _last_onset(check, n, moment - begin) for n in acts if n in SAME_DIRECTION_ONLY}
+    for name in acts:
+        if name in SAME_DIRECTION_ONLY:
+            brakes_now = _watch(check, BRAKERS[name](_shape(check), check.given.dt), moment - begin)
+            acts[name] = begin + _last_onset(brakes_now, check)
     acts = {n: when for n, when in acts.items() if when < moment}
     if acts:
         name = MANOEUVRE if MANOEUVRE in acts else max(acts, key=lambda n: acts[n])
@@ -243,19 +247,24 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
     return _Reference(CAREFUL, known, brakes if brakes < moment else None, known)
 
 
-def _last_onset(check: Counterfactual, name: str, moment: float) -> float:
-    """When a driver that watches the recorded ego last began to want to brake [s from step 0]; ``inf`` = never."""
-    others = 0 if check.others is None else check.others.x.shape[1]
-    driver = BRAKERS[name]((1, 1 + others), check.given.dt)
+def _shape(check: Counterfactual) -> tuple[int, int]:
+    return 1, 1 if check.others is None else 1 + check.others.x.shape[1]
+
+
+def _watch(check: Counterfactual, driver: Braker, moment: float) -> list[bool]:
+    """In which steps up to ``moment`` [s from step 0] a driver that watches the recorded ego wants to brake."""
     station, speed = check.paths.station, np.broadcast_to(check.ego.speed, check.paths.station.shape)
     change = np.diff(speed, axis=1, prepend=speed[:, :1]) / check.given.dt
-    onset, braked, start = math.inf, False, int(check.given.start[0])
-    for k in range(int(np.searchsorted(check.time, moment))):
-        brakes = bool(np.isfinite(driver.step(check.views.at(k, station[:, k], speed[:, k], change[:, k]))[0]))
-        if brakes and (not braked or k <= start):
-            onset = float(check.time[max(k, start)])
-        braked = brakes
-    return onset
+    steps = range(int(np.searchsorted(check.time, moment)))
+    views = (check.views.at(k, station[:, k], speed[:, k], change[:, k]) for k in steps)
+    return [bool(np.isfinite(driver.step(view)[0])) for view in views]
+
+
+def _last_onset(brakes: Sequence[bool], check: Counterfactual) -> float:
+    """When the last spell begins [s from step 0], not before the start; ``inf`` without any."""
+    start = int(check.given.start[0])
+    onsets = [k for k in range(start, len(brakes)) if brakes[k] and (k == start or not brakes[k - 1])]
+    return float(check.time[onsets[-1]]) if onsets else math.inf
 
 
 def _enough(check: Counterfactual, first: int) -> float | None:
@@ -288,9 +297,10 @@ def _sentence(c: Cause, met: bool) -> str:
     if c.kind is CauseKind.STEERED_IN:
         return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
     if c.kind is CauseKind.UNFORESEEABLE:
-        if c.alarm is None and c.began is not None:
-            return f"No danger showed to a careful driver before {moment}, and what yours did was not enough."
-        if c.alarm is None:
+        unknown = c.alarm is None or c.moment - c.alarm < SOON
+        if unknown and c.began is not None:
+            return f"No danger showed to a careful driver before {moment}{', and what yours did was not enough' * met}."
+        if unknown or c.alarm is None:
             return f"No one could have known before {moment}."
         known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
         return f"{known}, and no reference driver avoids it." if c.careful is not None else f"{known}."

@@ -56,7 +56,7 @@ def braking_of(
     """The ego's braking from ``start`` to ``moment`` [s] that lasts beyond the alarm; None without any.
 
     unattacked: the ego's motion without the attack, None = at constant speed; alarm: when a danger showed, None = all
-    braking counts; careful: when the careful driver acted, from which on the mean is taken.
+    braking counts, and so does standing; careful: when the careful driver acted, from which on the mean is taken.
     """
     driven = ego.between(start, moment)
     if len(driven.time) < 2:
@@ -72,7 +72,7 @@ def braking_of(
     brakes = _lasting(loses & (usual - change >= MORE), round(HELD / dt)) | (stands & (pace[1:] >= DRIVES))
     spells = [
         (begun, ended) for begun, ended in _spells(brakes, loses | stands, round(PAUSE / dt))
-        if alarm is None or driven.time[ended] >= alarm - 5e-4
+        if alarm is None or driven.time[ended] >= alarm - 5e-4 or bool(stands[begun:ended].any())
     ]  # fmt: skip
     if not spells:
         return None
