@@ -79,8 +79,6 @@ class Settings(ModelSettings, BaseSettings):
     ego: str = "idm"
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
-    ego_deadline: float = Field(60.0, ge=0)
-    attempt_memory: float = Field(4096.0, ge=0)
     adversary: str | None = None
     adversaries: int = Field(1, ge=1, le=MOST_ADVERSARIES)  # of an attack at most: a collider and supports
     trigger: float | None = Field(None, ge=0)

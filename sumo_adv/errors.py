@@ -38,10 +38,6 @@ class SimulationError(SumoAdvError):
     """SUMO refused, failed or vanished."""
 
 
-class DriverLostError(SimulationError):
-    """The driver under test hung, left its process, or used too much memory: the attempt is lost."""
-
-
 class SandboxError(SumoAdvError):
     """Planner code failed inside its limits."""
 

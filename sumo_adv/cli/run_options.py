@@ -35,10 +35,6 @@ Ego = Annotated[
         default="as the input says, else idm",
     ),
 ]  # fmt: skip
-EgoDeadline = Annotated[
-    float | None,
-    option(EGO, "Seconds that act of your driver may take for a step; 0: any time (debugger).", setting="ego_deadline"),
-]
 EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
 Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may attack.", default="any")]
 Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]

@@ -20,12 +20,10 @@ from traceback import extract_tb
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel
-from sumo_adv.drivers.deadline import within
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.drivers.wishes import read_wishes
-from sumo_adv.errors import DriverLostError, SimulationError, UsageError
-from sumo_adv.simulation.black_box import BlackBox
+from sumo_adv.errors import SimulationError, UsageError
 
 T = TypeVar("T")
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
@@ -37,9 +35,6 @@ class UserEgo:
     def __init__(self, spec: str, driver: Any) -> None:
         """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
         self._driver, self._spec = driver, spec
-        self.deadline = 0.0  # s that a step may take, 0 = any time
-        self.black_box: BlackBox | None = None
-        self._steps = 0
         self.name = str(getattr(self._driver, "name", spec))
         self.forkable = bool(getattr(self._driver, "forkable", False))
         self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
@@ -49,24 +44,11 @@ class UserEgo:
 
     def reset(self, seed: int) -> None:
         """Raises SimulationError if the user's code fails."""
-        self._steps = 0
         self._call("failed in reset", lambda: self._driver.reset(seed))
 
     def act(self, observation: Observation) -> Action:
-        """Raises SimulationError if the user's code fails, or returns something other than a valid action;
-        DriverLostError if it hangs or wants to end the process."""
-        self._steps += 1
-        at = f"act at {observation.time:.1f} s, step {self._steps}"
-        if self.black_box is not None:
-            self.black_box.note(observation.time, self._steps)
-        late = f"The ego {self._spec!r} was still in {at}, after {self.deadline:g} s (--ego-deadline)."
-        try:
-            with within(self.deadline, late):
-                action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
-        except (SystemExit, KeyboardInterrupt) as error:
-            raise DriverLostError(f"The ego {self._spec!r} wanted to end the program in {at} ({error!r}).") from error
-        if self.black_box is not None:
-            self.black_box.note(observation.time, 0)
+        """Raises SimulationError if the user's code fails, or returns something other than a valid action."""
+        action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
         if action is None:
             return None
         if not isinstance(action, Steer | LaneSpeed | Pose):
@@ -91,12 +73,6 @@ class UserEgo:
     def _call(self, failure: str, call: Callable[[], T]) -> T:
         try:
             return call()
-        except DriverLostError:
-            raise
-        except MemoryError as error:
-            raise DriverLostError(
-                f"The ego {self._spec!r} {failure}: it used more memory than an attempt may (attempt_memory)."
-            ) from error
         except Exception as error:  # user code
             raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
 

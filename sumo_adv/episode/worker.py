@@ -19,7 +19,7 @@ from typing import Any
 import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
 
 from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.drivers import UserEgo, make_ego
+from sumo_adv.drivers import make_ego
 from sumo_adv.episode.attempt import Driven, attack
 from sumo_adv.episode.controllers import PrescribedAdversary, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
@@ -31,13 +31,12 @@ from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
-from sumo_adv.errors import DriverLostError, SimulationError
+from sumo_adv.errors import SimulationError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
-from sumo_adv.simulation.black_box import BlackBox
 from sumo_adv.simulation.engine import can_fork, in_forks
 from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -71,9 +70,6 @@ class Worker:
         controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
-        self._box = BlackBox(Path(tempfile.gettempdir()))
-        if isinstance(controller, UserEgo):
-            controller.deadline, controller.black_box = task.settings.ego_deadline, self._box
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
@@ -250,7 +246,7 @@ class Worker:
     def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
         """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
         if self._forks:
-            return in_forks(works, self._reloaded, lost, box=self._box, memory=self._settings.attempt_memory)
+            return in_forks(works, self._reloaded, lost)
         results = []
         for work in works:
             self._at_trigger()
@@ -314,14 +310,7 @@ class Worker:
         asks = [  # before the fork: a planner's text is read once
             ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)
         ]
-        return partial(self._lost_or_made, proposal, asks)
-
-    def _lost_or_made(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
-        """An attempt; one in which the driver is lost has the ending ``crashed``."""
-        try:
-            return self._attempt(proposal, asks)
-        except DriverLostError as error:
-            return self._crashed(str(error))
+        return partial(self._attempt, proposal, asks)
 
     def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         drive, settings = self._drive, self._settings

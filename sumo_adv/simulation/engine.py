@@ -21,9 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import OUT_OF_MEMORY, SimulationError, SumoAdvError, ran_out_of_memory
-from sumo_adv.simulation.black_box import BlackBox
 
-UNEXPECTED = "The simulation process ended unexpectedly"
 SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
@@ -42,7 +40,6 @@ class Engine:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
-        self._box = BlackBox(Path(self._folder.name))
         self._control, control = context.Pipe()
         pairs = [context.Pipe() for _ in range(slots)]
         self._slots = [p[0] for p in pairs]
@@ -100,9 +97,7 @@ class Engine:
             yield
         except (EOFError, BrokenPipeError, ConnectionResetError) as error:
             self.lost = True
-            where = self._box.where(self._process.pid or 0)
-            who = f"The driver under test ended the simulation process {where}" if where else UNEXPECTED
-            raise SimulationError(f"{who}{self._last_words()}.") from error
+            raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
     def said(self) -> str:
         """What its process printed: SUMO's words, tracebacks."""
@@ -282,32 +277,25 @@ def in_forks(
     works: Sequence[Callable[[], Any]],
     reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
     lost: Callable[[str], Any] | None = None,
-    *,
-    box: BlackBox | None = None,
-    memory: float = 0.0,
 ) -> list[Any]:
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
     reloaded: adds to a piece of work that it loads the simulation again first. A fork that dies is repeated with it.
     lost: makes a result of the sentence that says why a fork died, if it dies again when it is repeated.
-    box: says whether it died in the driver's code. memory: that a fork may take beside what there was before, 0 = any
-    [MB].
 
     Raises:
         SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
     """
-    results = _forked(works, box, memory)
+    results = _forked(works)
     if reloaded is not None:
-        for k, (data, _, _) in enumerate(results):
+        for k, (data, _) in enumerate(results):
             if not data:
-                results[k] = _forked([reloaded(works[k])], box, memory)[0]
-    again = reloaded is not None
-    return [_result(data, _death(status, where, repeated=again), lost) for data, status, where in results]
+                results[k] = _forked([reloaded(works[k])])[0]
+    return [_result(data, _death(status, repeated=reloaded is not None), lost) for data, status in results]
 
 
-def _forked(works: Sequence[Callable[[], Any]], box: BlackBox | None, memory: float) -> list[tuple[bytes, int, str]]:
-    """What each fork wrote, nothing if it died; its exit code, negative for the signal that killed it; and where it was
-    in the driver's code."""
+def _forked(works: Sequence[Callable[[], Any]]) -> list[tuple[bytes, int]]:
+    """What each fork wrote, nothing if it died, and its exit code: negative for the signal that killed it."""
     children = []
     gc.freeze()  # a collection in a child would write to every object's page, which the system then copies
     for work in works:
@@ -315,7 +303,6 @@ def _forked(works: Sequence[Callable[[], Any]], box: BlackBox | None, memory: fl
         pid = os.fork()
         if pid == 0:
             os.close(inlet)
-            _bound_memory(memory)
             _child(work, outlet)
         os.close(outlet)
         children.append((pid, inlet))
@@ -323,8 +310,7 @@ def _forked(works: Sequence[Callable[[], Any]], box: BlackBox | None, memory: fl
     for pid, inlet in children:
         with os.fdopen(inlet, "rb") as pipe:
             data = pipe.read()
-        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        results.append((data, status, "" if box is None else box.where(pid)))
+        results.append((data, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
     return results
 
 
@@ -354,23 +340,9 @@ def _result(data: bytes, death: str, lost: Callable[[str], Any] | None) -> Any:
     return value
 
 
-def _bound_memory(megabytes: float) -> None:
-    """Let this process take so much more memory than it has now, 0 = any."""
-    if megabytes <= 0:
-        return
-    import resource
-
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    most = pages * os.sysconf("SC_PAGE_SIZE") + int(megabytes * 2**20)
-    resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
-
-
-def _death(status: int, where: str, *, repeated: bool) -> str:
-    """Why a fork ended without a result, from its exit code; ``where`` it was in the driver's code."""
+def _death(status: int, *, repeated: bool) -> str:
+    """Why a fork ended without a result, from its exit code."""
     again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
-    if where:
-        how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-        return f"The driver under test ended its process {where} ({how}){again}."
     if status >= 0:
         return f"A forked attempt ended without a result (exit status {status}){again}."
     name = signal.Signals(-status).name
