@@ -69,7 +69,9 @@ class BlockRunner:
         controller = make_ego(task.ego_driver, task.ego_parameters)
         types = ego_type_file(controller, folder)
         spec = task.spec
-        spec = type(spec)(spec.network, spec.routes, (*spec.additional, types), spec.begin, 0, spec.step_length)
+        spec = type(spec)(
+            spec.network, spec.routes, (*spec.additional, types), spec.begin, 0, spec.step_length, spec.options
+        )
         self._drive = Drive(spec, controller, 0)
         EncounterSearch(self._drive, read_network(spec.network), task)  # what the driver sees; an ego with a route
 
