@@ -102,7 +102,8 @@ def serve(
 
     given = _input(source)
     settings = load_settings(
-        settings_file, **{**own_simulation(given), **({} if seed is None else {"seed": seed})}, ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
+        settings_file, **{**own_simulation(given), **({} if seed is None else {"seed": seed})},
+        ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
         trigger=trigger, begin=begin, end=end, until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm,
         learn=learn, memory=memory, density=density, horizon=given.horizon,
     )  # fmt: skip

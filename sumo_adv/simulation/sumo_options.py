@@ -24,17 +24,23 @@ ELSEWHERE = {
     "step-length": "use the setting step_length",
 }  # fmt: skip
 """Options of SUMO that have another place, and which."""
-_OWN = ("collision.", "gui-", "window-", "save-state", "xml-validation", "duration-log", "message-log", "error-log")
+_OWN = (
+    "collision.", "device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log",
+    "error-log",
+)  # fmt: skip
 _OWN_NAMES = frozenset(
     ("remote-port", "num-clients", "configuration-file", "log", "log-file", "verbose", "no-warnings", "no-step-log",
      "step-log.period", "threads", "load-state", "start", "quit-on-end", "delay", "game", "breakpoints", "summary",
-     "tripinfo", "netstate", "netstate-dump", "emission-output", "random", "print-options", "help", "version")
+     "tripinfo", "netstate", "netstate-dump", "random", "mesosim", "print-options", "help", "version")
 )  # fmt: skip
 
 
 def is_own(name: str) -> bool:
-    """Whether this program sets the option itself: collisions, outputs, messages, GUI, threads, remote port."""
-    return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name
+    """Whether this program sets the option itself: collisions, outputs, messages, GUI, threads, remote port.
+
+    No option that writes a file is left to an input (``device.ssm`` writes files without being told to).
+    """
+    return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
 
 
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
