@@ -151,7 +151,7 @@ class Simulation:
 
     def _unknown(self, libsumo: Any) -> list[str]:
         """The options that this SUMO does not know; nothing where it does not start without them either."""
-        unknown = []
+        unknown: list[str] = []
         try:
             libsumo.start(["sumo", *replace(self.spec, options={}).arguments()])
         except libsumo.TraCIException:
