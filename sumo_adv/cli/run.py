@@ -59,9 +59,6 @@ def run(
             "fork": False if no_fork else None, "sumo_options": parse(sumo_option) if sumo_option else None,
         },
     )  # fmt: skip
-    if not as_json:
-        for note in given.notes:
-            typer.echo(note)
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
         return
@@ -99,6 +96,8 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
+        for note in () if as_json else source.notes:
+            typer.echo(note)
         finish(folder, episode, force=force, as_json=as_json)
 
 
