@@ -113,6 +113,7 @@ class Settings(ModelSettings, BaseSettings):
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo", "mixed"] | None = None  # drives recorded BVs; None = as the scenario says
     odd: Odd | None = None  # encounters outside it are not attacked
+    sumo_options: dict[str, str] = Field(default_factory=dict)  # of SUMO, by its own long names
     fork: bool = True
     bubblewrap: bool = True
 

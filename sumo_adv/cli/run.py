@@ -27,6 +27,7 @@ OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count
 def run(
     context: typer.Context, source: own.Source = None, record: own.Record = None, begin: own.Begin = None,
     end: own.End = None, density: own.Density = None, background: own.Background = None,
+    sumo_option: own.SumoOption = None,
     settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
     ego_id: own.EgoId = None, until: shared.UntilLevel = None, ttc: shared.Ttc = None,
     critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
@@ -46,11 +47,18 @@ def run(
         _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)
         return
+    from sumo_adv.simulation.inputs import own_simulation
+    from sumo_adv.simulation.sumo_options import parse
+
     given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**named, "ego": driver, "horizon": given.horizon, "fork": False if no_fork else None}
-    )
+        settings_file,
+        **{
+            **own_simulation(given), **named, "ego": driver, "horizon": given.horizon,
+            "fork": False if no_fork else None, "sumo_options": parse(sumo_option) if sumo_option else None,
+        },
+    )  # fmt: skip
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
         return
@@ -88,6 +96,8 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
+        for note in () if as_json else source.notes:
+            typer.echo(note)
         finish(folder, episode, force=force, as_json=as_json)
 
 
