@@ -178,6 +178,8 @@ class Refiner:
         or if it is gentler."""
         tested: dict[int, Robustness] = {}
         now, random = found.best if found.successes else None, Random(self._settings.seed)
+        if self._settings.tuner == "off":  # the paper's loop
+            return
         while now is not None and len(tested) < POLISHED and self._has_left(found, began):
             attempt = found.attempts[now]
             near = neighbours(attempt, found.results[now], random, self._settings.step_length)
