@@ -16,7 +16,7 @@ from string import Template
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
 
-NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "teams")
+NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "teams", "write")
 MAX_TEXT = 600  # characters of a label or description in a prompt
 
 

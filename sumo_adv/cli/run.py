@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -49,7 +49,7 @@ def run(
     given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**named, "ego": driver, "horizon": given.horizon, "fork": False if no_fork else None}
+        settings_file, **{**_of_input(given), **named, "ego": driver, "fork": False if no_fork else None}
     )
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
@@ -66,6 +66,13 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
     given = app.load(source, record)
     return given, trusted_driver(ego, given.ego_controller, given.source)
+
+
+def _of_input(given: RunInput) -> dict[str, Any]:
+    """Settings that an input brings: the horizon, and the level and supports of the attack that it asks for."""
+    asked = given.asked
+    together = 1 + len(given.supports) if asked is not None and given.supports else None
+    return {"horizon": given.horizon, "until": None if asked is None else asked.level, "adversaries": together}
 
 
 def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:

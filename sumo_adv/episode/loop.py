@@ -17,6 +17,7 @@ from sumo_adv.episode.assessment import NOTHING, rank
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
 from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.fitting import Fitting
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
@@ -127,6 +128,8 @@ def pursue(
     another: there may be another encounter, so this one is left sooner where nothing comes near.
     """
     settings, timing = episode.settings, episode.timing
+    if episode.asked is not None:
+        episode.refinement.fitting = Fitting(episode.asked, planned.found, settings)
     refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell, another=another)
     try:
         refiner.run(episode.intents, episode.refinement)
@@ -164,6 +167,8 @@ def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: Found
     result = runner.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
+    if episode.asked is not None:
+        attempt = Fitting(episode.asked, found, settings).judged(attempt, result, settings.goal)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
     settle_best(episode.refinement, runner)

@@ -13,9 +13,10 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
+from sumo_adv.episode.fitting import Fitting
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
@@ -36,7 +37,7 @@ class Refinement:
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
     the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
-    ranked first, empty if it does.
+    ranked first, empty if it does. fitting: compares attempts with what was asked for, None where nothing was.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -49,14 +50,21 @@ class Refinement:
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
     why_first: str = ""
+    fitting: Fitting | None = None
 
     @property
     def best(self) -> int | None:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
-        verdicts = [a.verdict for a in self.attempts]
-        return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
+        return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), k))
+
+    def worth(self, attempt: Attempt) -> tuple[float, ...]:
+        """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
+        verdict, fits = attempt.verdict, True
+        if self.fitting is not None:
+            fits = not verdict.misfits and verdict.level >= Level.CRITICAL
+        return (not self.goal.met(verdict), not fits, *rank(verdict))
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:
@@ -158,6 +166,8 @@ class Refiner:
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
             attempt = checked(attempt, result, self._runner, found.goal)
+            if found.fitting is not None:
+                attempt = found.fitting.judged(attempt, result, found.goal)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell("attempt", attempt)
@@ -168,7 +178,7 @@ class Refiner:
     def _forget(self, found: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
         kept = set(range(len(found.attempts) - GENERATION, len(found.attempts))) | set(found.successes)
-        ordered = sorted(range(len(found.attempts)), key=lambda k: rank(found.attempts[k].verdict))
+        ordered = sorted(range(len(found.attempts)), key=lambda k: found.worth(found.attempts[k]))
         kept |= set(ordered[:KEPT])
         for k, result in enumerate(found.results):
             if k >= REMEMBERED and k not in kept and len(result.snapshots):

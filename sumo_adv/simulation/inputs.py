@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
@@ -46,7 +47,7 @@ class RunInput:
     ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
-    moves.
+    moves. asked: what must be true of the attack; words: those that the scenario was made of.
     """
 
     name: str
@@ -71,6 +72,8 @@ class RunInput:
     label: Label | None = None
     files: tuple[Path, ...] = ()
     playback: PlaybackSpec | None = None
+    asked: Asked | None = None
+    words: str = ""
 
 
 def load_input(path: Path) -> RunInput:
@@ -206,6 +209,7 @@ def _from_scenario(path: Path) -> RunInput:
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
         intents=scenario.adversary.intents, label=scenario.label,
         files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
+        asked=scenario.asked, words=scenario.written.words if scenario.written else "",
     )  # fmt: skip
 
 
