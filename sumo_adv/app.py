@@ -213,8 +213,10 @@ def play(
     episode needs until it is written; played: called when the episode ends, before its processes end. ego: the driver
     where it is a class or an object from Python.
 
-    Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
+    Raises UsageError or BankError for wrong use, also for ``ask`` without a model. Any other failure is the episode's
+    ending.
     """
+    settings = _with_request(settings)
     with new_engine() as engine:  # first: it loads its modules while this process loads others
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
@@ -231,6 +233,19 @@ def play(
             episode = run_episode(given, settings, task, engine, agents, bank, tell)
             played()
     return episode
+
+
+def _with_request(settings: Settings) -> Settings:
+    """The settings with the words of ``ask`` checked. Raises UsageError, also where no model can read them."""
+    if settings.ask is None:
+        return settings
+    from sumo_adv.words.nearest import needs_model
+    from sumo_adv.words.request_text import checked_words
+
+    words = checked_words(settings.ask)
+    if settings.player("analyzer") is None:
+        raise needs_model("An attack asked for in words", words)
+    return settings.model_copy(update={"ask": words})
 
 
 def replay(recorded: Recorded) -> Episode:

@@ -7,7 +7,7 @@ of the words of ``sumo-adv run --ask``. ``words/fit.py`` compares it with the mo
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -15,6 +15,7 @@ from sumo_adv.datatypes import Relation
 from sumo_adv.road_users import RoadUser
 
 LONGEST_WORDS = 6000  # characters of a request or a report
+NEAR_MISS = (0.2, 1.5)  # s: the min TTC of a near miss that is asked for
 Side = Literal["front", "rear", "left", "right"]
 
 
@@ -79,7 +80,14 @@ class Asked(_Table):
     beside: Literal["left", "right"] | None = None
     least_length: Annotated[float, Field(gt=0, le=30)] | None = None
     most_speed_first: Annotated[float, Field(ge=0, le=60)] | None = None
-    level: Literal["critical", "collision", "valid", "strict", "serious"] | None = None
+    level: Literal["near_miss", "critical", "collision", "valid", "strict", "serious"] | None = None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings of the level that is asked for; empty without one."""
+        if self.level is None:
+            return {}
+        return {"ttc": NEAR_MISS, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
 
 
 class Written(_Table):

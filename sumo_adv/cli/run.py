@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,8 @@ OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count
 
 
 def run(
-    context: typer.Context, source: own.Source = None, record: own.Record = None, begin: own.Begin = None,
+    context: typer.Context, source: own.Source = None, ask: own.Ask = None, record: own.Record = None,
+    begin: own.Begin = None,
     end: own.End = None, density: own.Density = None, background: own.Background = None,
     settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
     ego_id: own.EgoId = None, until: shared.UntilLevel = None, ttc: shared.Ttc = None,
@@ -49,7 +51,7 @@ def run(
     given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**_of_input(given), **named, "ego": driver, "fork": False if no_fork else None}
+        settings_file, **{**_of_input(given, named), **named, "ego": driver, "fork": False if no_fork else None}
     )
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
@@ -68,11 +70,12 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
     return given, trusted_driver(ego, given.ego_controller, given.source)
 
 
-def _of_input(given: RunInput) -> dict[str, Any]:
-    """Settings that an input brings: the horizon, and the level and supports of the attack that it asks for."""
-    asked = given.asked
+def _of_input(given: RunInput, named: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings that an input brings: the horizon, and the level and supports of the attack that it asks for. Another
+    goal that is ``named`` goes before its level."""
+    asked = given.asked if not {"until", "ttc", "min_delta_v"} & set(named) else None
     together = 1 + len(given.supports) if asked is not None and given.supports else None
-    return {"horizon": given.horizon, "until": None if asked is None else asked.level, "adversaries": together}
+    return {"horizon": given.horizon, "adversaries": together, **({} if asked is None else asked.settings)}
 
 
 def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,6 @@ from sumo_adv.cli import options as shared
 from sumo_adv.cli import run_options as own
 from sumo_adv.cli.options import INPUT, OUTPUT, option
 from sumo_adv.config import Settings, Until, load_settings
-from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 
@@ -117,7 +117,7 @@ def _write(
                 library = app.known_intents(bank)
             author = Author(
                 MeteredModel(recorder.wrap(player), ledger), app.shipped_prompts(), library,
-                lambda file, place, level: _run(file, place, level, played_by), scratch, out.stem, today, network,
+                lambda file, place, goal: _run(file, place, goal, played_by), scratch, out.stem, today, network,
                 (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
             )  # fmt: skip
             made = author.write(request)
@@ -134,13 +134,14 @@ def _write(
     return made
 
 
-def _run(scenario: Path, folder: Path, level: Level, settings: Settings) -> dict[str, Any]:
+def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
     """Run a scenario into a folder; what its ``outcome.json`` holds."""
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.staging import scratch_folder, staged
 
     given = app.load(scenario, None)
-    wanted = settings.model_copy(update={"until": Until(str(level)), "horizon": given.horizon or settings.horizon})
+    goal = {"until": Until(str(goal["until"])), "ttc": goal.get("ttc")}
+    wanted = settings.model_copy(update={**goal, "horizon": given.horizon or settings.horizon})
     if given.supports:
         wanted = wanted.model_copy(update={"adversaries": 1 + len(given.supports)})
     with staged(folder, force=False) as target, scratch_folder() as scratch:

@@ -42,6 +42,7 @@ class Episode:
     casts: Sequence[Cast] = ()  # compositions that a model proposed
     asked: Asked | None = None  # what must be true of the attack
     words: str = ""  # in which it was asked for
+    declined: str = ""  # why what was asked for cannot be played in the last encounter
     refinement: Refinement = field(default_factory=Refinement)
     prefix: Prefix | None = None
     lanes: Sequence[Any] = ()

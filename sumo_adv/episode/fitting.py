@@ -8,29 +8,33 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from sumo_adv.agents.agents import Agents, Bought
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Level, Proposal, Role
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
+from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.words.fit import misfits
 from sumo_adv.words.motion import Motion, Scene, observe
+from sumo_adv.words.reading import Reading, read_motion
 
 MOST_READINGS = 2  # attempts of an encounter that a model is asked about
-Reader = Callable[[Motion], str | None]
-"""Tells in a sentence why a motion does not fit the request, None where it does. Raises ModelError."""
+Reader = Callable[[Motion], Reading]
+"""Reads a motion and says whether it fits the request. Raises ModelError."""
 
 
 @dataclass
 class Fitting:
-    """Compares the attempts of one encounter with the request. ``reader`` is asked where the rules find nothing."""
+    """Compares the attempts of one encounter with the request. ``reader`` is asked where the rules find nothing;
+    ``readings`` has its answers by the index of the attempt."""
 
     asked: Asked
     found: FoundEncounter
     settings: Settings
     reader: Reader | None = None
-    readings: int = field(default=0, init=False)
+    readings: dict[int, Reading] = field(default_factory=dict, init=False)
 
     def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal) -> Attempt:
         """The attempt with what it lacks of the request, if it would be a success or comes near one."""
@@ -38,16 +42,29 @@ class Fitting:
             return attempt
         motion = motion_of(attempt, result, self.found, self.settings)
         lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)
-        if not lacks and motion is not None and goal.met(attempt.verdict) and self.readings < MOST_READINGS:
-            lacks = self._read(motion)
+        if not lacks and motion is not None and goal.met(attempt.verdict) and len(self.readings) < MOST_READINGS:
+            lacks = self._read(attempt.index, motion)
         return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
 
-    def _read(self, motion: Motion) -> tuple[str, ...]:
+    def _read(self, index: int, motion: Motion) -> tuple[str, ...]:
         if self.reader is None:
             return ()
-        self.readings += 1
-        fault = self.reader(motion)
-        return () if fault is None else (fault,)
+        reading = self.readings[index] = self.reader(motion)
+        return () if reading.fits else (reading.lacks or reading.happened,)
+
+
+def reader_of(agents: Agents, words: str) -> Reader | None:
+    """The model that plays the analyzer as a reader; None if none does, or without words."""
+    if not agents.by_model("analyzer") or not words:
+        return None
+    metered = MeteredModel(agents.models["analyzer"], agents.ledger)
+
+    def read(motion: Motion) -> Reading:
+        reading = read_motion(metered, agents.prompts, motion.words, words)
+        agents.bought.append(Bought("reader", "it fits" if reading.fits else "it does not fit"))
+        return reading
+
+    return read
 
 
 def motion_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> Motion | None:

@@ -83,10 +83,13 @@ def _asked(episode: Episode) -> dict[str, Any] | None:
     if best is not None and episode.found is not None:
         motion = motion_of(best, episode.refinement.results[best.index], episode.found, episode.settings)
     lacks = () if best is None or motion is None else best.verdict.misfits or misfits(episode.asked, motion)
+    fitting = episode.refinement.fitting
+    reading = None if fitting is None or best is None else fitting.readings.get(best.index)
     return {
         "words": episode.words or None, "attack": episode.asked.model_dump(mode="json", exclude_defaults=True),
         "fits": motion is not None and not lacks, "misfits": list(lacks),
         "motion": None if motion is None else motion.words,
+        "reading": None if reading is None else reading.model_dump(mode="json"),
     }  # fmt: skip
 
 

@@ -6,12 +6,12 @@ answer, at most ``CORRECTIONS`` times. The first scenario that reaches its level
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.prompts import Prompts, sanitize
+from sumo_adv.agents.prompts import Prompts, fenced, sanitize
 from sumo_adv.asked import MEANINGS, Written
 from sumo_adv.datatypes import Level, LibraryEntry
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError
@@ -22,12 +22,11 @@ from sumo_adv.simulation.shipped import shipped_files
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import Draft, SceneDraft
 from sumo_adv.words.reading import Reading, read_motion
-from sumo_adv.words.request_text import fenced
 from sumo_adv.words.ways import Net
 
 CORRECTIONS = 5  # of the first answer
 READINGS = 2  # questions to the reader at most, so that a request takes at most eight questions
-LEVEL = Level.VALID  # that is wanted where a draft names none
+LEVEL = "valid"  # that is wanted where a draft names none
 
 
 class NoScenario(SumoAdvError):
@@ -58,8 +57,10 @@ class Played:
 
     @property
     def reached(self) -> bool:
-        """Whether that is the level that was asked for."""
-        return self.level >= wanted(self.scene)
+        """Whether some attempt met the goal, or would have if it fitted."""
+        level = goal_of(self.scene)["until"]
+        near_miss = self.scene.attack.asked.level == "near_miss"
+        return self.outcome["ending"] == "critical" or (not near_miss and self.level >= Level[level.upper()])
 
     @property
     def misfits(self) -> list[str]:
@@ -75,14 +76,14 @@ class Played:
         return self.reached and not self.misfits, not self.misfits, -len(self.misfits), int(self.level)
 
 
-def wanted(scene: SceneDraft) -> Level:
-    """The level that a scene's attack must reach."""
-    level = scene.attack.asked.level
-    return LEVEL if level is None else Level[level.upper()]
+def goal_of(scene: SceneDraft) -> dict[str, Any]:
+    """The settings of the goal of a scene's attack."""
+    return scene.attack.asked.settings or {"until": LEVEL}
 
 
-Run = Callable[[Path, Path, Level], dict[str, Any]]
-"""Runs a scenario (file, folder to write, level) and returns what ``outcome.json`` holds. Raises SumoAdvError."""
+Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
+"""Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
+SumoAdvError."""
 
 
 class Author:
@@ -153,7 +154,7 @@ class Author:
         written = Written(words=self._words, model=self._metered.model.name, date=self._date)
         file = build(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
-        played = Played(draft, file, folder / "run", self._run(file, folder / "run", wanted(scene)))
+        played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))
         if played.reached and not played.misfits and self._readings < READINGS:
             self._readings += 1
             motion = str(played.outcome["asked"]["motion"])
@@ -169,7 +170,7 @@ def _what_happened(played: Played) -> str:
     if outcome["best"] is None:
         return f"{lines[0]} No attack began: {outcome['reason']}"
     count = len(outcome["attempts"])
-    lines.append(f"The best of {count} attempts reached the level {played.level} (wanted: {wanted(played.scene)}).")
+    lines.append(f"The best of {count} attempts reached the level {played.level} (wanted: {outcome['goal']}).")
     lines += [f"Missing: {fault}" for fault in played.misfits]
     gates = outcome["outcome"]["failed_gates"]
     lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []

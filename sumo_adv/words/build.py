@@ -173,10 +173,11 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
         length, width = SIZES[kind]
         speed = kmh / 3.6
+        lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
         types.append(
             f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" tau="1" '
             f'speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" length="{length:g}" width="{width:g}" lcKeepRight="0" '
-            'lcSpeedGain="0"/>\n'
+            f'lcSpeedGain="0"{lanes}/>\n'
         )
         stop = ""
         if stands:

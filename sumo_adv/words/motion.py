@@ -87,6 +87,7 @@ def observe(scene: Scene) -> Motion | None:
     a, b = _along(ego, scene.path), _along(bv, scene.path)
     events = tuple(sorted(_events(scene, time - time[0], ego, bv, a, b)))
     others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
+    others = [t for t in others if t.speed.max() > STANDING]  # not those that are parked
     beside = frozenset(side for t in others if (side := _beside(a, _along(t, scene.path))) is not None)
     user = road_user(scene.adversary)
     words = _words(scene, time - time[0], ego, bv, a, b, events, beside, user)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import Prompts
+from sumo_adv.agents.prompts import Prompts, fenced
 from sumo_adv.llm.asking import MeteredModel, ask
-from sumo_adv.words.request_text import fenced
 
 
 class Reading(BaseModel):

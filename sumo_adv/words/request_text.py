@@ -17,8 +17,3 @@ def checked_words(text: str) -> str:
             "happens on the road."
         )
     return plain
-
-
-def fenced(text: str) -> str:
-    """The words as they stand in a prompt: no mark in them can end the part that is theirs."""
-    return text.replace("<<<", "<").replace(">>>", ">").replace("```", "'''")
