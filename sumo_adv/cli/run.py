@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -51,7 +50,7 @@ def run(
     given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**_of_input(given, named), **named, "ego": driver, "fork": False if no_fork else None}
+        settings_file, **{**given.settings(named), **named, "ego": driver, "fork": False if no_fork else None}
     )
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
@@ -68,14 +67,6 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
     given = app.load(source, record)
     return given, trusted_driver(ego, given.ego_controller, given.source)
-
-
-def _of_input(given: RunInput, named: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings that an input brings: the horizon, and the level and supports of the attack that it asks for. Another
-    goal that is ``named`` goes before its level."""
-    asked = given.asked if not {"until", "ttc", "min_delta_v"} & set(named) else None
-    together = 1 + len(given.supports) if asked is not None and given.supports else None
-    return {"horizon": given.horizon, "adversaries": together, **({} if asked is None else asked.settings)}
 
 
 def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:
@@ -112,7 +103,7 @@ def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -
         typer.echo(json.dumps({**result, "folder": str(folder.target)}))
     else:
         typer.echo(summary(result, folder.target))
-    if episode.ending in FAILED_ENDINGS:
+    if episode.ending in FAILED_ENDINGS or (episode.declined and episode.best is None):
         typer.echo(f"sumo-adv: {result['reason']}", err=True)
         raise typer.Exit(1)
 

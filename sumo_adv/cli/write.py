@@ -141,9 +141,8 @@ def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settin
 
     given = app.load(scenario, None)
     goal = {"until": Until(str(goal["until"])), "ttc": goal.get("ttc")}
-    wanted = settings.model_copy(update={**goal, "horizon": given.horizon or settings.horizon})
-    if given.supports:
-        wanted = wanted.model_copy(update={"adversaries": 1 + len(given.supports)})
+    brought = {key: value for key, value in given.settings(["until"]).items() if value is not None}
+    wanted = settings.model_copy(update={**brought, **goal})
     with staged(folder, force=False) as target, scratch_folder() as scratch:
         episode = app.play(given, wanted, target.stage, scratch, lambda *_: None)
         result = write_run(target, episode)

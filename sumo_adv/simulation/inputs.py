@@ -6,10 +6,10 @@ wrong with the files it names is found by ``scan.py``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
@@ -74,6 +74,15 @@ class RunInput:
     playback: PlaybackSpec | None = None
     asked: Asked | None = None
     words: str = ""
+
+    def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
+        """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
+        for. Another goal among the settings that are ``named`` goes before its level."""
+        brought: dict[str, Any] = {"horizon": self.horizon}
+        if self.asked is not None:
+            brought |= {} if {"until", "ttc", "min_delta_v"} & set(named) else self.asked.settings
+            brought |= {"adversaries": 1 + len(self.supports)} if self.supports else {}
+        return brought
 
 
 def load_input(path: Path) -> RunInput:
