@@ -38,7 +38,7 @@ class Fitting:
 
     def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal) -> Attempt:
         """The attempt with what it lacks of the request, if it would be a success or comes near one."""
-        if attempt.verdict.level < Level.CRITICAL:
+        if attempt.verdict.level < Level.CRITICAL and not goal.met(attempt.verdict):
             return attempt
         motion = motion_of(attempt, result, self.found, self.settings)
         lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)

@@ -61,10 +61,10 @@ class Refinement:
 
     def worth(self, attempt: Attempt) -> tuple[float, ...]:
         """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
-        verdict, fits = attempt.verdict, True
-        if self.fitting is not None:
-            fits = not verdict.misfits and verdict.level >= Level.CRITICAL
-        return (not self.goal.met(verdict), not fits, *rank(verdict))
+        verdict = attempt.verdict
+        met = self.goal.met(verdict)
+        fits = self.fitting is None or (not verdict.misfits and (met or verdict.level >= Level.CRITICAL))
+        return (not met, not fits, *rank(verdict))
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:

@@ -103,7 +103,7 @@ def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float
     for vehicle in order:
         met = meeting(ego, drives[vehicle.id]) if vehicle.arrives is not None or vehicle.stands else None
         if met is not None:
-            start = max(met[0] - MEET * speed, length + 1.0)
+            start = max(met[0] - _seconds(vehicle, drives[vehicle.id], met[1]) * speed, length + 1.0)
             if (met[0] - start) / speed < SOONEST:
                 raise UsageError(
                     f"The ego's way to where it meets '{vehicle.id}' is {met[0]:.0f} m, which is less than "
@@ -112,6 +112,13 @@ def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float
             return min(start, ego.first - 1.0)
     behind = max((-v.gap for v in scene.vehicles if v.gap is not None), default=0.0)
     return min(max(ROOM, behind + ROOM / 2), ego.first / 2)
+
+
+def _seconds(v: VehicleDraft, drive: Drive, station: float) -> float:
+    """The time to the meeting that lets the vehicle start on its first edge [s]."""
+    if v.stands or v.speed == 0:
+        return MEET
+    return max(MEET, (station - drive.first + APART) / (v.speed / 3.6) - (v.arrives or 0.0))
 
 
 def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start: float) -> Placed:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sumo_adv.asked import Asked, Event
-from sumo_adv.words.motion import Motion
+from sumo_adv.words.motion import Motion, change_after
 
 SLACK = 0.4  # s by which an event may be before the one that is to precede it
 
@@ -15,7 +15,7 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
         lacks.append(f"The adversary is a {motion.user}, not a {asked.user}.")
     if asked.relation is not None and asked.relation != motion.relation:
         lacks.append(f"The adversary is {motion.relation}, not {asked.relation}.")
-    if (missing := _missing(asked.events, motion.events)) is not None:
+    if (missing := _missing(asked.events, motion)) is not None:
         after = "" if missing == 0 else f" after '{asked.events[missing - 1]}'"
         happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
         lacks.append(f"'{asked.events[missing]}' does not happen{after}; what happens: {happened}.")
@@ -28,17 +28,22 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
         lacks.append(f"No other vehicle is beside the ego on its {asked.beside}.")
     if asked.least_length is not None and motion.length < asked.least_length:
         lacks.append(f"The adversary is {motion.length:g} m long, not {asked.least_length:g} m or more.")
-    if asked.most_speed_first is not None and motion.first_speed > asked.most_speed_first:
-        lacks.append(f"The adversary drives {motion.first_speed:.1f} m/s at first, not {asked.most_speed_first:g}.")
+    first = float(motion.speed[0])
+    if asked.most_speed_first is not None and first > asked.most_speed_first:
+        lacks.append(f"The adversary drives {first:.1f} m/s at first, not {asked.most_speed_first:g}.")
     return tuple(lacks)
 
 
-def _missing(wanted: tuple[Event, ...], events: tuple[tuple[float, Event], ...]) -> int | None:
+def _missing(wanted: tuple[Event, ...], motion: Motion) -> int | None:
     """The place of the first wanted event that does not come in its order; None if all do."""
-    after = float("-inf")
+    after = 0.0
     for place, event in enumerate(wanted):
-        times = [time for time, happened in events if happened is event and time >= after - SLACK]
-        if not times:
+        if event in (Event.BRAKES, Event.SPEEDS_UP):
+            time = change_after(motion.time, motion.speed, after - SLACK, event)
+        else:
+            times = (time for time, happened in motion.events if happened is event and time >= after - SLACK)
+            time = min(times, default=None)
+        if time is None:
             return place
-        after = min(times)
+        after = max(after, time)
     return None

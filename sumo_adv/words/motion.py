@@ -52,7 +52,8 @@ class Scene:
 @dataclass(frozen=True, slots=True)
 class Motion:
     """What happened. events: (seconds after the take-over, event), in order. beside: sides of the ego on which another
-    vehicle was. first_speed [m/s] and length [m]: of the adversary. words: all of it, for a reader."""
+    vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the adversary. words: all of
+    it, for a reader."""
 
     relation: str
     user: RoadUser
@@ -60,7 +61,8 @@ class Motion:
     side: str | None
     hidden: bool
     beside: frozenset[str]
-    first_speed: float
+    time: Floats
+    speed: Floats
     length: float
     words: str
 
@@ -92,7 +94,7 @@ def observe(scene: Scene) -> Motion | None:
     user = road_user(scene.adversary)
     words = _words(scene, time - time[0], ego, bv, a, b, events, beside, user)
     return Motion(
-        scene.relation, user, events, scene.side, scene.hidden, beside, float(bv.speed[0]), bv.length, words
+        scene.relation, user, events, scene.side, scene.hidden, beside, time - time[0], bv.speed, bv.length, words
     )  # fmt: skip
 
 
@@ -193,6 +195,19 @@ def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
         if standing[k] != standing[k - 1]:
             found.append((float(t[k]), Event.STOPS if standing[k] else Event.STARTS))
     return found
+
+
+def change_after(time: Floats, speed: Floats, after: float, event: Event) -> float | None:
+    """When a vehicle begins to brake or to speed up, by ``CHANGE`` or more, at ``after`` or later [s]; None if it does
+    not. What began before and goes on counts from ``after`` on."""
+    sign = -1.0 if event is Event.BRAKES else 1.0
+    keep = time >= after
+    if not keep.any():
+        return None
+    t, gained = time[keep], sign * speed[keep]
+    since = np.minimum.accumulate(gained)
+    k = _first(gained >= since + CHANGE)
+    return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
 
 
 def _beside(a: _Along, o: _Along) -> str | None:
