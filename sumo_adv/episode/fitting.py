@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from sumo_adv.agents.agents import Agents, Bought
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Level, Proposal, Role
+from sumo_adv.datatypes import Attempt, Level, Proposal
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
@@ -79,7 +79,7 @@ def motion_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
     cut = {name: t.between(start, last) for name, t in tracks.items()}
     if found.ego not in cut or p.bv not in cut:
         return None
-    others = [t for name, t in cut.items() if name not in (found.ego, p.bv) and t.role is not Role.OBSTACLE]
+    others = [t for name, t in cut.items() if name not in (found.ego, p.bv)]
     first = found.first.targets.get(p.bv, target)
     return observe(
         Scene(

@@ -63,6 +63,12 @@ class Played:
         return self.outcome["ending"] == "critical" or (not near_miss and self.level >= Level[level.upper()])
 
     @property
+    def result(self) -> str:
+        """What the attempt that counts came to, in a word or two."""
+        near_miss = self.scene.attack.asked.level == "near_miss" and self.outcome["ending"] == "critical"
+        return "near miss" if near_miss else f"level {self.level}"
+
+    @property
     def misfits(self) -> list[str]:
         """What it lacks of the request: by the rules, then by the reader."""
         asked = self.outcome["asked"]
@@ -143,7 +149,7 @@ class Author:
         if self.best is None or played.worth > self.best.worth:
             self.best = played
         fault = None if played.reached and not played.misfits else _what_happened(played)
-        self._tell(f"Answer {self._tries}: level {played.level}, {'fits' if not played.misfits else 'does not fit'}.")
+        self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
         return fault
 
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:

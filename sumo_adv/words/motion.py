@@ -27,6 +27,7 @@ CHANGE = 2.0  # m/s that are lost or gained
 STANDING = 0.5  # m/s
 BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
 AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
+MOST_OTHERS = 4  # other vehicles in the description, the nearest ones
 EVERY = 1.0  # s between the lines of the description
 
 
@@ -89,10 +90,11 @@ def observe(scene: Scene) -> Motion | None:
     a, b = _along(ego, scene.path), _along(bv, scene.path)
     events = tuple(sorted(_events(scene, time - time[0], ego, bv, a, b)))
     others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
-    others = [t for t in others if t.speed.max() > STANDING]  # not those that are parked
-    beside = frozenset(side for t in others if (side := _beside(a, _along(t, scene.path))) is not None)
+    along = [(t, _along(t, scene.path)) for t in others]
+    sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING)  # not those that are parked
+    beside = frozenset(side for side in sides if side is not None)
     user = road_user(scene.adversary)
-    words = _words(scene, time - time[0], ego, bv, a, b, events, beside, user)
+    words = _words(scene, time - time[0], ego, bv, a, b, events, user, along)
     return Motion(
         scene.relation, user, events, scene.side, scene.hidden, beside, time - time[0], bv.speed, bv.length, words
     )  # fmt: skip
@@ -244,7 +246,7 @@ PHRASES = {
 
 def _words(
     scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along, events: Sequence[tuple[float, Event]],
-    beside: frozenset[str], user: RoadUser,
+    user: RoadUser, others: Sequence[tuple[Track, _Along]],
 ) -> str:  # fmt: skip
     """The motion for a reader who sees nothing else: numbers and plain facts, no names from files and no hopes."""
     turned = math.degrees(float(wrap(ego.heading[-1] - ego.heading[0])))
@@ -253,14 +255,14 @@ def _words(
         f"EGO is {ego.length:.1f} m long and {route}. A is a {KINDS[user]}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
         *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
-        *(f"Another vehicle is beside EGO on its {side} at some time." for side in sorted(beside)),
+        *_others(a, others),
     ]
-    marks = sorted({*np.arange(0.0, float(t[-1]), EVERY).tolist(), float(t[-1])})
+    marks = sorted({*np.arange(0.0, float(t[-1]) - EVERY / 4, EVERY).tolist(), float(t[-1])})
     before = -EVERY
     for mark in marks:
         k = int(np.argmin(np.abs(t - mark)))
-        lines += [f"{time:.1f} s: {PHRASES[event]}." for time, event in events if before < time <= mark]
-        before = mark
+        lines += [f"{time:.1f} s: {PHRASES[event]}." for time, event in events if before < time <= mark + 0.05]
+        before = mark + 0.05
         ahead, left = float(b.s[k] - a.s[k]), float(b.d[k])
         lines.append(
             f"{t[k]:.1f} s: EGO {ego.speed[k]:.1f} m/s; A {bv.speed[k]:.1f} m/s, {abs(ahead):.1f} m "
@@ -269,6 +271,25 @@ def _words(
         )
     end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
     return "\n".join([*lines, end])
+
+
+def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
+    """Where the nearest other vehicles are, at first and in the end."""
+    near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MOST_OTHERS]
+    return [
+        f"Another {KINDS[road_user(track)]}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
+        f"in the end {_placed(a, o, track, -1)}."
+        for track, o in near
+    ]
+
+
+def _placed(a: _Along, o: _Along, track: Track, k: int) -> str:
+    ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
+    side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
+    place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
+    if track.speed[k] < STANDING:
+        return f"{place}, standing"
+    return f"{place}, {track.speed[k]:.0f} m/s, heading {math.degrees(float(o.turn[k])):.0f} deg"
 
 
 def _where(scene: Scene, a: _Along, b: _Along) -> str:
