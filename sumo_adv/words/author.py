@@ -7,7 +7,7 @@ answer, at most ``CORRECTIONS`` times. The first scenario that reaches its level
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from sumo_adv.words.reading import Reading, read_motion
 from sumo_adv.words.ways import Net
 
 CORRECTIONS = 5  # of the first answer
-READINGS = 2  # questions to the reader at most, so that a request takes at most eight questions
+MOST_QUESTIONS = 8  # for one request: drafts and readings
 LEVEL = "valid"  # that is wanted where a draft names none
 
 
@@ -35,13 +35,17 @@ class NoScenario(SumoAdvError):
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A scenario that ran: its file, the run's folder, and what ``outcome.json`` holds."""
+    """A scenario that ran: its file, the run's folder, what ``outcome.json`` holds, a reader's answer.
+
+    given_up: why the model gave up after it, empty if it did not.
+    """
 
     draft: Draft
     scenario: Path
     folder: Path
     outcome: dict[str, Any]
     reading: Reading | None = None
+    given_up: str = ""
 
     @property
     def scene(self) -> SceneDraft:
@@ -74,7 +78,8 @@ class Played:
         asked = self.outcome["asked"]
         by_rules = list(asked["misfits"]) if asked and asked["motion"] else ["No attempt was made."]
         read = self.reading
-        return by_rules + ([] if read is None or read.fits else [read.lacks or read.happened])
+        by_reader = [] if read is None or read.fits else [read.lacks or read.happened]
+        return by_rules + by_reader + ([self.given_up] if self.given_up else [])
 
     @property
     def worth(self) -> tuple[bool, bool, int, int]:
@@ -126,10 +131,10 @@ class Author:
             if self.best is None:
                 raise
             return self.best
-        if draft.cannot:
+        if draft.cannot and self.best is None:
             raise NoScenario(f"There is no scenario for these words: {sanitize(draft.cannot)}")
         assert self.best is not None
-        return self.best
+        return replace(self.best, given_up=sanitize(draft.cannot))
 
     def _fault(self, draft: Draft) -> str | None:
         """Build and run a draft; what is wrong with it or with what happened, None if nothing is."""
@@ -148,9 +153,14 @@ class Author:
             return wrong
         if self.best is None or played.worth > self.best.worth:
             self.best = played
-        fault = None if played.reached and not played.misfits else _what_happened(played)
+        done = (played.reached and not played.misfits) or self._questions >= MOST_QUESTIONS
         self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
-        return fault
+        return None if done else _what_happened(played)
+
+    @property
+    def _questions(self) -> int:
+        """How many were asked, without answers that were not of the schema's shape."""
+        return self._tries + self._readings
 
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
         known = {canonical(e.label) for e in self._library}
@@ -161,7 +171,7 @@ class Author:
         file = build(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
         played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))
-        if played.reached and not played.misfits and self._readings < READINGS:
+        if played.reached and not played.misfits and self._questions < MOST_QUESTIONS:
             self._readings += 1
             motion = str(played.outcome["asked"]["motion"])
             reading = read_motion(self._metered, self._prompts, motion, self._words)
