@@ -226,13 +226,13 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
-        "failed_gates": list(v.failed_gates), "misfits": list(v.misfits), "log_gates": list(v.log_gates),
-        "ending": a.ending, "message": a.message,
+        "failed_gates": list(v.failed_gates), "log_gates": list(v.log_gates), "ending": a.ending, "message": a.message,
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
         "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis), **_composed(p),
+        **({"misfits": list(v.misfits)} if v.misfits else {}),
     }  # fmt: skip
 
 
