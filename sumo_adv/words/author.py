@@ -26,6 +26,7 @@ from sumo_adv.words.ways import Net
 
 CORRECTIONS = 5  # of the first answer
 MOST_QUESTIONS = 8  # for one request: drafts and readings
+DRAFT_AND_READING = 2  # questions that one more draft may take
 LEVEL = "valid"  # that is wanted where a draft names none
 
 
@@ -82,9 +83,10 @@ class Played:
         return by_rules + by_reader + ([self.given_up] if self.given_up else [])
 
     @property
-    def worth(self) -> tuple[bool, bool, int, int]:
+    def worth(self) -> tuple[bool, bool, bool, int, int]:
         """A key that sorts: the better the higher."""
-        return self.reached and not self.misfits, not self.misfits, -len(self.misfits), int(self.level)
+        fits = not self.misfits
+        return self.reached and fits, fits, self.reached, -len(self.misfits), int(self.level)
 
 
 def goal_of(scene: SceneDraft) -> dict[str, Any]:
@@ -153,7 +155,7 @@ class Author:
             return wrong
         if self.best is None or played.worth > self.best.worth:
             self.best = played
-        done = (played.reached and not played.misfits) or self._questions >= MOST_QUESTIONS
+        done = (played.reached and not played.misfits) or self._questions > MOST_QUESTIONS - DRAFT_AND_READING
         self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
         return None if done else _what_happened(played)
 
