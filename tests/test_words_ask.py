@@ -47,6 +47,7 @@ def test_only_the_attack_that_was_asked_for_is_tried(tmp_path: Path) -> None:
         done = run(tmp_path, server, "motorway_cut_in_left", "--ask", WORDS, "--until", "valid", "--llm", "gpt-test")
     assert done.status == 0, done.err
     assert WORDS in server.asked[0].last
+    assert "As asked: yes." in done.out.splitlines()
     outcome = done.outcome
     assert {a["intent"] for a in outcome["attempts"]} == {"Aggressive Cut-in"}
     assert len({tuple(a["adversaries"]) for a in outcome["attempts"]}) == 1

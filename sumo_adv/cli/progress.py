@@ -143,6 +143,9 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    asked = result.get("asked")
+    if best is not None and asked is not None:
+        lines.append(f"As asked: {'yes.' if asked['fits'] else 'no. ' + ' '.join(asked['misfits'])}")
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")
