@@ -156,11 +156,11 @@ class ModelAnalyzer:
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
-        prompt = analyzer_prompt(self._prompts, situations, entries, self._limits, self._evidence, self._teamwork)
+        prompt = analyzer_prompt(
+            self._prompts, situations, entries, self._limits, self._evidence, self._teamwork, self._request
+        )
         answer_type: type[Analysis] = Analysis if self._teamwork is None else TeamAnalysis
-        if self._request:
-            prompt = replace(prompt, user=f"{prompt.user}\n\n{request_words(self._prompts, self._request)}")
-            answer_type = AskedAnalysis
+        answer_type = AskedAnalysis if self._request else answer_type
 
         def check(answer: Analysis) -> str | None:
             return self._fault(answer, situation, aliases, entries)
@@ -274,9 +274,11 @@ def analyzer_prompt(
     limits: Limits,
     evidence: Evidence | None = None,
     teamwork: Teamwork | None = None,
+    request: str = "",
 ) -> Prompt:
     """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose; with
-    ``teamwork`` it is asked for compositions too."""
+    ``teamwork`` it is asked for compositions too. ``request``: an attack in a person's words that it is to carry out,
+    empty for the most dangerous ones."""
     situation = situations[min(situations)]
     aliases = Aliases.of(situation)
     words = {word for target in situation.target_list() for word in target.applies()}
@@ -293,12 +295,12 @@ def analyzer_prompt(
         starts=starts_words(situations),
         driver=driver_words(situation), evidence=f"\n{table}" if table else "", danger=danger_words(prompts),
     )  # fmt: skip
-    if teamwork is None:
-        return prompt
-    return replace(prompt, user=f"{prompt.user}\n\n{teams_words(prompts, teamwork, situation, aliases, library)}")
+    more = [] if teamwork is None else [teams_words(prompts, teamwork, situation, aliases, library)]
+    more += [_request_words(prompts, request)] if request else []
+    return replace(prompt, user="\n\n".join([prompt.user, *more]))
 
 
-def request_words(prompts: Prompts, request: str) -> str:
+def _request_words(prompts: Prompts, request: str) -> str:
     """The part of the analyzer's prompt on an attack that is asked for."""
     events = "\n".join(f" - {event}: {meaning}" for event, meaning in MEANINGS.items())
     return prompts.piece("request", request=fenced(request), events=events)

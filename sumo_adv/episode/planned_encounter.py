@@ -32,6 +32,7 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.engine import Engine
+from sumo_adv.words.nearest import needs_model
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]
@@ -151,9 +152,11 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
 
 
 def _note_request(episode: Episode, agents: Agents) -> None:
-    """Keep what a model made of the words of ``ask``, or why they cannot be played here."""
+    """Keep what a model made of the words of ``ask``, or why they cannot be played here. Raises UsageError."""
     if episode.settings.ask is None or episode.found is None:
         return
+    if agents.asked is None:  # no model, or one that failed and was replaced
+        raise needs_model("An attack asked for in words", episode.settings.ask)
     episode.asked, episode.words, episode.declined = agents.asked, episode.settings.ask, agents.why_not
     if agents.why_not:
         episode.notes.append(f"The encounter at {episode.found.time:.1f} s cannot play the request: {agents.why_not}")
