@@ -23,7 +23,7 @@ class Goal:
         """How far an attempt came towards the goal; at least ``level`` if it met the goal, and only then.
 
         A near miss in the band counts as the highest level, any other attempt then as none. A collision below
-        ``min_delta_v`` counts as critical. What is not the attack that was asked for stays below ``level``.
+        ``min_delta_v`` counts as critical. An attempt with misfits stays below ``level``.
         """
         if verdict.misfits:
             return min(verdict.level, Level(max(self.level - 1, 0)))

@@ -1,4 +1,4 @@
-"""From a draft to files: each kind of road, who starts where, and the sentence for what cannot be built."""
+"""From a draft to files: each kind of road, where vehicles start, and the sentence for a draft with a fault."""
 
 from __future__ import annotations
 
@@ -124,6 +124,8 @@ STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "fo
     [
         (scene({"kind": "shipped", "name": "twoway"}, ALONG, other(("forward", "forward"), gap=9)),
          "There is no shipped network 'twoway'; the nearest is 'two_way'."),
+        (scene({"kind": "shipped", "name": "../../secret"}, ALONG, other(("forward", "forward"), gap=9)),
+         "There is no shipped network '../../secret'"),
         (scene({"kind": "given"}, ALONG, other(("forward", "forward"), gap=9)), "There is no network of the user's"),
         (scene(STRAIGHT, ALONG, other(("forward", "north"), gap=9)), "There is no edge 'north' for 'other'"),
         (scene(STRAIGHT, ALONG, other(("forward", "backward"), gap=9)), "No way leads a passenger from edge 'forward'"),

@@ -98,3 +98,39 @@ def test_without_a_model_the_nearest_shipped_scenarios_are_named(tmp_path: Path)
     done = program(tmp_path)("write", "A pedestrian runs out from behind a parked van.", "--out", "my.toml")
     assert done.status == 2
     assert "needs a language model" in done.err and "pedestrian_from_behind_parked" in done.err
+
+
+def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "report.txt").write_text(CUT_IN)
+    (tmp_path / "my.rou.xml").write_text("mine")
+    with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
+        run = program(tmp_path, server)
+        taken = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        assert (taken.status, "my.rou.xml is there already" in taken.err, server.asked) == (2, True, [])
+        both = run("write", CUT_IN, "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        assert both.status == 2 and "not both" in both.err
+        missing = run("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)
+        assert missing.status == 2 and "The report none.txt cannot be read" in missing.err
+        done = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
+    assert done.status == 0, done.err
+    assert tomllib.loads((tmp_path / "my.toml").read_text())["written"]["words"] == CUT_IN
+
+
+def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:
+    """Without a model: the rules in the file decide, and its level is the goal."""
+    with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
+        run = program(tmp_path, server)
+        assert run("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
+        questions = len(server.asked)
+        text = (tmp_path / "my.toml").read_text()
+        (tmp_path / "my.toml").write_text(text.replace("[asked]", '[asked]\nlevel = "near_miss"'))
+        done = run(
+            "run", "my.toml", "--learn", "off", "--attempts", "40", "--seconds", "3600", "--out", "out", "--json"
+        )
+        repeated = run("run", "--replay", "out", "--out", "again", "--json")
+    assert done.status == 0 and len(server.asked) == questions
+    assert done.outcome["goal"] == "near miss with a min TTC of 0.2 to 1.5 s"
+    assert done.outcome["ending"] == "critical" and done.outcome["asked"]["fits"]
+    again = json.loads((tmp_path / "again" / "outcome.json").read_text())
+    assert repeated.status == 0 and again["asked"]["motion"] == done.outcome["asked"]["motion"]
+    assert again["asked"]["fits"]

@@ -124,7 +124,7 @@ class ModelAnalyzer:
     allowed: labels that the model may choose, empty for all.
     evidence: makes the table of ``agents.evidence`` from the vehicles' aliases, None to leave the table out.
     teamwork: what the model may compose, None if one adversary is all that is allowed.
-    request: an attack in a person's words that is to be carried out, empty for the most dangerous ones. ``asked`` holds
+    request: the attack that a person wants, in words; empty for the most dangerous ones. ``asked`` holds
     what must be true of it, ``why_not`` why it cannot be played here, empty if it can.
     """
 

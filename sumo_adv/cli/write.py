@@ -172,7 +172,7 @@ def _three_lines(made: Played, out: Path, folder: Path) -> str:
     if made.outcome["best"] is None:
         told = made.outcome["reason"]
     by = "by the rules and to a reader" if reading is not None else "by the rules; no reader was asked"
-    missed = "" if made.reached else f" What was asked for was not reached: {made.outcome['goal']}."
+    missed = "" if made.reached else f" The goal was not reached: {made.outcome['goal']}."
     fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))}"
     return "\n".join(
         (

@@ -91,7 +91,7 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
 
 
 def _may_decline(episode: Episode, agents: Agents) -> bool:
-    """Whether the next encounter may be asked about after one that cannot play the request."""
+    """Whether a model may be asked about the next encounter, after this one cannot play the request."""
     return may_go_on(episode) and agents.calls["analyzer"] < MOST_ASKED
 
 

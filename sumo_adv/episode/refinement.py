@@ -37,7 +37,7 @@ class Refinement:
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
     the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
-    ranked first, empty if it does. fitting: compares attempts with what was asked for, None where nothing was.
+    ranked first, empty if it does. fitting: compares attempts with the request, None without a request.
     """
 
     goal: Goal = field(default_factory=Goal)

@@ -139,7 +139,7 @@ class Author:
         return replace(self.best, given_up=sanitize(draft.cannot))
 
     def _fault(self, draft: Draft) -> str | None:
-        """Build and run a draft; what is wrong with it or with what happened, None if nothing is."""
+        """Build and run a draft. Returns the fault of the draft or of its run, None for a good one."""
         if draft.cannot:
             return "Give either cannot or a scene, not both." if draft.scene is not None else None
         if draft.scene is None:
@@ -182,7 +182,7 @@ class Author:
 
 
 def _what_happened(played: Played) -> str:
-    """For the model: the scenario ran, and this is what came of it."""
+    """What a run showed, for the model that drafted the scenario."""
     outcome, asked = played.outcome, played.outcome["asked"]
     lines = ["The scenario is built and ran, but what happened is not yet what was asked for."]
     if outcome["best"] is None:

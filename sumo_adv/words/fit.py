@@ -1,11 +1,11 @@
-"""Whether an attempt is what was asked for, by rules: who did what from where and in which order, and what was hit."""
+"""Whether an attempt is what was asked for, by rules: the adversary, what it does in which order, and the side hit."""
 
 from __future__ import annotations
 
 from sumo_adv.asked import Asked, Event
 from sumo_adv.words.motion import Motion, change_after
 
-SLACK = 0.4  # s by which an event may be before the one that is to precede it
+SLACK = 0.4  # s by which an event may be earlier than its predecessor
 
 
 def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:

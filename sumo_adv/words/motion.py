@@ -248,7 +248,7 @@ def _words(
     scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along, events: Sequence[tuple[float, Event]],
     user: RoadUser, others: Sequence[tuple[Track, _Along]],
 ) -> str:  # fmt: skip
-    """The motion for a reader who sees nothing else: numbers and plain facts, no names from files and no hopes."""
+    """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
     turned = math.degrees(float(wrap(ego.heading[-1] - ego.heading[0])))
     route = "goes straight on" if abs(turned) < 30 else f"turns {'left' if turned > 0 else 'right'}"
     lines = [

@@ -13,8 +13,8 @@ FAR = 0.95  # distance from which a scenario has nothing to do with the words
 
 
 def nearest_scenarios(words: str) -> list[str]:
-    """The names of the shipped scenarios whose descriptions are most like the words, nearest first; none if nothing is
-    like them."""
+    """The names of the shipped scenarios with the descriptions most like the words, nearest first; empty if no
+    description is like them."""
     shipped = shipped_scenarios()
     entries = [(s.name.replace("_", " "), f"{s.description} {' '.join(s.intents)}") for s in shipped]
     text = TfIdf()

@@ -91,7 +91,7 @@ class Net:
         return states
 
     def _facing(self, edge: str) -> set[str]:
-        """The edge, and the one that comes from the opposite side to the same junction."""
+        """The edge, and the edge from the opposite side to the same junction."""
         own = self._net.getEdge(edge)
         turn = _direction(own)
         return {edge} | {
