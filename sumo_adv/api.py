@@ -147,7 +147,7 @@ def run(
     settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,
     ``attempts``, ``intents``, ``exclude``, ``kind``, ``ttc`` (LOW, HIGH), ``min_delta_v``, ``seed`` ... None is not
     given.
-    tell: called with what happens (``encounter``, ``intents``, ``why_first``, ``attempt``) and its value.
+    tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
     The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
 
     Raises:
@@ -159,13 +159,14 @@ def run(
     from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.staging import scratch_folder, staged
+    from sumo_adv.simulation.inputs import own_simulation
 
     given = load(Path(source), record)
     options = {name: value for name, value in settings.items() if value is not None}
     packed = None if ego is None or isinstance(ego, str) else pack(ego)
     named = packed.name if packed is not None else str(ego) if ego is not None else None
     driver = trusted_driver(named, given.ego_controller, given.source)
-    options = {**given.settings(options), **options, "ego": driver}
+    options = {**own_simulation(given), **given.settings(options), **options, "ego": driver}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **options)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"

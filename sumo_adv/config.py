@@ -114,6 +114,7 @@ class Settings(ModelSettings, BaseSettings):
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo", "mixed"] | None = None  # drives recorded BVs; None = as the scenario says
     odd: Odd | None = None  # encounters outside it are not attacked
+    sumo_options: dict[str, str] = Field(default_factory=dict)  # of SUMO, by its own long names
     fork: bool = True
     bubblewrap: bool = True
 
@@ -125,7 +126,7 @@ class Settings(ModelSettings, BaseSettings):
     forecast: Literal["model", "constant"] = "model"  # of the ego: by its driver's model, or its speed kept
     delays: tuple[float, ...] = (0.0, 1.5, 3.0)
     shortlist: int = Field(5, ge=1, le=20)
-    search: float = Field(120.0, gt=0)
+    search: float = Field(600.0, gt=0)
     cell_seconds: float = Field(900.0, gt=0)
     proposals: int = Field(80, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, shipped_names
+from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, own_simulation, shipped_names
 from sumo_adv.simulation.scan import scan_demand
+from sumo_adv.simulation.sumo_options import parse, refuse
 
 NET = """<net version="1.20">
     <edge id=":n_0" function="internal"><lane id=":n_0_0" index="0" speed="10" length="5" shape="0,0 5,0"/></edge>
@@ -228,3 +229,52 @@ def test_five_megabytes_of_demand_take_less_than_a_second(tmp_path: Path) -> Non
     assert time.process_time() - begin < 1.0
     assert scan.edges == ("a", "b")
     assert len(scan.vehicles) == 52_000
+
+
+def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_path: Path) -> None:
+    """A step of 0.05 s, a seed and ballistic motion are kept; SUMO's own action on collisions and outputs are not."""
+    network(tmp_path)
+    configured = write(
+        tmp_path / "own.sumocfg",
+        '<configuration><input><net-file value="small.net.xml"/></input><time><step-length value="0.05"/></time>'
+        '<processing><step-method.ballistic value="true"/><collision.action value="teleport"/>'
+        '<time-to-teleport value="90"/></processing><output><fcd-output value="fcd.xml"/></output>'
+        '<random_number><seed value="7"/></random_number></configuration>',
+    )
+    loaded = load_input(configured)
+    assert loaded.options == {"step-method.ballistic": "true", "time-to-teleport": "90"}
+    assert own_simulation(loaded) == {"seed": 7, "step_length": 0.05}
+    assert loaded.notes == (
+        "Not kept of own.sumocfg, as this program sets them itself: collision.action=teleport, fcd-output=fcd.xml.",
+    )
+
+
+@pytest.mark.parametrize(("given", "said"), [("2", "2 s"), (None, "SUMO's default of 1 s")])
+def test_a_step_that_is_not_kept_is_said(tmp_path: Path, given: str | None, said: str) -> None:
+    network(tmp_path)
+    step = f'<time><step-length value="{given}"/></time>' if given else ""
+    configured = write(
+        tmp_path / "own.sumocfg",
+        f'<configuration><input><net-file value="small.net.xml"/></input>{step}</configuration>',
+    )
+    loaded = load_input(configured)
+    assert own_simulation(loaded) == {}
+    assert loaded.notes == (
+        f"The step-length of own.sumocfg, {said}, is not kept: this program takes steps of 0.01 to 0.5 s, by default "
+        "of 0.1 s.",
+    )
+
+
+def test_a_network_alone_brings_no_options_of_its_own(tmp_path: Path) -> None:
+    loaded = load_input(network(tmp_path))
+    assert (loaded.options, own_simulation(loaded), loaded.notes) == (None, {}, ())
+
+
+def test_options_of_sumo_are_name_and_value_and_have_one_place() -> None:
+    assert parse(["time-to-teleport=300", "--scale=2"]) == {"time-to-teleport": "300", "scale": "2"}
+    with pytest.raises(UsageError, match="takes NAME=VALUE, as in time-to-teleport=300, and not 'scale'"):
+        parse(["scale"])
+    with pytest.raises(UsageError, match="'seed' cannot be passed through: use --seed"):
+        refuse({"seed": "3"})
+    with pytest.raises(UsageError, match=r"'collision.action' is set by this program: leave it out"):
+        refuse({"collision.action": "none"})

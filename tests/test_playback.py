@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -100,6 +101,23 @@ def test_all_are_where_and_when_the_log_says(tmp_path: Path) -> None:
         assert roles["walker"] is Role.OBSTACLE
         assert {roles[n] for n in ("lead", "late", "gap", "off")} == {Role.BACKGROUND}
         assert set(tracks["off"].lane) == {""}
+
+
+def test_a_vehicle_that_leaves_all_lanes_and_comes_back_stays_where_the_log_says(tmp_path: Path) -> None:
+    """3 m/s at 0.6 rad to the right are 1.7 m/s sideways: off the road within 3 s. From 5 s on it drives back."""
+    leaver = moving("leaver", 100.0, RIGHT, 3.0, heading=-0.6)
+    back = np.arange(STEPS) >= 50
+    y = np.where(back, 2 * leaver.y[50] - leaver.y, leaver.y)
+    leaver = replace(leaver, y=y, heading=np.where(back, 0.6, -0.6))
+    with playing(tmp_path, [EGO, leaver], routed=("e", "leaver")) as drive:
+        go(drive, 8.5)
+        track = next(t for t in drive.tracks() if t.id == "leaver")
+    steps = np.rint(track.time / 0.1).astype(int)
+    assert steps.tolist() == list(range(1, len(steps) + 1)) and len(steps) == 85
+    assert np.hypot(track.x - leaver.x[steps], track.y - leaver.y[steps]).max() < 1e-4  # a log has four decimals
+    assert track.speed == pytest.approx(3.0 * np.ones(85))
+    on = [lane != "" for lane in track.lane]
+    assert on[0] and not on[45] and on[-1]
 
 
 def test_a_driver_can_ask_for_the_way_of_whoever_is_seen_for_the_last_time(tmp_path: Path) -> None:

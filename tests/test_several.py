@@ -74,8 +74,7 @@ def egos_after(seconds: float, *adversaries: Sequence[Target]) -> PredictedEgos:
     """Egos at 10 m/s after some time; ``adversaries``: the first ones of all egos, then the second ones."""
     pairs = [t for those in adversaries for t in those]
     sizes = np.full(len(pairs), 5.0), np.full(len(pairs), 2.0)
-    names = [t.state.id for t in pairs]
-    egos = PredictedEgos(Scenes([SCENE] * len(pairs)), names, *sizes, each=len(adversaries))
+    egos = PredictedEgos(Scenes([SCENE] * len(pairs)), *sizes, each=len(adversaries))
     states = np.array([(t.state.x, t.state.y, t.state.speed) for t in pairs])
     for k in range(round(seconds / 0.1)):
         place = (states[:, 0] + states[:, 2] * 0.1 * k, states[:, 1], 0.0 * states[:, 0])
@@ -182,11 +181,11 @@ SHIFT = LibraryEntry("Shift", "It shifts.", ("neighbour",), (make_planner("Shift
 class Saved:
     """A swerve to the left saves the ego from each candidate, unless a support blocks the left side."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         hit, miss = Prediction(hit=True, level=Level.STRICT, min_ttc=0.0), Prediction(min_ttc=1.0, gap=1.0)
         blocked = [any(s.duty is Duty.BLOCK_LEFT for s in p.supports) for p in proposals]
         return [
-            replace(p, score=0.4 if b else 1.9, nominal=0.4 if b else 1.9, prediction=hit if b else miss)
+            replace(p, score=0.4 if b else 1.9, prediction=hit if b else miss)
             for p, b in zip(proposals, blocked, strict=True)
         ]
 

@@ -153,11 +153,12 @@ def make_plan(
 
 
 def _as_data(settings: Settings) -> dict[str, Any]:
-    """Everything that shapes an episode but input, seed and ego; the horizon only if it was given, else the input's
-    counts. The key of a model's server is not in it."""
+    """Everything that shapes an episode but input, seed and ego; horizon and step only if they were given, else
+    the input's count. The key of a model's server is not in it."""
     data = settings.model_dump(mode="json", exclude={"memory", "learn", "seed", "ego"})
-    if "horizon" not in settings.model_fields_set:
-        del data["horizon"]
+    for name in ("horizon", "step_length"):
+        if name not in settings.model_fields_set:
+            del data[name]
     return data
 
 

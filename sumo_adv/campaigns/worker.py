@@ -25,7 +25,7 @@ from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError, fault_sentence
 from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.inputs import RunInput, own_simulation
 
 
 class Runner:
@@ -96,7 +96,9 @@ class Runner:
     def settings(self, job: Job, given: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
         ego = trusted_driver(job.ego, given.ego_controller, given.source)
-        variant: Mapping[str, Any] = {"horizon": given.horizon, **self._setup.variants[job.variant]}
+        variant: Mapping[str, Any] = {
+            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant]
+        }  # fmt: skip
         return load_settings(
             None, **{
                 **variant, "ego": ego, "seed": job.seed, "memory": self._setup.bank,

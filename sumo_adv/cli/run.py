@@ -28,6 +28,7 @@ def run(
     context: typer.Context, source: own.Source = None, ask: own.Ask = None, record: own.Record = None,
     begin: own.Begin = None,
     end: own.End = None, density: own.Density = None, background: own.Background = None,
+    sumo_option: own.SumoOption = None,
     settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
     ego_id: own.EgoId = None, until: shared.UntilLevel = None, ttc: shared.Ttc = None,
     critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
@@ -47,11 +48,18 @@ def run(
         _refuse_what_a_replay_ignores(context, source)
         _replay(replay, out, ego, force=force, as_json=as_json)
         return
+    from sumo_adv.simulation.inputs import own_simulation
+    from sumo_adv.simulation.sumo_options import parse
+
     given, driver = _input(source, record, ego)
     named = shared.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**given.settings(named), **named, "ego": driver, "fork": False if no_fork else None}
-    )
+        settings_file,
+        **{
+            **own_simulation(given), **given.settings(named), **named, "ego": driver,
+            "fork": False if no_fork else None, "sumo_options": parse(sumo_option) if sumo_option else None,
+        },
+    )  # fmt: skip
     if show_prompts:
         _show_prompts(given, settings, as_json=as_json)
         return
@@ -80,7 +88,7 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.report.staging import scratch_folder, staged
 
-    reporter = make_reporter(quiet=as_json)
+    reporter = make_reporter(quiet=as_json, seconds=settings.seconds)
     with (
         Interrupts() as interrupts,
         staged(target, force=force) as folder,
@@ -89,6 +97,8 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
+        for note in () if as_json else source.notes:
+            typer.echo(note)
         finish(folder, episode, force=force, as_json=as_json)
 
 

@@ -98,12 +98,18 @@ def serve(
     ] = False,
 ) -> None:
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
+    from sumo_adv.simulation.inputs import own_simulation
+
     given = _input(source)
     settings = load_settings(
-        settings_file, ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
+        settings_file, **{**own_simulation(given), **({} if seed is None else {"seed": seed})},
+        ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
         trigger=trigger, begin=begin, end=end, until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm,
-        learn=learn, memory=memory, density=density, seed=seed, horizon=given.horizon,
+        learn=learn, memory=memory, density=density, horizon=given.horizon,
     )  # fmt: skip
+    if not as_json:
+        for note in given.notes:
+            typer.echo(note)
     if settings.adversaries > 1 and real_time:
         raise UsageError(
             "With --real-time nothing waits until supports are predicted, so it allows one adversary only: leave out "

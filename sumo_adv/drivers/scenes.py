@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import Paths, wrap
-from sumo_adv.situation import SHIFT_STEP, Situation
+from sumo_adv.situation import Situation
 
 
 class Scenes:
@@ -32,28 +32,11 @@ class Scenes:
             [(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames]
         )
         self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
-        self._shifted = any(s.road.shifts for s in distinct)
         self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model
 
     def each(self, value: Callable[[Situation], float]) -> Floats:
         """``value(situation)`` for each adversary, ``(n,)``."""
         return np.array([value(s) for s in self._distinct], float)[self._row]
-
-    def has_lane(self, side: int) -> Bools:
-        """Whether a lane of the same direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.road.sides) for s in self._distinct]
-        return np.array(has, bool)[self._row]
-
-    def any_lane(self, side: int) -> Bools:
-        """Whether a lane of any direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        return np.array([any(o * side > 0.0 for o, _ in s.road.sides) for s in self._distinct], bool)[self._row]
-
-    def opposed(self) -> Bools:
-        """Whether the lane to the left of the egos' has the opposite direction, ``(n,)``; False on roads of two lanes
-        that lead to no junction."""
-        left = [min(((o, kind) for o, kind in s.road.sides if o > 0.0), default=(0.0, "")) for s in self._distinct]
-        opposite = np.array([kind == "opposite" for _, kind in left], bool)[self._row]
-        return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.road.junction)))
 
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
@@ -71,22 +54,6 @@ class Scenes:
         for situation, rows in zip(self._distinct, self._rows, strict=True):
             speed[rows] = np.interp(station[rows], situation.baseline.s, situation.baseline.v)
         return speed
-
-    def sumo_station(self, s: Floats, front_d: Floats) -> Floats:
-        """The stations ``(n,)`` at which SUMO takes vehicles to be, given the offsets of their fronts.
-
-        On a lane beside the ego's they differ from the real ones (``RoadAhead.shifts``).
-        """
-        if not self._shifted:
-            return s
-        s = s.copy()
-        for situation, rows in zip(self._distinct, self._rows, strict=True):
-            at = s[rows]
-            for offset, metres in situation.road.shifts:
-                on = np.abs(front_d[rows] - offset) < situation.road.lane_width / 2
-                at = at + np.where(on, np.interp(at, SHIFT_STEP * np.arange(len(metres)), metres), 0.0)
-            s[rows] = at
-        return s
 
     def ego_at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations and offsets [m] of the egos' paths, ``(n,)`` or ``(n, k)``."""

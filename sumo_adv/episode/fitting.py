@@ -36,13 +36,20 @@ class Fitting:
     reader: Reader | None = None
     readings: dict[int, Reading] = field(default_factory=dict, init=False)
 
-    def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal) -> Attempt:
-        """The attempt with what it lacks of the request, if it would be a success or comes near one."""
+    def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal, *, read: bool = True) -> Attempt:
+        """The attempt with what it lacks of the request, if it would be a success or comes near one; ``read``: the
+        reader may be asked."""
         if attempt.verdict.level < Level.CRITICAL and not goal.met(attempt.verdict):
             return attempt
         motion = motion_of(attempt, result, self.found, self.settings)
         lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)
-        if not lacks and motion is not None and goal.met(attempt.verdict) and len(self.readings) < MOST_READINGS:
+        if (
+            read
+            and not lacks
+            and motion is not None
+            and goal.met(attempt.verdict)
+            and len(self.readings) < MOST_READINGS
+        ):
             lacks = self._read(attempt.index, motion)
         return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
 

@@ -19,6 +19,7 @@ from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.playback_spec import PlaybackSpec, with_background
 from sumo_adv.simulation.scan import first_departure, scan_demand
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
+from sumo_adv.simulation.sumo_options import DEFAULTS, refuse
 from sumo_adv.situation import Situation
 
 
@@ -154,7 +155,11 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         routes = (
             generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
         )
-    spec = SimulationSpec(source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length)
+    refuse(settings.sumo_options)
+    spec = SimulationSpec(
+        source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length,
+        {**(DEFAULTS if source.options is None else source.options), **settings.sumo_options},
+    )  # fmt: skip
     trigger = settings.trigger if settings.trigger is not None else source.trigger
     if end <= begin:
         raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")

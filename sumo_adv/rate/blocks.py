@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -69,7 +69,7 @@ class BlockRunner:
         controller = make_ego(task.ego_driver, task.ego_parameters)
         types = ego_type_file(controller, folder)
         spec = task.spec
-        spec = type(spec)(spec.network, spec.routes, (*spec.additional, types), spec.begin, 0, spec.step_length)
+        spec = replace(spec, additional=(*spec.additional, types), seed=0)
         self._drive = Drive(spec, controller, 0)
         EncounterSearch(self._drive, read_network(spec.network), task)  # what the driver sees; an ego with a route
 

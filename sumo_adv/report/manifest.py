@@ -21,6 +21,7 @@ from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
 from sumo_adv.simulation.props import Prop
 from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.sumo_options import DEFAULTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
+        m.get("sumo_options", DEFAULTS),
     )  # fmt: skip
     ego = m["ego"]
     if isinstance(ego, dict):

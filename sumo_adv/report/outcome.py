@@ -64,9 +64,9 @@ def outcome(
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "encounters_tried": [_tried(t) for t in episode.tried], "seconds_allowed": settings.seconds,
-        "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
-        "goal": _goal(settings), "attempts_allowed": settings.attempts,
-        "why_first": episode.refinement.why_first or None,
+        "best": episode.refinement.best, "robust": _robust(episode),
+        "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
+        "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
@@ -105,6 +105,12 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
         "limit": None if place is None else number(place.limit),
         "vehicles_near": None if place is None else place.vehicles_near,
     }  # fmt: skip
+
+
+def _robust(episode: Episode) -> dict[str, Any] | None:
+    """How many neighbours of the attack succeed, too; None where none was simulated."""
+    made = episode.refinement.robustness
+    return None if made is None else {**asdict(made), "robust": made.enough}
 
 
 def _tried(tried: Tried) -> dict[str, Any]:
@@ -286,7 +292,8 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
-        "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
+        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": dict(spec.options),
+        "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,

@@ -16,12 +16,13 @@ from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
+from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, kept
 
 _OPTIONS = {
     "net-file": "net", "net": "net", "n": "net",
     "route-files": "routes", "route": "routes", "r": "routes",
     "additional-files": "additional", "additional": "additional", "a": "additional",
-    "begin": "begin", "b": "begin", "end": "end", "e": "end",
+    "begin": "begin", "b": "begin", "end": "end", "e": "end", "seed": "seed", "step-length": "step-length",
 }  # fmt: skip
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
 _SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
@@ -47,7 +48,8 @@ class RunInput:
     ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
-    moves. asked: what must be true of the attack; words: those that the scenario was made of.
+    moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
+    what of it is not kept. asked: what must be true of the attack; words: those that the scenario was made of.
     """
 
     name: str
@@ -72,6 +74,10 @@ class RunInput:
     label: Label | None = None
     files: tuple[Path, ...] = ()
     playback: PlaybackSpec | None = None
+    seed: int | None = None
+    step_length: float | None = None
+    options: Mapping[str, str] | None = None
+    notes: tuple[str, ...] = ()
     asked: Asked | None = None
     words: str = ""
 
@@ -102,6 +108,12 @@ def load_input(path: Path) -> RunInput:
         scan_network(file)
         return RunInput(name=input_name(file), source=file, network=file, files=(file,))
     raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+
+
+def own_simulation(given: RunInput) -> dict[str, float | int]:
+    """The settings that the user's own simulation brings: ``seed`` and ``step_length``."""
+    brought = {"seed": given.seed, "step_length": given.step_length}
+    return {name: value for name, value in brought.items() if value is not None}
 
 
 def input_name(path: Path) -> str:
@@ -156,7 +168,7 @@ def _shipped(path: Path) -> Path | None:
 
 
 def _from_configuration(path: Path) -> RunInput:
-    """A run from a .sumocfg: its network, demand, additionals, begin and end; our own flags replace the rest."""
+    """A run from a .sumocfg: its network, demand, additionals, begin, end and options."""
     options = _configuration_options(path)
     networks = _paths(path, options.get("net", ""))
     if not networks:
@@ -167,20 +179,39 @@ def _from_configuration(path: Path) -> RunInput:
     begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
     if end is not None and end <= (begin or 0.0):
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
+    step, notes = _step_length(path, options.pop("step-length", None))
+    seed = seconds(path, "seed", options.pop("seed", None))
+    ours = ("net", "routes", "additional", "begin", "end")
+    chosen, left = kept(path, {name: value for name, value in options.items() if name not in ours})
+    if left:
+        notes = (*notes, f"Not kept of {path.name}, as this program sets them itself: {', '.join(left)}.")
     return RunInput(
         name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
-        end=end, files=(path, network, *routes, *additional),
+        end=end, files=(path, network, *routes, *additional), seed=None if seed is None else int(seed),
+        step_length=step, options=chosen, notes=notes,
     )  # fmt: skip
 
 
+def _step_length(path: Path, given: str | None) -> tuple[float | None, tuple[str, ...]]:
+    """The step of a .sumocfg [s] and no note; None and a note where this program's own is taken."""
+    step = seconds(path, "step-length", given)
+    if step is not None and SHORTEST_STEP <= step <= LONGEST_STEP:
+        return step, ()
+    said = "SUMO's default of 1 s" if step is None else f"{step:g} s"
+    return None, (
+        f"The step-length of {path.name}, {said}, is not kept: this program takes steps of {SHORTEST_STEP:g} to "
+        f"{LONGEST_STEP:g} s, by default of 0.1 s.",
+    )
+
+
 def _configuration_options(path: Path) -> dict[str, str]:
-    """The options we keep from a .sumocfg, by our own short names."""
+    """The options of a .sumocfg: those of files and times by our own short names, all others by SUMO's."""
     options: dict[str, str] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         value = (attributes.get("value") or attributes.get("v") or "").strip()
-        if tag in _OPTIONS and value:
-            options[_OPTIONS[tag]] = value
+        if value:
+            options[_OPTIONS.get(tag, tag)] = value
 
     parse(path, start)
     return options

@@ -66,6 +66,7 @@ class Playback:
         self._kept: set[str] = set()  # never handed over: a replayed ego
         self._moved: dict[str, Pose] = {}  # by the log, in the present step
         self._gone: list[str] = []  # vehicles that the log ends in the present step
+        self._on_lanes: set[str] = set()  # vehicles that the log had on a lane in the last step
         self._shown: dict[str, str | None] = {}
         self._fleet = simulation.fleet
         for box in self._boxes.values():
@@ -146,6 +147,8 @@ class Playback:
                 self._free.add(name)
                 self._stage.hand_over(name, raw[name][3], self.spec.routes[name])
                 continue
+            else:
+                self._keep_apart(name, vehicle, pose, raw[name][4])
             driven[name] = self._moved[name] = pose
         self._stand(raw, then, driven)
         for name in sorted(self._boxes.keys() & driven.keys() - self._free):
@@ -154,6 +157,18 @@ class Playback:
             self._attacks.add(name)
         if self._signals is not None:
             self._show(self._signals, then)
+
+    def _keep_apart(self, name: str, vehicle: Recorded, pose: Pose, lane: str) -> None:
+        """Insert a vehicle anew once it has left all lanes.
+
+        Measured with SUMO 1.28: moving it on can crash SUMO, after its route was rewritten to the edge that it left.
+        """
+        if lane:
+            self._on_lanes.add(name)
+        elif name in self._on_lanes:
+            self._on_lanes.discard(name)
+            self._stage.remove(name)
+            self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
 
     def injected(self, driven: Mapping[str, Pose]) -> None:
         """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose.

@@ -9,23 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel, VehicleState
-from sumo_adv.errors import SimulationError
+from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
 from sumo_adv.simulation.library import load_libsumo
 from sumo_adv.simulation.moved_speed import MovedSpeeds
 from sumo_adv.simulation.remote import RawState, Remote
+from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 S = TypeVar("S", bound=VehicleState)
-BASE_FLAGS = (
-    "--time-to-teleport", "-1", "--collision.action", "warn", "--collision.mingap-factor", "0",
-    "--collision.check-junctions", "--lateral-resolution", "0.8", "--xml-validation", "never", "--no-step-log",
-    "--no-warnings", "--duration-log.disable", "--default.speeddev", "0",
-)  # fmt: skip
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 LANELESS = ("bicycle", "pedestrian")
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
@@ -62,7 +58,7 @@ def raw_of(x: float, y: float, heading: float, speed: float, length: float) -> R
 
 @dataclass(frozen=True, slots=True)
 class SimulationSpec:
-    """What SUMO is started with. Times in s."""
+    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force."""
 
     network: Path
     routes: tuple[Path, ...]
@@ -70,11 +66,14 @@ class SimulationSpec:
     begin: float
     seed: int
     step_length: float = 0.1
+    options: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULTS))
 
     def arguments(self) -> list[str]:
         """The command line without the program's name."""
         args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
-        args += ["--seed", str(self.seed), *BASE_FLAGS]
+        args += ["--seed", str(self.seed), *FORCED]
+        for name, value in self.options.items():
+            args += [f"--{name}", value]
         if self.routes:
             args += ["-r", ",".join(map(str, self.routes))]
         if self.additional:
@@ -140,6 +139,8 @@ class Simulation:
         try:
             libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
+            for name in self._unknown(libsumo):
+                raise UsageError(f"SUMO has no option '{name}': correct its name or leave it out.") from error
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
         Simulation._running = self
         self._list = libsumo.vehicle.getIDList
@@ -147,6 +148,21 @@ class Simulation:
         self._angle = libsumo.vehicle.getAngle
         self._speed = libsumo.vehicle.getSpeed
         self._lane = libsumo.vehicle.getLaneID
+
+    def _unknown(self, libsumo: Any) -> list[str]:
+        """The options that this SUMO does not know; nothing where it does not start without them either."""
+        unknown: list[str] = []
+        try:
+            libsumo.start(["sumo", *replace(self.spec, options={}).arguments()])
+        except libsumo.TraCIException:
+            return unknown
+        for name in self.spec.options:
+            try:
+                libsumo.simulation.getOption(name)
+            except libsumo.TraCIException:
+                unknown.append(name)
+        libsumo.close()
+        return unknown
 
     def reload(self) -> None:
         """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
@@ -270,7 +286,7 @@ class Simulation:
         v = self._sumo.vehicle
         return DriverModel(
             "idm", v.getAccel(vehicle), self._deceleration(vehicle), v.getTau(vehicle), v.getMinGap(vehicle),
-            v.getAllowedSpeed(vehicle), known=False, ignores_sumo_lane_rules=True,
+            v.getAllowedSpeed(vehicle), known=False,
             hardest_braking=v.getEmergencyDecel(vehicle),
         )  # fmt: skip
 
