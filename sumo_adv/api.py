@@ -166,7 +166,7 @@ def run(
     packed = None if ego is None or isinstance(ego, str) else pack(ego)
     named = packed.name if packed is not None else str(ego) if ego is not None else None
     driver = trusted_driver(named, given.ego_controller, given.source)
-    options = {**own_simulation(given), "horizon": given.horizon, **options, "ego": driver}
+    options = {**own_simulation(given), **given.settings(options), **options, "ego": driver}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **options)
     keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"

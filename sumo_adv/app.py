@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sumo_adv.campaigns.nouns import Parts as BatchParts
     from sumo_adv.campaigns.plan import Plan
     from sumo_adv.config import Settings
+    from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.given import GivenEgo
     from sumo_adv.episode.episode import Episode
@@ -89,6 +90,20 @@ def open_bank(path: Path | None, *, make: bool = False, similarity: Similarity |
     if path is not None and not make and not path.exists():
         raise BankError(f"There is no memory bank at {path}; check the path given with --memory.")
     return MemoryBank.open(path or default_bank_path(), seed_from=shipped_bank(), similarity=similarity)
+
+
+def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
+    """The intents that a run may name, without planners: the bank's, those of pedestrians and cyclists, and those that
+    the built-in expert composes."""
+    from sumo_adv.datatypes import LibraryEntry
+    from sumo_adv.episode.memory_access import unprotected_library
+    from sumo_adv.search.composed_intents import NEW_INTENTS
+
+    known = [(r.label, r.description, r.applies) for r in bank.intents() if r.status == "active"]
+    known += [(e.label, e.description, e.applies) for e in unprotected_library()]
+    known += [(label, description, (word,)) for word, (label, description, _) in NEW_INTENTS.items()]
+    labels = dict.fromkeys(label for label, _, _ in known)
+    return [LibraryEntry(*next(k for k in known if k[0] == label), ()) for label in labels]
 
 
 def open_for_run(settings: Settings) -> MemoryBank:
@@ -198,8 +213,10 @@ def play(
     episode needs until it is written; played: called when the episode ends, before its processes end. ego: the driver
     where it is a class or an object from Python.
 
-    Raises UsageError or BankError for wrong use. Any other failure is the episode's ending.
+    Raises UsageError or BankError for wrong use, also for ``ask`` without a model. Any other failure is the episode's
+    ending.
     """
+    settings = _with_request(settings)
     with new_engine() as engine:  # first: it loads its modules while this process loads others
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
@@ -216,6 +233,19 @@ def play(
             episode = run_episode(given, settings, task, engine, agents, bank, tell)
             played()
     return episode
+
+
+def _with_request(settings: Settings) -> Settings:
+    """The settings with the words of ``ask`` checked. Raises UsageError, also where no model can read them."""
+    if settings.ask is None:
+        return settings
+    from sumo_adv.words.nearest import needs_model
+    from sumo_adv.words.request_text import checked_words
+
+    words = checked_words(settings.ask)
+    if settings.player("analyzer") is None:
+        raise needs_model("An attack asked for in words", words)
+    return settings.model_copy(update={"ask": words})
 
 
 def replay(recorded: Recorded) -> Episode:

@@ -94,6 +94,7 @@ class Settings(ModelSettings, BaseSettings):
     min_delta_v: float = Field(0.0, ge=0, le=60)  # m/s
     intents: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may be tried; empty: all
     exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
+    ask: str | None = None  # the attack that is wanted, in words; a language model reads them
     kind: Annotated[tuple[Relation, ...], NoDecode] = ()  # relations that the adversary may have; empty: all
     tuner: Literal["builtin", "off"] = "builtin"
     llm: str | None = None  # plays analyzer, generator and modifier, but for the parts named below

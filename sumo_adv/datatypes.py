@@ -375,6 +375,7 @@ class Verdict:
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
     impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
+    misfits: tuple[str, ...] = ()  # differences from the attack that was asked for, a sentence each
 
     @property
     def counts(self) -> bool:

@@ -23,8 +23,10 @@ class Goal:
         """How far an attempt came towards the goal; at least ``level`` if it met the goal, and only then.
 
         A near miss in the band counts as the highest level, any other attempt then as none. A collision below
-        ``min_delta_v`` counts as critical.
+        ``min_delta_v`` counts as critical. An attempt with misfits stays below ``level``.
         """
+        if verdict.misfits:
+            return min(verdict.level, Level(max(self.level - 1, 0)))
         if self.ttc is not None:
             low, high = self.ttc
             inside = verdict.counts and not verdict.collided and low <= verdict.min_ttc <= high
@@ -36,7 +38,7 @@ class Goal:
     def met(self, verdict: Verdict) -> bool:
         """Whether the attempt succeeded. An infeasible motion and a rear-end never do."""
         least = Level.COLLISION if self.min_delta_v > 0 else Level.NONE
-        return self.reached(verdict) >= max(self.level, least)
+        return not verdict.misfits and self.reached(verdict) >= max(self.level, least)
 
     @property
     def hard(self) -> str:

@@ -16,6 +16,7 @@ from pydantic import BaseModel, SecretStr
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
+from sumo_adv.asked import Asked, Written
 from sumo_adv.config import LimitSettings, Settings
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.config_odd import Odd
@@ -26,7 +27,8 @@ MODELS: Mapping[str, type[BaseModel]] = {
     "Settings of a run": Settings, "Limits": LimitSettings,
     "Operational design domain": Odd, "Servers of language models": ModelSettings,
     "Top of the file": Scenario, "[demand]": Demand, "[ego]": Ego, "[window]": Window, "[adversary]": Adversary,
-    "[signals]": Signals, "[label]": Label, "[[parked]], [[pedestrians]], [[cyclists]]": Box,
+    "[written]": Written, "[asked]": Asked, "[signals]": Signals,
+    "[label]": Label, "[[parked]], [[pedestrians]], [[cyclists]]": Box,
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
 SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}

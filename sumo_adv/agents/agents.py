@@ -22,6 +22,7 @@ from sumo_adv.agents.modifier import Change, ModelModifier
 from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.protocols import Analyzer, Generator, Modifier
 from sumo_adv.agents.teams import Teamwork
+from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
@@ -75,6 +76,8 @@ class Agents:
         self.failed: dict[str, str] = {}  # role -> why the expert took over
         self.bought: list[Bought] = []
         self.casts: tuple[Cast, ...] = ()  # compositions that the analysis proposes
+        self.asked: Asked | None = None  # what must be true of an attack that was asked for in words
+        self.why_not = ""  # why that cannot be played in the encounter, empty if it can
         self._novel = False  # whether the analysis has a new intent
 
     def player(self, role: str) -> str:
@@ -135,8 +138,10 @@ class Agents:
                 self._metered("analyzer"), self.prompts, self._limits, samples=self.settings.samples,
                 allowed=() if selection.is_open else [e.label for e in selection.of(library)],
                 evidence=evidence if self.settings.evidence == "on" else None, teamwork=teamwork,
+                request=self.settings.ask or "",
             )  # fmt: skip
             intents = ask(analyzer)
+            self.asked, self.why_not = analyzer.asked, analyzer.why_not
             self._distribution, self.casts = analyzer.distribution, analyzer.casts
             novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
             self._novel = novel > 0

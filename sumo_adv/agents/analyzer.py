@@ -17,10 +17,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.danger import danger_words
-from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, sanitize
+from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, fenced, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
+from sumo_adv.asked import MEANINGS, Asked
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.search.composed_attacks import Cast
@@ -59,6 +60,14 @@ class TeamAnalysis(Analysis):
     """A model's whole answer where several vehicles may act together."""
 
     compositions: list[Team] = Field(default_factory=list, max_length=MOST_PROPOSED)
+
+
+class AskedAnalysis(TeamAnalysis):
+    """A model's whole answer where an attack is asked for in words."""
+
+    can_be_played: bool
+    why_not: str = Field(default="", max_length=600)
+    asked: Asked = Asked()
 
 
 class Same(BaseModel):
@@ -115,6 +124,8 @@ class ModelAnalyzer:
     allowed: labels that the model may choose, empty for all.
     evidence: makes the table of ``agents.evidence`` from the vehicles' aliases, None to leave the table out.
     teamwork: what the model may compose, None if one adversary is all that is allowed.
+    request: the attack that a person wants, in words; empty for the most dangerous ones. ``asked`` holds
+    what must be true of it, ``why_not`` why it cannot be played here, empty if it can.
     """
 
     def __init__(
@@ -127,10 +138,13 @@ class ModelAnalyzer:
         allowed: Sequence[str] = (),
         evidence: Evidence | None = None,
         teamwork: Teamwork | None = None,
+        request: str = "",
     ) -> None:
         self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
-        self._teamwork = teamwork
+        self._teamwork, self._request = teamwork, request
+        self.asked: Asked | None = None
+        self.why_not = ""
         self.distribution: Distribution | None = None
         self.casts: tuple[Cast, ...] = ()
 
@@ -142,8 +156,11 @@ class ModelAnalyzer:
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
-        prompt = analyzer_prompt(self._prompts, situations, entries, self._limits, self._evidence, self._teamwork)
-        answer_type = Analysis if self._teamwork is None else TeamAnalysis
+        prompt = analyzer_prompt(
+            self._prompts, situations, entries, self._limits, self._evidence, self._teamwork, self._request
+        )
+        answer_type: type[Analysis] = Analysis if self._teamwork is None else TeamAnalysis
+        answer_type = AskedAnalysis if self._request else answer_type
 
         def check(answer: Analysis) -> str | None:
             return self._fault(answer, situation, aliases, entries)
@@ -151,6 +168,9 @@ class ModelAnalyzer:
         answers = ask_many(
             self._metered, "analyzer", prompt.system, prompt.user, answer_type, samples=self._samples, check=check
         )
+        if isinstance(answers[0], AskedAnalysis):
+            self.asked, self.why_not = answers[0].asked, sanitize(answers[0].why_not)
+            answers = [answers[0]]  # what must be true is of one reading of the request
         ranked, self.distribution = _ranking(answers, aliases)
         teams = (team for answer in answers if isinstance(answer, TeamAnalysis) for team in answer.compositions)
         self.casts = casts_of(teams, aliases, entries)
@@ -221,6 +241,8 @@ class ModelAnalyzer:
             if key in seen:
                 return f"{choice.bv} with '{sanitize(choice.label)}' is listed twice."
             seen.add(key)
+        if isinstance(answer, AskedAnalysis) and (wrong := _asked_fault(answer)) is not None:
+            return wrong
         if sum(c.novel for c in answer.intents) > MAX_NOVEL:
             return f"At most {MAX_NOVEL} intents may be novel."
         if self._teamwork is None or not isinstance(answer, TeamAnalysis):
@@ -252,9 +274,11 @@ def analyzer_prompt(
     limits: Limits,
     evidence: Evidence | None = None,
     teamwork: Teamwork | None = None,
+    request: str = "",
 ) -> Prompt:
     """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose; with
-    ``teamwork`` it is asked for compositions too."""
+    ``teamwork`` it is asked for compositions too. ``request``: an attack in a person's words that it is to carry out,
+    empty for the most dangerous ones."""
     situation = situations[min(situations)]
     aliases = Aliases.of(situation)
     words = {word for target in situation.target_list() for word in target.applies()}
@@ -271,9 +295,25 @@ def analyzer_prompt(
         starts=starts_words(situations),
         driver=driver_words(situation), evidence=f"\n{table}" if table else "", danger=danger_words(prompts),
     )  # fmt: skip
-    if teamwork is None:
-        return prompt
-    return replace(prompt, user=f"{prompt.user}\n\n{teams_words(prompts, teamwork, situation, aliases, library)}")
+    more = [] if teamwork is None else [teams_words(prompts, teamwork, situation, aliases, library)]
+    more += [_request_words(prompts, request)] if request else []
+    return replace(prompt, user="\n\n".join([prompt.user, *more]))
+
+
+def _request_words(prompts: Prompts, request: str) -> str:
+    """The part of the analyzer's prompt on an attack that is asked for."""
+    events = "\n".join(f" - {event}: {meaning}" for event, meaning in MEANINGS.items())
+    return prompts.piece("request", request=fenced(request), events=events)
+
+
+def _asked_fault(answer: AskedAnalysis) -> str | None:
+    if answer.can_be_played and not answer.intents:
+        return "The request can be played, so give one intent or more, or set can_be_played to false."
+    if not answer.can_be_played and answer.intents:
+        return "The request cannot be played here, so give no intents, or set can_be_played to true."
+    if not answer.can_be_played and len(answer.why_not.split()) < 3:
+        return "Say in why_not, in one sentence, why the request cannot be played here."
+    return None
 
 
 def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:

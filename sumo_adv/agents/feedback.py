@@ -73,6 +73,7 @@ def report_words(report: AttemptReport) -> str:
         f"Attempt {attempt.index + 1} ({numbers}; it began at {report.begun:g} s and lasted "
         f"{report.lasted:.1f} s; {ENDINGS.get(attempt.ending, attempt.ending)}):",
         f"  Level {v.level}: {_came_to(v)}",
+        *(f"  It is not the attack that was asked for: {sanitize(lack)}" for lack in v.misfits),
         *(f"  Not feasible, {gate}" for gate in report.gates),
         f"  What the next level needs: {'. '.join(filter(None, next_level(v, attempt.trigger_time)))}.",
     ]

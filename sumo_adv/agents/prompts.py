@@ -16,7 +16,7 @@ from string import Template
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
 
-NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "teams")
+NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write")
 MAX_TEXT = 600  # characters of a label or description in a prompt
 
 
@@ -37,6 +37,11 @@ class Prompt:
 def sanitize(text: str) -> str:
     """A text from a bank, a file or a person as one line without control characters and fences, cut to ``MAX_TEXT``."""
     return one_line(text).replace("```", "'''")[:MAX_TEXT]
+
+
+def fenced(text: str) -> str:
+    """A person's words as they stand in a prompt: no mark in them can end the part that is theirs."""
+    return text.replace("<<<", "<").replace(">>>", ">").replace("```", "'''")
 
 
 class Prompts:

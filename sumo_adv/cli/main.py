@@ -30,6 +30,7 @@ from sumo_adv.cli import (
     scenarios,
     serve,
     transformer,
+    write,
 )
 from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
@@ -42,6 +43,7 @@ app = typer.Typer(
     epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
 )  # fmt: skip
 app.command("run", epilog=run.EXAMPLE)(run.run)
+app.command("write", epilog=write.EXAMPLE)(write.write)
 app.command("hunt", epilog=hunt.EXAMPLE)(hunt.hunt)
 app.command("scenarios", epilog=scenarios.EXAMPLE)(scenarios.scenarios)
 app.command("serve", epilog=serve.EXAMPLE)(serve.serve)

@@ -145,6 +145,9 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    asked = result.get("asked")
+    if best is not None and asked is not None:
+        lines.append(f"As asked: {'yes.' if asked['fits'] else 'no. ' + ' '.join(asked['misfits'])}")
     if best is not None and best.get("cause"):
         lines.append(f"Why: {best['cause']['sentence']}")
     if (robust := result.get("robust")) is not None:

@@ -65,7 +65,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     library = selection_of(episode, bank).of(planned.library)
     return analyzer_prompt(
         shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
-        evidence if settings.evidence == "on" else None, teamwork(episode, bank),
+        evidence if settings.evidence == "on" else None, teamwork(episode, bank), settings.ask or "",
     )  # fmt: skip
 
 

@@ -25,7 +25,8 @@ OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count
 
 
 def run(
-    context: typer.Context, source: own.Source = None, record: own.Record = None, begin: own.Begin = None,
+    context: typer.Context, source: own.Source = None, ask: own.Ask = None, record: own.Record = None,
+    begin: own.Begin = None,
     end: own.End = None, density: own.Density = None, background: own.Background = None,
     sumo_option: own.SumoOption = None,
     settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
@@ -55,7 +56,7 @@ def run(
     settings = load_settings(
         settings_file,
         **{
-            **own_simulation(given), **named, "ego": driver, "horizon": given.horizon,
+            **own_simulation(given), **given.settings(named), **named, "ego": driver,
             "fork": False if no_fork else None, "sumo_options": parse(sumo_option) if sumo_option else None,
         },
     )  # fmt: skip
@@ -112,7 +113,7 @@ def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -
         typer.echo(json.dumps({**result, "folder": str(folder.target)}))
     else:
         typer.echo(summary(result, folder.target))
-    if episode.ending in FAILED_ENDINGS:
+    if episode.ending in FAILED_ENDINGS or (episode.declined and episode.best is None):
         typer.echo(f"sumo-adv: {result['reason']}", err=True)
         raise typer.Exit(1)
 

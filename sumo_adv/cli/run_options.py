@@ -40,6 +40,9 @@ Ego = Annotated[
     ),
 ]  # fmt: skip
 EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
+Ask = Annotated[
+    str | None, option(ATTACK, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none")
+]
 Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may attack.", default="any")]
 Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]
 TotalSeconds = Annotated[

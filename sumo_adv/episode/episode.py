@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
+from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level
 from sumo_adv.episode.refinement import Refinement
@@ -44,6 +45,9 @@ class Episode:
     intents: Sequence[Intent] = ()
     intent: Intent | None = None
     casts: Sequence[Cast] = ()  # compositions that a model proposed
+    asked: Asked | None = None  # what must be true of the attack
+    words: str = ""  # in which it was asked for
+    declined: str = ""  # why what was asked for cannot be played in the last encounter
     refinement: Refinement = field(default_factory=Refinement)
     prefix: Prefix | None = None
     lanes: Sequence[Any] = ()
@@ -65,6 +69,7 @@ class Episode:
     def __post_init__(self) -> None:
         """The attempts are judged by the goal of the settings."""
         self.refinement.goal = self.settings.goal
+        self.asked, self.words = self.source.asked, self.source.words
 
     def of_attempt(self, index: int) -> Episode:
         """The same episode, in which another attempt counts."""

@@ -17,6 +17,7 @@ from sumo_adv.episode.assessment import NOTHING, rank
 from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
 from sumo_adv.episode.bank_view import BankView
 from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.fitting import Fitting, reader_of
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
@@ -26,6 +27,8 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
+
+MOST_ASKED = 4  # encounters that a model is asked about, where those before cannot play what was asked for
 
 
 def run_episode(
@@ -66,6 +69,9 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
         while True:
             planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
             entries = None if planned is None else decide(episode, planned, agents, bank)
+            if entries is None and episode.declined and _may_decline(episode, agents):
+                episode.skips += 1
+                continue
             if planned is None or entries is None:
                 return
             tell("intents", episode.intents)
@@ -82,6 +88,11 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
     finally:  # also after an interruption: no attempt of an earlier encounter is lost
         if best is not None and episode.ending is not Ending.CRITICAL and _worth(best) <= _worth(episode):
             episode.back_to(best)
+
+
+def _may_decline(episode: Episode, agents: Agents) -> bool:
+    """Whether a model may be asked about the next encounter, after this one cannot play the request."""
+    return may_go_on(episode) and agents.calls["analyzer"] < MOST_ASKED
 
 
 def may_go_on(episode: Episode) -> bool:
@@ -109,6 +120,9 @@ def decide(
         episode.intents = [planned.known]
     else:
         entries = analyze(episode, planned, agents, bank)
+    if episode.declined:
+        episode.ending, episode.reason = Ending.NO_ENCOUNTER, f"The request cannot be played: {episode.declined}"
+        return None
     if not episode.intents and episode.settings.tuner == "off":
         episode.ending, episode.reason = Ending.NO_ENCOUNTER, "The analyzer sees nothing here that could be dangerous."
         return None
@@ -127,6 +141,9 @@ def pursue(
     another: there may be another encounter, so this one is left sooner where nothing comes near.
     """
     settings, timing = episode.settings, episode.timing
+    if episode.asked is not None:
+        reader = reader_of(agents, episode.words)
+        episode.refinement.fitting = Fitting(episode.asked, planned.found, settings, reader)
     refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell, another=another)
     try:
         refiner.run(episode.intents, episode.refinement)
@@ -164,6 +181,8 @@ def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: Found
     result = runner.attempt([proposal])[0]
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
+    if episode.asked is not None:
+        attempt = Fitting(episode.asked, found, settings).judged(attempt, result, settings.goal)
     episode.refinement.attempts.append(attempt)
     episode.refinement.results.append(result)
     settle_best(episode.refinement, runner)

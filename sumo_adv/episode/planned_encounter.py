@@ -31,6 +31,7 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.engine import Engine
+from sumo_adv.words.nearest import needs_model
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]
@@ -129,7 +130,8 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
             planned.search, situations, library, selection=selection_of(episode, bank),
             remembered=remembered(bank, library, planned.scene), teamwork=teamwork(episode, bank),
         )  # fmt: skip
-        if agents.by_model("analyzer") and episode.settings.tuner == "builtin":
+        _note_request(episode, agents)
+        if agents.by_model("analyzer") and episode.settings.tuner == "builtin" and episode.settings.ask is None:
             chosen = {(i.bv, i.label) for i in episode.intents}
             others = planned.search.ranking(library)
             episode.intents = [*episode.intents, *(i for i in others if (i.bv, i.label) not in chosen)]
@@ -140,9 +142,22 @@ def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: M
     labels = {i.label for i in episode.intents}
     if entries != library or any(composed(e) and e.label in labels for e in entries):
         planned.search.extend([e for e in entries if not composed(e) or e.label in labels])
+    if episode.settings.ask is not None:
+        planned.search.confine({(i.bv, i.label) for i in episode.intents})
     if episode.casts and episode.settings.tuner == "builtin":
         planned.search.add_casts(episode.casts, agents.player("analyzer"))
     return entries
+
+
+def _note_request(episode: Episode, agents: Agents) -> None:
+    """Keep what a model made of the words of ``ask``, or why they cannot be played here. Raises UsageError."""
+    if episode.settings.ask is None or episode.found is None:
+        return
+    if agents.asked is None:  # no model, or one that failed and was replaced
+        raise needs_model("An attack asked for in words", episode.settings.ask)
+    episode.asked, episode.words, episode.declined = agents.asked, episode.settings.ask, agents.why_not
+    if agents.why_not:
+        episode.notes.append(f"The encounter at {episode.found.time:.1f} s cannot play the request: {agents.why_not}")
 
 
 def teamwork(episode: Episode, bank: MemoryBank) -> Teamwork | None:
@@ -153,6 +168,8 @@ def teamwork(episode: Episode, bank: MemoryBank) -> Teamwork | None:
 
 def passed_over(episode: Episode) -> str:
     """Why the last encounter is left."""
+    if episode.declined:
+        return f"it cannot play the request: {episode.declined}"
     if episode.tried and episode.tried[-1].time == getattr(episode.found, "time", None):
         return f"{episode.tried[-1].attempts} attempts without success"
     return "no intent reaches the ego, by prediction"

@@ -17,6 +17,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
+from sumo_adv.episode.fitting import Fitting
 from sumo_adv.episode.neighbours import Robustness, neighbours
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
@@ -41,6 +42,7 @@ class Refinement:
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
     the attempt that counts, if it is not the best. polished: the attempt that took the best one's place, because more
     of its neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was tried.
+    fitting: compares attempts with the request, None without a request.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -54,6 +56,7 @@ class Refinement:
     chosen: int | None = None
     polished: int | None = None
     robustness: Robustness | None = None
+    fitting: Fitting | None = None
 
     @property
     def best(self) -> int | None:
@@ -62,8 +65,14 @@ class Refinement:
             return self.chosen
         if self.polished is not None:
             return self.polished
-        verdicts = [a.verdict for a in self.attempts]
-        return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
+        return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), k))
+
+    def worth(self, attempt: Attempt) -> tuple[float, ...]:
+        """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
+        verdict = attempt.verdict
+        met = self.goal.met(verdict)
+        fits = self.fitting is None or (not verdict.misfits and (met or verdict.level >= Level.CRITICAL))
+        return (not met, not fits, *rank(verdict))
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:
@@ -157,6 +166,7 @@ class Refiner:
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
             attempt = checked(attempt, result, self._runner, found.goal)
+            attempt = _fitted(found, attempt, result)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell("attempt", attempt)
@@ -167,7 +177,7 @@ class Refiner:
     def _forget(self, found: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
         kept = set(range(len(found.attempts) - GENERATION, len(found.attempts))) | set(found.successes)
-        ordered = sorted(range(len(found.attempts)), key=lambda k: rank(found.attempts[k].verdict))
+        ordered = sorted(range(len(found.attempts)), key=lambda k: found.worth(found.attempts[k]))
         kept |= set(ordered[:KEPT])
         for k, result in enumerate(found.results):
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
@@ -184,7 +194,7 @@ class Refiner:
             attempt = found.attempts[now]
             near = neighbours(attempt, found.results[now], random, self._settings.step_length)
             tried = [
-                (self._attempt(len(found.attempts), p, result), result)
+                (_fitted(found, self._attempt(len(found.attempts), p, result), result, read=False), result)
                 for p, result in zip(near, self._runner.attempt(near), strict=True)
             ]
             held = [(a, result) for a, result in tried if found.goal.met(a.verdict)]
@@ -203,7 +213,7 @@ class Refiner:
     def _next_winner(self, held: Sequence[tuple[Attempt, AttemptResult]], found: Refinement) -> int | None:
         """The index of the neighbour that is looked at next, the gentlest one; it joins the attempts."""
         for attempt, result in sorted(held, key=lambda each: (not each[0].verdict.humanlike, *rank(each[0].verdict))):
-            again = checked(attempt, result, self._runner, found.goal)
+            again = _fitted(found, checked(attempt, result, self._runner, found.goal), result)
             if found.goal.met(again.verdict):
                 found.attempts.append(replace(again, index=len(found.attempts), phase="polish"))
                 found.results.append(result)
@@ -264,6 +274,11 @@ class Refiner:
                     search.add_version(candidate.planner)
                 else:
                     search.add_chosen([candidate])
+
+
+def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
+    """The attempt, compared with the request if there is one."""
+    return attempt if found.fitting is None else found.fitting.judged(attempt, result, found.goal, read=read)
 
 
 def _worth(robustness: Robustness, attempt: Attempt) -> tuple[bool, bool, int, int]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.asked import Asked
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
@@ -75,7 +76,11 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         driven_from=m.get("driven_from"), delay=m.get("delay"),
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
-    source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
+    asked = m.get("asked")
+    source = RunInput(
+        name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
+        asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
+    )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 
 

@@ -26,9 +26,11 @@ from sumo_adv.datatypes import (
     plain_acceleration,
 )
 from sumo_adv.episode.episode import Episode, Tried
+from sumo_adv.episode.fitting import motion_of
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
 from sumo_adv.simulation.playback_spec import PlaybackSpec
+from sumo_adv.words.fit import misfits
 
 SCHEMA = 1
 VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)
@@ -69,7 +71,25 @@ def outcome(
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
-        "bank_change": episode.bank_change or None, "notes": episode.notes,
+        "bank_change": episode.bank_change or None, "notes": episode.notes, "asked": _asked(episode),
+    }  # fmt: skip
+
+
+def _asked(episode: Episode) -> dict[str, Any] | None:
+    """What was asked for, whether the attempt that counts fits, and its motion in words; None where nothing was."""
+    if episode.asked is None:
+        return None
+    best, motion = episode.best, None
+    if best is not None and episode.found is not None:
+        motion = motion_of(best, episode.refinement.results[best.index], episode.found, episode.settings)
+    lacks = () if best is None or motion is None else best.verdict.misfits or misfits(episode.asked, motion)
+    fitting = episode.refinement.fitting
+    reading = None if fitting is None or best is None else fitting.readings.get(best.index)
+    return {
+        "words": episode.words or None, "attack": episode.asked.model_dump(mode="json", exclude_defaults=True),
+        "fits": motion is not None and not lacks, "misfits": list(lacks),
+        "motion": None if motion is None else motion.words,
+        "reading": None if reading is None else reading.model_dump(mode="json"),
     }  # fmt: skip
 
 
@@ -218,6 +238,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
         "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis), **_composed(p),
+        **({"misfits": list(v.misfits)} if v.misfits else {}),
     }  # fmt: skip
 
 
@@ -277,7 +298,8 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
         "skips": episode.skips,
-        "intents_allowed": list(episode.source.intents),
+        "intents_allowed": list(episode.source.intents), "words": episode.words or None,
+        "asked": None if episode.asked is None else episode.asked.model_dump(mode="json", exclude_defaults=True),
         "bank_hash": episode.bank_hash, "bandit": episode.bandit,
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,

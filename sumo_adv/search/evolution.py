@@ -33,6 +33,8 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     if not verdict.collided:
         return 5.0 - float(verdict.level) + gap
     delta_v, level = verdict.delta_v or 0.0, goal.reached(verdict)
+    if verdict.misfits:
+        return 4.0 + gap
     if level < verdict.level:  # too mild a collision
         return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
     hard = min(delta_v / HARD, 1.0)

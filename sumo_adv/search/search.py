@@ -78,7 +78,8 @@ class AttackSearch:
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self._evolution = Evolution(Sampler(settings.sampling, seed), self._goal, settings.evolution)
-        self._predicts = predicts
+        self._predicts, self._seed = predicts, seed
+        self._pairs: frozenset[tuple[str, str]] = frozenset()  # vehicles with intents that alone may be tried
         self._most_predicted = settings.predicted if adversaries == 1 else settings.predicted_together
         self.pool: list[Proposal] = []
         if recalled is not None:
@@ -155,6 +156,13 @@ class AttackSearch:
         self._redrawn = len(self.pool)
         self._evolution.draw_from(self._templates)
         return list(self._templates)
+
+    def confine(self, pairs: Collection[tuple[str, str]]) -> None:
+        """From now on try these vehicles with these intents (id, label) and no others."""
+        self._pairs = frozenset(pairs)
+        self.pool = [p for p in self.pool if (p.bv, p.label) in self._pairs]
+        self._evolution = Evolution(Sampler(self._settings.sampling, self._seed), self._goal, self._settings.evolution)
+        self._evolution.draw_from(self._templates)
 
     def add_chosen(self, chosen: Sequence[Proposal]) -> None:
         """Predict candidates that a model chose, with variations of their numbers; they join the pool as any other."""
@@ -319,6 +327,8 @@ class AttackSearch:
     def _templates_of(self, library: Sequence[LibraryEntry], allowed: Collection[str]) -> list[AttackTemplate]:
         """The templates of vehicles that may be the collider."""
         templates = templates_of(self._situations, library, allowed)
+        if self._pairs:
+            templates = [t for t in templates if (t.target.state.id, t.entry.label) in self._pairs]
         return [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
 
     # -- predicting ---------------------------------------------------------------------------------------------

@@ -6,11 +6,12 @@ wrong with the files it names is found by ``scan.py``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
@@ -48,7 +49,7 @@ class RunInput:
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
     moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
-    what of it is not kept.
+    what of it is not kept. asked: what must be true of the attack; words: those that the scenario was made of.
     """
 
     name: str
@@ -77,6 +78,17 @@ class RunInput:
     step_length: float | None = None
     options: Mapping[str, str] | None = None
     notes: tuple[str, ...] = ()
+    asked: Asked | None = None
+    words: str = ""
+
+    def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
+        """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
+        for. Another goal among the settings that are ``named`` goes before its level."""
+        brought: dict[str, Any] = {"horizon": self.horizon}
+        if self.asked is not None:
+            brought |= {} if {"until", "ttc", "min_delta_v"} & set(named) else self.asked.settings
+            brought |= {"adversaries": 1 + len(self.supports)} if self.supports else {}
+        return brought
 
 
 def load_input(path: Path) -> RunInput:
@@ -237,6 +249,7 @@ def _from_scenario(path: Path) -> RunInput:
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
         intents=scenario.adversary.intents, label=scenario.label,
         files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
+        asked=scenario.asked, words=scenario.written.words if scenario.written else "",
     )  # fmt: skip
 
 

@@ -16,6 +16,9 @@
     [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level, adversaries: of the best attack
     [[parked]] [[pedestrians]] [[cyclists]]
                  x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
+    [written]    words, model, date: of a scenario made from words (``sumo-adv write``)
+    [asked]      what must be true of its attack: relation, user, events, side, hidden, beside, least_length,
+                 most_speed_first, level (``asked.py``)
 
 Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a duration.
 With ``tracks`` the log moves all vehicles until the warm-up is over: then the ego gets its driver and the BVs theirs.
@@ -31,6 +34,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
 
+from sumo_adv.asked import Asked, Written
 from sumo_adv.datatypes import MOST_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
@@ -172,6 +176,8 @@ class Scenario(_Table):
     parked: tuple[Box, ...] = ()
     pedestrians: tuple[Box, ...] = ()
     cyclists: tuple[Box, ...] = ()
+    written: Written | None = None
+    asked: Asked | None = None
 
 
 def load_scenario(path: Path) -> Scenario:
@@ -204,7 +210,7 @@ def _known_keys(location: tuple[int | str, ...]) -> str:
     """Which keys there are beside the unknown one at ``location``."""
     tables: dict[str, type[BaseModel]] = {
         "demand": Demand, "ego": Ego, "window": Window, "adversary": Adversary, "signals": Signals, "label": Label,
-        "parked": Box, "pedestrians": Box, "cyclists": Box,
+        "parked": Box, "pedestrians": Box, "cyclists": Box, "written": Written, "asked": Asked,
     }  # fmt: skip
     table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario
     names = [info.alias or name for name, info in table.model_fields.items()]

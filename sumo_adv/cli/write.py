@@ -1,0 +1,183 @@
+"""``write``: a scenario from words or from a crash report, built and run."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sumo_adv import app
+from sumo_adv.cli import options as shared
+from sumo_adv.cli import run_options as own
+from sumo_adv.cli.options import INPUT, OUTPUT, option
+from sumo_adv.config import Settings, Until, load_settings
+from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences
+
+if TYPE_CHECKING:
+    from sumo_adv.words.author import Played
+
+EXAMPLE = 'Example: sumo-adv write "A car squeezes in right before me and brakes." --out my.toml --llm deepseek-chat'
+MOST_BYTES = 100_000  # of a report
+BESIDE = (".rou.xml", ".net.xml", ".add.xml")  # files that a scenario may have beside it
+
+
+def write(
+    words: Annotated[str | None, typer.Argument(help="What is to happen, in any language.")] = None,
+    report: Annotated[
+        Path | None, option(INPUT, "File with the words, such as a crash report.", default="none")
+    ] = None,
+    network: Annotated[
+        Path | None, option(INPUT, "Your own network, on which it is to happen.", default="chosen by the model")
+    ] = None,
+    out: Annotated[Path, option(OUTPUT, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = Path(
+        "written.toml"
+    ),
+    run_out: Annotated[
+        Path | None, option(OUTPUT, "Folder of its run.", "--run-out", default="runs/<scenario>")
+    ] = None,
+    llm: own.Llm = None, ego: own.Ego = None, attempts: shared.Attempts = None, seconds: shared.Seconds = None,
+    seed: own.Seed = None, memory: own.Memory = None, settings_file: shared.SettingsFile = None,
+    force: Annotated[bool, option(OUTPUT, "Replace the scenario and the folder of its run.", "--force")] = False,
+    as_json: shared.AsJson = False,
+) -> None:  # fmt: skip
+    """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
+    from sumo_adv.words.nearest import needs_model
+    from sumo_adv.words.request_text import checked_words
+
+    request = checked_words(_request(words, report))
+    named = {"llm": llm, "ego": ego, "attempts": attempts, "seconds": seconds, "seed": seed, "memory": memory}
+    settings = load_settings(settings_file, **named)
+    model = settings.player("analyzer")
+    if model is None:
+        raise needs_model("Making a scenario of words", request)
+    if out.suffix != ".toml" or not out.stem:
+        raise UsageError(f"The scenario {out} needs the ending .toml.")
+    folder = run_out or Path("runs") / out.stem
+    _refuse_what_is_there(out, folder, force=force)
+    made = _write(request, model, settings, network, out, folder, force=force, quiet=as_json)
+    typer.echo(json.dumps(_as_json(made, out, folder)) if as_json else _three_lines(made, out, folder))
+
+
+def _request(words: str | None, report: Path | None) -> str:
+    if (words is None) == (report is None):
+        raise UsageError('Say what is to happen, as sumo-adv write "A car cuts in.", or give --report FILE, not both.')
+    if report is None:
+        return words or ""
+    try:
+        data = report.read_bytes()[: MOST_BYTES + 1]
+        if len(data) > MOST_BYTES:
+            raise UsageError(f"The report {report} has more than {MOST_BYTES} bytes; give the part that tells it.")
+        return data.decode("utf-8")
+    except OSError as error:
+        raise UsageError(f"The report {report} cannot be read: {error.strerror or error}.") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"The report {report} is no text in UTF-8.") from error
+
+
+def _refuse_what_is_there(out: Path, folder: Path, *, force: bool) -> None:
+    taken = [p for p in (out, *_beside(out), folder) if p.exists()]
+    if taken and not force:
+        raise UsageError(f"{taken[0]} is there already; give another --out, or --force to replace it.")
+
+
+def _beside(scenario: Path) -> list[Path]:
+    return [scenario.with_name(f"{scenario.stem}{ending}") for ending in BESIDE]
+
+
+def _write(
+    request: str, model: str, settings: Settings, network: Path | None, out: Path, folder: Path, *, force: bool,
+    quiet: bool,
+) -> Played:  # fmt: skip
+    """Have the scenario written and run; its files then lie at ``out`` and in ``folder``."""
+    from sumo_adv.llm.asking import MeteredModel
+    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.ledger import Ledger
+    from sumo_adv.llm.recording import Recorder
+    from sumo_adv.report.outcome import MODEL_FILE
+    from sumo_adv.report.staging import scratch_folder, staged
+    from sumo_adv.words.author import Author
+
+    ledger = Ledger.for_settings(settings)
+    player = connect(model, settings, ledger)
+    played_by = settings.model_copy(
+        update={"llm": None, "analyzer": None, "generator": None, "modifier": None, "learn": "off"}
+    )
+    if network is not None:
+        app.load(network, None)
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    with scratch_folder() as scratch, staged(folder, force=force) as target:
+        with Recorder(scratch / MODEL_FILE, player.name) as recorder:
+            with app.open_for_run(settings) as bank:
+                library = app.known_intents(bank)
+            author = Author(
+                MeteredModel(recorder.wrap(player), ledger), app.shipped_prompts(), library,
+                lambda file, place, goal: _run(file, place, goal, played_by), scratch, out.stem, today, network,
+                (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
+            )  # fmt: skip
+            made = author.write(request)
+        with sentences(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            for old in _beside(out):
+                old.unlink(missing_ok=True)
+            for file in (made.scenario, *_beside(made.scenario)):
+                if file.exists():
+                    shutil.copyfile(file, out.with_name(file.name))
+        shutil.copytree(made.folder, target.stage, dirs_exist_ok=True)
+        shutil.copyfile(scratch / MODEL_FILE, target.stage / MODEL_FILE)
+        target.keep(force=force)
+    return made
+
+
+def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
+    """Run a scenario into a folder; what its ``outcome.json`` holds."""
+    from sumo_adv.report.folder import write_run
+    from sumo_adv.report.staging import scratch_folder, staged
+
+    given = app.load(scenario, None)
+    goal = {"until": Until(str(goal["until"])), "ttc": goal.get("ttc")}
+    brought = {key: value for key, value in given.settings(["until"]).items() if value is not None}
+    wanted = settings.model_copy(update={**brought, **goal})
+    with staged(folder, force=False) as target, scratch_folder() as scratch:
+        episode = app.play(given, wanted, target.stage, scratch, lambda *_: None)
+        result = write_run(target, episode)
+        target.keep(force=False)
+    return result
+
+
+def _as_json(made: Played, out: Path, folder: Path) -> dict[str, Any]:
+    reading = made.reading
+    return {
+        "scenario": str(out), "folder": str(folder), "understood": made.draft.understood,
+        "left_out": made.draft.left_out or None, "level": str(made.level), "reached": made.reached,
+        "fits": not made.misfits, "misfits": made.misfits,
+        "happened": None if reading is None else reading.happened, "read": reading is not None,
+        "motion": (made.outcome["asked"] or {}).get("motion"), "attempts": len(made.outcome["attempts"]),
+    }  # fmt: skip
+
+
+def _three_lines(made: Played, out: Path, folder: Path) -> str:
+    from sumo_adv.agents.prompts import sanitize
+
+    scene, reading = made.scene, made.reading
+    others = len(scene.vehicles) + len(scene.walkers) + len(scene.parked)
+    road = scene.road.name if scene.road.kind == "shipped" else f"{scene.road.kind} road"
+    left = f" Left out: {sanitize(made.draft.left_out)}" if made.draft.left_out else ""
+    told = sanitize(reading.happened) if reading is not None else "see the page of the run."
+    if made.outcome["best"] is None:
+        told = made.outcome["reason"]
+    by = "by the rules and to a reader" if reading is not None else "by the rules; no reader was asked"
+    missed = "" if made.reached else f" The goal was not reached: {made.outcome['goal']}."
+    fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))}"
+    return "\n".join(
+        (
+            f"Built: {sanitize(made.draft.understood)} ({road}, {others} others; {out}).{left}",
+            f"Happened: {made.result} in {len(made.outcome['attempts'])} attempts ({folder}). {told}",
+            f"Fits: {fits}{missed}",
+        )
+    )

@@ -1,0 +1,215 @@
+"""``write``: a language model makes a scenario of words, sees what is wrong with it or what happened, and corrects it.
+
+Each answer is built, loaded and run. The exact error, or what happened, goes back to the model as the fault of its
+answer, at most ``CORRECTIONS`` times. The first scenario that reaches its level and fits is kept, else the best one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.agents.prompts import Prompts, fenced, sanitize
+from sumo_adv.asked import MEANINGS, Written
+from sumo_adv.datatypes import Level, LibraryEntry
+from sumo_adv.errors import ModelError, SumoAdvError, UsageError
+from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.memory.records import canonical
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.shipped import shipped_files
+from sumo_adv.words.build import build
+from sumo_adv.words.draft import Draft, SceneDraft
+from sumo_adv.words.reading import Reading, read_motion
+from sumo_adv.words.ways import Net
+
+CORRECTIONS = 5  # of the first answer
+MOST_QUESTIONS = 8  # for one request: drafts and readings
+DRAFT_AND_READING = 2  # questions that one more draft may take
+LEVEL = "valid"  # that is wanted where a draft names none
+
+
+class NoScenario(SumoAdvError):
+    """The words are no request that a road can hold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A scenario that ran: its file, the run's folder, what ``outcome.json`` holds, a reader's answer.
+
+    given_up: why the model gave up after it, empty if it did not.
+    """
+
+    draft: Draft
+    scenario: Path
+    folder: Path
+    outcome: dict[str, Any]
+    reading: Reading | None = None
+    given_up: str = ""
+
+    @property
+    def scene(self) -> SceneDraft:
+        """What was built."""
+        assert self.draft.scene is not None
+        return self.draft.scene
+
+    @property
+    def level(self) -> Level:
+        """Of the attempt that counts."""
+        result = self.outcome["outcome"]
+        return Level.NONE if result is None else Level[str(result["level"]).upper()]
+
+    @property
+    def reached(self) -> bool:
+        """Whether some attempt met the goal, or would have if it fitted."""
+        level = goal_of(self.scene)["until"]
+        near_miss = self.scene.attack.asked.level == "near_miss"
+        return self.outcome["ending"] == "critical" or (not near_miss and self.level >= Level[level.upper()])
+
+    @property
+    def result(self) -> str:
+        """What the attempt that counts came to, in a word or two."""
+        near_miss = self.scene.attack.asked.level == "near_miss" and self.outcome["ending"] == "critical"
+        return "near miss" if near_miss else f"level {self.level}"
+
+    @property
+    def misfits(self) -> list[str]:
+        """What it lacks of the request: by the rules, then by the reader."""
+        asked = self.outcome["asked"]
+        by_rules = list(asked["misfits"]) if asked and asked["motion"] else ["No attempt was made."]
+        read = self.reading
+        by_reader = [] if read is None or read.fits else [read.lacks or read.happened]
+        return by_rules + by_reader + ([self.given_up] if self.given_up else [])
+
+    @property
+    def worth(self) -> tuple[bool, bool, bool, int, int]:
+        """A key that sorts: the better the higher."""
+        fits = not self.misfits
+        return self.reached and fits, fits, self.reached, -len(self.misfits), int(self.level)
+
+
+def goal_of(scene: SceneDraft) -> dict[str, Any]:
+    """The settings of the goal of a scene's attack."""
+    return scene.attack.asked.settings or {"until": LEVEL}
+
+
+Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
+"""Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
+SumoAdvError."""
+
+
+class Author:
+    """Makes one scenario. ``folder``: for the files of all tries; ``name``: of the scenario."""
+
+    def __init__(
+        self, metered: MeteredModel, prompts: Prompts, library: Sequence[LibraryEntry], run: Run, folder: Path,
+        name: str, date: str, network: Path | None = None, tell: Callable[[str], None] = lambda _: None,
+    ) -> None:  # fmt: skip
+        """``network``: the user's; ``tell``: called with what becomes of each answer."""
+        self._metered, self._prompts, self._library, self._run = metered, prompts, library, run
+        self._folder, self._name, self._date, self._network, self._tell = folder, name, date, network, tell
+        self._tries = self._readings = 0
+        self._words = ""
+        self.best: Played | None = None
+
+    def write(self, words: str) -> Played:
+        """The scenario of a request.
+
+        Raises NoScenario where the model says that there is none, and ModelError if no answer gave a scenario that
+        runs.
+        """
+        self._words = words
+        prompt = self._prompts.render(
+            "write", networks=_networks(), given=_given(self._network), intents=_intents(self._library),
+            events="\n".join(f"  - {event}: {meaning}" for event, meaning in MEANINGS.items()),
+            request=fenced(words),
+        )  # fmt: skip
+        try:
+            draft = ask(
+                self._metered, "author", prompt.system, prompt.user, Draft, check=self._fault, re_asks=CORRECTIONS
+            )
+        except ModelError:
+            if self.best is None:
+                raise
+            return self.best
+        if draft.cannot and self.best is None:
+            raise NoScenario(f"There is no scenario for these words: {sanitize(draft.cannot)}")
+        assert self.best is not None
+        return replace(self.best, given_up=sanitize(draft.cannot))
+
+    def _fault(self, draft: Draft) -> str | None:
+        """Build and run a draft. Returns the fault of the draft or of its run, None for a good one."""
+        if draft.cannot:
+            return "Give either cannot or a scene, not both." if draft.scene is not None else None
+        if draft.scene is None:
+            return "Give a scene, or in cannot the reason why there is none."
+        self._tries += 1
+        folder = self._folder / str(self._tries)
+        folder.mkdir()
+        try:
+            played = self._play(draft, draft.scene, folder)
+        except UsageError as error:
+            wrong = str(error).replace(f"{folder}/", "")
+            self._tell(f"Answer {self._tries}: {wrong}")
+            return wrong
+        if self.best is None or played.worth > self.best.worth:
+            self.best = played
+        done = (played.reached and not played.misfits) or self._questions > MOST_QUESTIONS - DRAFT_AND_READING
+        self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
+        return None if done else _what_happened(played)
+
+    @property
+    def _questions(self) -> int:
+        """How many were asked, without answers that were not of the schema's shape."""
+        return self._tries + self._readings
+
+    def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
+        known = {canonical(e.label) for e in self._library}
+        unknown = next((label for label in scene.attack.intents if canonical(label) not in known), None)
+        if unknown is not None:
+            raise UsageError(f"There is no intent '{sanitize(unknown)}'; leave intents empty, or take one of the list.")
+        written = Written(words=self._words, model=self._metered.model.name, date=self._date)
+        file = build(scene, folder / f"{self._name}.toml", written, self._network)
+        load_input(file)
+        played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))
+        if played.reached and not played.misfits and self._questions < MOST_QUESTIONS:
+            self._readings += 1
+            motion = str(played.outcome["asked"]["motion"])
+            reading = read_motion(self._metered, self._prompts, motion, self._words)
+            played = Played(draft, file, played.folder, played.outcome, reading)
+        return played
+
+
+def _what_happened(played: Played) -> str:
+    """What a run showed, for the model that drafted the scenario."""
+    outcome, asked = played.outcome, played.outcome["asked"]
+    lines = ["The scenario is built and ran, but what happened is not yet what was asked for."]
+    if outcome["best"] is None:
+        return f"{lines[0]} No attack began: {outcome['reason']}"
+    count = len(outcome["attempts"])
+    lines.append(f"The best of {count} attempts reached the level {played.level} (wanted: {outcome['goal']}).")
+    lines += [f"Missing: {fault}" for fault in played.misfits]
+    gates = outcome["outcome"]["failed_gates"]
+    lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []
+    lines.append(f"Its motion, from when the attack began (A is '{played.scene.attack.adversary}'):\n{asked['motion']}")
+    lines.append("Change places, speeds, the road, intents or what is asked, whichever is the reason.")
+    return "\n".join(lines)
+
+
+def _networks() -> str:
+    """The shipped networks: their edges, with lanes, limit and length."""
+    folder = data_folder("networks")
+    return "\n".join(
+        f"  - {name}: {Net(folder / f'{name}.net.xml').words()}" for name in shipped_files("networks", ".net.xml")
+    )
+
+
+def _given(network: Path | None) -> str:
+    if network is None:
+        return ""
+    return f"- given: the user's own network, which is to be used. Its edges: {Net(network).words()}\n"
+
+
+def _intents(library: Sequence[LibraryEntry]) -> str:
+    return "\n".join(f"  - {sanitize(e.label)}: {sanitize(e.description)}" for e in library)

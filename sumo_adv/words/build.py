@@ -1,0 +1,284 @@
+"""From a draft to files: the scenario (TOML) and, beside it, demand, network and signals under the same name.
+
+Vehicles that are to meet the ego start where, at constant speed, they arrive when the draft says. Pedestrians, cyclists
+and parked vehicles are placed along the ego's way. Where there are traffic lights the ego has green.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+from sumo_adv.asked import Asked, Written
+from sumo_adv.errors import UsageError
+from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
+from sumo_adv.words.roads import make_network
+from sumo_adv.words.ways import Drive, Net, meeting
+
+MEET = 9.0  # s after the start at which the ego is where it meets others
+SOONEST = 5.5  # s that must be left to a meeting
+BEFORE = 5.0  # s before a meeting at which the attack may begin
+EARLIEST = 2.0  # s after the start at which it may begin
+FREE = 3.0  # s after the start at which an attack without a meeting may begin
+ROOM = 60.0  # m of road behind the ego where nothing else says where it starts
+APART = 4.0  # m at least between the fronts of vehicles in one lane, beside their length
+HORIZON = 10.0  # s
+LASTS = 40.0  # s of demand
+SIZES = {
+    "car": (4.8, 1.8), "van": (5.5, 2.0), "truck": (12.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8),
+    "bicycle": (1.8, 0.6),
+}  # fmt: skip
+"""Length and width [m]."""
+PEDESTRIAN = (0.5, 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A vehicle with its way and the place of its front on the first edge [m]. meets: when it is where it meets the
+    ego [s], None without such a place."""
+
+    draft: VehicleDraft
+    drive: Drive
+    position: float
+    meets: float | None
+
+
+def build(scene: SceneDraft, target: Path, written: Written, given: Path | None = None) -> Path:
+    """Write the scenario ``target`` (.toml) and the files beside it. given: the user's network.
+
+    Raises UsageError: one sentence with what is wrong with the draft, for people and for the model.
+    """
+    _check_names(scene)
+    stem = target.with_suffix("")
+    network = make_network(scene.road, stem.with_suffix(".net.xml"), given)
+    net = Net(network)
+    ego_drive = net.drive(scene.ego.route, scene.ego.lane, "passenger", "the ego")
+    drives = {v.id: net.drive(v.route, v.lane, _vclass(v.type), f"'{v.id}'") for v in scene.vehicles}
+    start = _ego_start(scene, ego_drive, drives)
+    _check_speed(scene.ego.speed, ego_drive, "The ego")
+    placed = [_place(v, drives[v.id], scene.ego, ego_drive, start) for v in scene.vehicles]
+    _check_room(placed, scene.ego, ego_drive, start)
+    stem.with_suffix(".rou.xml").write_text(_demand(scene.ego, ego_drive, start, placed), encoding="utf-8")
+    states = net.green_for(ego_drive.edges)
+    if states:
+        stem.with_suffix(".add.xml").write_text(_signals(states), encoding="utf-8")
+    text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, lights=bool(states))
+    target.write_text(text, encoding="utf-8")
+    return target
+
+
+def _vclass(kind: str) -> str:
+    return "bicycle" if kind == "bicycle" else "passenger"
+
+
+def _check_names(scene: SceneDraft) -> None:
+    names = [v.id for v in scene.vehicles] + [w.id for w in scene.walkers]
+    twice = next((name for name in names if names.count(name) > 1 or name == "ego"), None)
+    if twice is not None:
+        raise UsageError(f"The id '{twice}' is used twice: each vehicle and walker needs its own, and none is 'ego'.")
+    for name in (scene.attack.adversary, *scene.attack.supports):
+        if name not in names:
+            raise UsageError(f"The attack names '{name}', which is no vehicle or walker; there are {', '.join(names)}.")
+
+
+def _check_speed(kmh: float, drive: Drive, who: str) -> None:
+    if kmh / 3.6 > drive.limit + 0.05:
+        raise UsageError(
+            f"{who} drives {kmh:g} km/h on edge '{drive.edges[0]}', where the limit is {drive.limit * 3.6:.0f} km/h."
+        )
+
+
+def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float:
+    """Where the ego's front starts on its first edge [m]."""
+    length = SIZES[scene.ego.type][0]
+    if scene.ego.position is not None:
+        if scene.ego.position > ego.first:
+            raise UsageError(f"The ego's position is beyond its first edge, which is {ego.first:.0f} m long.")
+        return max(scene.ego.position, length + 0.5)
+    speed = scene.ego.speed / 3.6
+    order = sorted(scene.vehicles, key=lambda v: v.id != scene.attack.adversary)
+    for vehicle in order:
+        met = meeting(ego, drives[vehicle.id]) if vehicle.arrives is not None or vehicle.stands else None
+        if met is not None:
+            start = max(met[0] - _seconds(vehicle, drives[vehicle.id], met[1]) * speed, length + 1.0)
+            if (met[0] - start) / speed < SOONEST:
+                raise UsageError(
+                    f"The ego's way to where it meets '{vehicle.id}' is {met[0]:.0f} m, which is less than "
+                    f"{SOONEST:g} s at its speed: give a longer road, or a lower speed."
+                )
+            return min(start, ego.first - 1.0)
+    behind = max((-v.gap for v in scene.vehicles if v.gap is not None), default=0.0)
+    return min(max(ROOM, behind + ROOM / 2), ego.first / 2)
+
+
+def _seconds(v: VehicleDraft, drive: Drive, station: float) -> float:
+    """The time to the meeting that lets the vehicle start on its first edge [s]."""
+    if v.stands or v.speed == 0:
+        return MEET
+    return max(MEET, (station - drive.first + APART) / (v.speed / 3.6) - (v.arrives or 0.0))
+
+
+def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start: float) -> Placed:
+    speed = ego.speed / 3.6
+    _check_speed(v.speed, drive, f"'{v.id}'")
+    met = meeting(ego_drive, drive)
+    meets = None if met is None else (met[0] - start) / speed
+    if v.gap is not None:
+        if drive.edges[0] != ego_drive.edges[0]:
+            raise UsageError(
+                f"'{v.id}' has a gap but begins on edge '{drive.edges[0]}' and the ego on '{ego_drive.edges[0]}': let "
+                "it begin there, or give arrives."
+            )
+        return Placed(v, drive, _within(v, drive, start + v.gap), None)
+    if v.stands:
+        return Placed(v, drive, drive.first - 1.0, meets)
+    if v.arrives is None:
+        raise UsageError(f"'{v.id}' needs a gap or arrives, or stands.")
+    if drive.edges[0] == ego_drive.edges[0]:
+        raise UsageError(f"'{v.id}' begins on the ego's edge, so it needs a gap, not arrives.")
+    if met is None or meets is None:
+        meets = MEET
+        x, y, _ = ego_drive.at(start + meets * speed)
+        station = drive.nearest(x, y)
+    else:
+        station = met[1]
+    return Placed(v, drive, _within(v, drive, station - (meets + v.arrives) * v.speed / 3.6), meets)
+
+
+def _within(v: VehicleDraft, drive: Drive, position: float) -> float:
+    """The position, if it is on the first edge. Raises UsageError."""
+    if not SIZES[v.type][0] <= position <= drive.first:
+        way = "Its speed, arrives or gap must be less, or the road longer" if position < 0 else "Choose other numbers"
+        raise UsageError(
+            f"'{v.id}' would have to start at {position:.0f} m on edge '{drive.edges[0]}', which has room from "
+            f"{SIZES[v.type][0]:.0f} to {drive.first:.0f} m. {way}."
+        )
+    return position
+
+
+def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: float) -> None:
+    """No two may start on top of one another."""
+    fronts = [("the ego", ego_drive.edges[0], ego_drive.lane, start, SIZES[ego.type][0])]
+    fronts += [(f"'{p.draft.id}'", p.drive.edges[0], p.drive.lane, p.position, SIZES[p.draft.type][0]) for p in placed]
+    for k, (one, *lane, front, length) in enumerate(fronts):
+        for other, *beside, place, size in fronts[k + 1 :]:
+            if lane == beside and abs(front - place) < (size if place > front else length) + APART:
+                raise UsageError(
+                    f"{one[:1].upper()}{one[1:]} and {other} would start on top of one another in lane {lane[1]} of "
+                    f"'{lane[0]}' (fronts at {front:.0f} and {place:.0f} m)."
+                )
+
+
+def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed]) -> str:
+    rows: list[tuple[str, str, float, Drive, float, bool]] = []
+    rows += [("ego", ego.type, ego.speed, ego_drive, start, False)]
+    rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
+    types, vehicles = [], []
+    for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
+        length, width = SIZES[kind]
+        speed = kmh / 3.6
+        lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
+        types.append(
+            f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" tau="1" '
+            f'speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" length="{length:g}" width="{width:g}" lcKeepRight="0" '
+            f'lcSpeedGain="0"{lanes}/>\n'
+        )
+        stop = ""
+        if stands:
+            lane = f"{drive.edges[0]}_{drive.lane}"
+            stop = f'        <stop lane={quoteattr(lane)} endPos="{position:.2f}" duration="{LASTS:g}"/>\n'
+        vehicles.append(
+            f'    <vehicle id="{name}" type="type_{name}" depart="0" departLane="{drive.lane}" '
+            f'departPos="{position:.2f}" departSpeed="{0.0 if stands else speed:.2f}">\n'
+            f"        <route edges={quoteattr(' '.join(drive.edges))}/>\n{stop}    </vehicle>\n"
+        )
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n{"".join(types)}{"".join(vehicles)}</routes>\n'
+
+
+def _signals(states: dict[str, str]) -> str:
+    rows = [
+        f'    <tlLogic id={quoteattr(name)} type="static" programID="asked" offset="0">\n'
+        f'        <phase duration="3600" state="{state}"/>\n    </tlLogic>\n'
+        for name, state in sorted(states.items())
+    ]
+    return f"<additional>\n{''.join(rows)}</additional>\n"
+
+
+def _scenario(
+    scene: SceneDraft, stem: str, network: Path, written: Written, ego: Drive, start: float, placed: list[Placed],
+    *, lights: bool,
+) -> str:  # fmt: skip
+    attack, speed = scene.attack, scene.ego.speed / 3.6
+    walkers, tables = _boxes(scene, ego, start)
+    adversary = walkers.get(attack.adversary, attack.adversary)
+    trigger = FREE
+    met = next((p.meets for p in placed if p.draft.id == attack.adversary), None)
+    at = next((w.at for w in scene.walkers if w.id == attack.adversary), None)
+    met = at / speed if at is not None else met
+    if met is not None:
+        trigger = max(round(met - BEFORE, 1), EARLIEST)
+    name = scene.road.name if scene.road.kind == "shipped" else network.name
+    if scene.road.kind == "given":
+        name = str(network.resolve())
+    lines = [
+        f"# {line}\n" for line in ("Made from words by sumo-adv write; [written] holds them.",)
+    ] + [
+        f"schema = 1\nnetwork = {_text(name)}\n\n[demand]\nfiles = [{_text(f'{stem}.rou.xml')}]\nbegin = 0.0\n"
+        f"end = {LASTS}\n\n[ego]\nid = \"ego\"\n\n[window]\nwarm_up = {min(trigger, EARLIEST)}\ntrigger = {trigger}\n"
+        f"horizon = {HORIZON}\n\n[adversary]\ncandidates = {_list([adversary])}\n",
+        f"supports = {_list(attack.supports)}\n" if attack.supports else "",
+        f"intents = {_list(attack.intents)}\n" if attack.intents else "",
+        f"\n[signals]\nfiles = [{_text(f'{stem}.add.xml')}]\n" if lights else "",
+        *tables,
+        f"\n[written]\nwords = {_text(written.words)}\nmodel = {_text(written.model)}\ndate = {_text(written.date)}\n",
+        f"\n[asked]\n{_asked(attack.asked)}",
+    ]  # fmt: skip
+    return "".join(lines)
+
+
+def _boxes(scene: SceneDraft, ego: Drive, start: float) -> tuple[dict[str, str], list[str]]:
+    """The ids that a run gives to the walkers, and the tables of walkers and parked vehicles."""
+    ids: dict[str, str] = {}
+    tables = []
+    counts = {"pedestrian": 0, "cyclist": 0}
+    for parked in scene.parked:
+        x, y, heading = _beside(ego, start + parked.at, parked.offset)
+        tables.append(_box("parked", x, y, heading, *SIZES[parked.type]))
+    for walker in scene.walkers:
+        x, y, heading = _beside(ego, start + walker.at, walker.offset)
+        turned = heading - math.copysign(math.pi / 2, walker.offset)
+        ids[walker.id] = f"{walker.kind}{counts[walker.kind]}"
+        counts[walker.kind] += 1
+        size = PEDESTRIAN if walker.kind == "pedestrian" else SIZES["bicycle"]
+        tables.append(_box(f"{walker.kind}s", x, y, turned, *size))
+    return ids, tables
+
+
+def _beside(ego: Drive, station: float, offset: float) -> tuple[float, float, float]:
+    x, y, heading = ego.at(station)
+    return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
+
+
+def _box(table: str, x: float, y: float, heading: float, length: float, width: float) -> str:
+    turned = math.remainder(heading, math.tau)
+    return f"\n[[{table}]]\nx = {x:.2f}\ny = {y:.2f}\nheading = {turned:.4f}\nlength = {length}\nwidth = {width}\n"
+
+
+def _asked(asked: Asked) -> str:
+    rows = []
+    for key, value in asked.model_dump(mode="json", exclude_defaults=True).items():
+        shown = _list(value) if isinstance(value, list) else _text(value) if isinstance(value, str) else str(value)
+        rows.append(f"{key} = {shown.lower() if isinstance(value, bool) else shown}\n")
+    return "".join(rows)
+
+
+def _text(value: str) -> str:
+    """A TOML basic string."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _list(values: list[str]) -> str:
+    return f"[{', '.join(_text(v) for v in values)}]"

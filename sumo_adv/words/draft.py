@@ -1,0 +1,113 @@
+"""What a language model answers when it makes a scenario of words. The schema is sent to it, with names and docstrings.
+
+Lengths m, times s, speeds km/h. Nothing here is a path, a command or a program: an answer can only choose among kinds
+of roads, names of edges and numbers within bounds.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from sumo_adv.asked import Asked
+
+Edge = Annotated[str, Field(min_length=1, max_length=60)]
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,29}$")]
+Kmh = Annotated[float, Field(ge=0, le=160)]
+RoadKind = Literal["shipped", "given", "straight", "ramp", "lane_drop", "t", "crossing", "roundabout"]
+VehicleType = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
+MOST_ACTORS = 12
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class RoadDraft(_Part):
+    """The road. name: of a shipped network. The numbers are of a generated one."""
+
+    kind: RoadKind
+    name: str = Field(default="", max_length=60)
+    lanes: int = Field(default=1, ge=1, le=4)
+    lanes_back: int = Field(default=1, ge=0, le=3)
+    speed_limit: float = Field(default=50, ge=10, le=160)
+    minor_limit: float = Field(default=50, ge=5, le=100)
+    length: float = Field(default=400, ge=100, le=3000)
+    control: Literal["priority", "signals", "all_stop", "right_before_left"] = "priority"
+    ends: Literal["left", "right"] = "right"
+    sidewalk: bool = False
+    bike_lane: bool = False
+
+
+class EgoDraft(_Part):
+    """The vehicle under test. route: first and last edge. lane: 0 is the rightmost one for it. position: m of its front
+    on the first edge; leave it out where it is to meet somebody."""
+
+    type: Literal["car", "van", "truck", "bus", "motorcycle"] = "car"
+    route: list[Edge] = Field(min_length=2, max_length=2)
+    lane: int = Field(default=0, ge=0, le=5)
+    speed: Annotated[float, Field(ge=5, le=160)]
+    position: float | None = Field(default=None, ge=5, le=3000)
+
+
+class VehicleDraft(_Part):
+    """A vehicle. Give gap (m from the ego's front to its front, along the same road; 0 is beside, negative is behind)
+    or arrives (s after the ego at the place where their ways meet, negative: before; of an oncoming vehicle, where the
+    two pass). stands: it does not move by itself; with gap, else at the end of its first edge."""
+
+    id: Name
+    type: VehicleType = "car"
+    route: list[Edge] = Field(min_length=2, max_length=2)
+    lane: int = Field(default=0, ge=0, le=5)
+    speed: Kmh
+    gap: float | None = Field(default=None, ge=-500, le=1500)
+    arrives: float | None = Field(default=None, ge=-8, le=20)
+    stands: bool = False
+
+
+class WalkerDraft(_Part):
+    """A pedestrian or cyclist who stands beside the road. at: m along the ego's way from its start. offset: m from the
+    middle of the ego's lane, left positive."""
+
+    id: Name
+    kind: Literal["pedestrian", "cyclist"] = "pedestrian"
+    at: float = Field(ge=5, le=1500)
+    offset: float = Field(ge=-20, le=20)
+
+
+class ParkedDraft(_Part):
+    """A parked vehicle, which never moves; at and offset as of a walker, of its middle."""
+
+    type: VehicleType = "car"
+    at: float = Field(ge=0, le=1500)
+    offset: float = Field(ge=-20, le=20)
+
+
+class AttackDraft(_Part):
+    """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any."""
+
+    adversary: Name
+    intents: list[str] = Field(default_factory=list, max_length=4)
+    supports: list[Name] = Field(default_factory=list, max_length=2)
+    asked: Asked
+
+
+class SceneDraft(_Part):
+    """A whole scenario."""
+
+    road: RoadDraft
+    ego: EgoDraft
+    vehicles: list[VehicleDraft] = Field(default_factory=list, max_length=MOST_ACTORS)
+    walkers: list[WalkerDraft] = Field(default_factory=list, max_length=4)
+    parked: list[ParkedDraft] = Field(default_factory=list, max_length=8)
+    attack: AttackDraft
+
+
+class Draft(_Part):
+    """The whole answer: either a scene, or cannot: one sentence on why there is none."""
+
+    understood: str = Field(max_length=600)
+    left_out: str = Field(default="", max_length=400)
+    cannot: str = Field(default="", max_length=400)
+    scene: SceneDraft | None = None

@@ -1,0 +1,304 @@
+"""What happened in an attempt, read from its tracks: the events of the adversary, and all of it in words.
+
+Positions count along the ego's path (station forward, offset to the left), from when the adversary was taken over until
+the contact or the end. The adversary is *in the ego's way* while its box overlaps the strip that the ego's box covers
+on its path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sumo_adv.asked import Event
+from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.geometry import Path, wrap
+from sumo_adv.road_users import RoadUser, road_user
+
+REACH = 30.0  # m along the path within which a vehicle's next place is looked for
+PASS = 1.0  # m behind the ego's front or back from which a vehicle counts as behind or ahead
+ACROSS = math.radians(35)  # heading against the ego's path from which a vehicle crosses it
+TURN = math.radians(45)  # change of its own heading that is a turn
+ONCOMING = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
+CHANGE = 2.0  # m/s that are lost or gained
+STANDING = 0.5  # m/s
+BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
+AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
+MOST_OTHERS = 4  # other vehicles in the description, the nearest ones
+EVERY = 1.0  # s between the lines of the description
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The tracks of an attempt from the take-over on.
+
+    path: of the ego without an attack. side: of the ego that is hit, None without a contact; the tracks end there.
+    start: of the attack [s]. red_at: when the adversary passes a red light [s], None if it does not.
+    """
+
+    ego: Track
+    adversary: Track
+    others: Sequence[Track]
+    path: Path
+    relation: str
+    hidden: bool
+    side: str | None
+    start: float
+    red_at: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What happened. events: (seconds after the take-over, event), in order. beside: sides of the ego on which another
+    vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the adversary. words: all of
+    it, for a reader."""
+
+    relation: str
+    user: RoadUser
+    events: tuple[tuple[float, Event], ...]
+    side: str | None
+    hidden: bool
+    beside: frozenset[str]
+    time: Floats
+    speed: Floats
+    length: float
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Along:
+    """A track along a path: station, offset of the centre [m], heading against the path [rad], half extent across."""
+
+    s: Floats
+    d: Floats
+    turn: Floats
+    half: Floats
+    reach: Floats
+
+
+def observe(scene: Scene) -> Motion | None:
+    """What happened in a scene; None if one of the two was gone at once."""
+    time = np.intersect1d(np.round(scene.ego.time, 3), np.round(scene.adversary.time, 3))
+    time = time[time >= scene.start - 1e-6]
+    if len(time) < 3:
+        return None
+    time = time[: _end(scene, _at(scene.ego, time), _at(scene.adversary, time))]
+    ego, bv = _at(scene.ego, time), _at(scene.adversary, time)
+    a, b = _along(ego, scene.path), _along(bv, scene.path)
+    events = tuple(sorted(_events(scene, time - time[0], ego, bv, a, b)))
+    others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
+    along = [(t, _along(t, scene.path)) for t in others]
+    sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING)  # not those that are parked
+    beside = frozenset(side for side in sides if side is not None)
+    user = road_user(scene.adversary)
+    words = _words(scene, time - time[0], ego, bv, a, b, events, user, along)
+    return Motion(
+        scene.relation, user, events, scene.side, scene.hidden, beside, time - time[0], bv.speed, bv.length, words
+    )  # fmt: skip
+
+
+def _end(scene: Scene, ego: Track, bv: Track) -> int:
+    """How many states count: all to a contact, else those until ``AFTER`` s after the two were nearest."""
+    if scene.side is not None:
+        return len(ego.time)
+    nearest = int(np.argmin(np.hypot(ego.x - bv.x, ego.y - bv.y)))
+    return int(np.searchsorted(ego.time, ego.time[nearest] + AFTER, side="right"))
+
+
+def _at(track: Track, time: Floats) -> Track:
+    keep = np.isin(np.round(track.time, 3), time)
+    x, y, heading, speed = (c[keep] for c in (track.x, track.y, track.heading, track.speed))
+    return replace(
+        track, time=track.time[keep], x=x, y=y, heading=heading, speed=speed, acceleration=track.acceleration[keep],
+        lane=(),
+    )  # fmt: skip
+
+
+def _along(track: Track, path: Path) -> _Along:
+    places, near = [], None
+    for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
+        station, offset = path.project(x, y, near=near, reach=REACH)
+        near = station
+        places.append((station, offset))
+    s, d = np.array(places).T
+    turn = wrap(track.heading - path.at(s)[2])
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    half = (track.length * sin + track.width * cos) / 2
+    return _Along(s, d, turn, half, (track.length * cos + track.width * sin) / 2)
+
+
+def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along) -> list[tuple[float, Event]]:
+    inside = np.abs(b.d) < b.half + ego.width / 2
+    inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
+    found = [*_way_events(t, ego, a, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
+    turned = np.unwrap(bv.heading) - bv.heading[0]
+    for event, where in ((Event.TURNS_LEFT, turned >= TURN), (Event.TURNS_RIGHT, turned <= -TURN)):
+        if (k := _first(where)) is not None:
+            found.append((float(t[k]), event))
+    if scene.red_at is not None:
+        found.append((scene.red_at - scene.start, Event.RUNS_RED))
+    return [(round(max(time, 0.0), 1), event) for time, event in found]
+
+
+def _way_events(t: Floats, ego: Track, a: _Along, b: _Along, inside: Bools) -> list[tuple[float, Event]]:
+    """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing."""
+    found = []
+    for k in range(1, len(t)):
+        if inside[k] and not inside[k - 1]:
+            angle = abs(float(b.turn[k]))
+            left = bool(b.d[k] > 0)
+            if angle >= ONCOMING or (abs(float(b.turn[0])) >= ONCOMING and left):
+                found.append((float(t[k]), Event.COMES_OVER))
+            elif angle >= ACROSS:
+                found.append((float(t[k]), Event.CROSSES_FROM_LEFT if left else Event.CROSSES_FROM_RIGHT))
+            else:
+                found.append((float(t[k]), Event.ENTERS_FROM_LEFT if left else Event.ENTERS_FROM_RIGHT))
+        elif inside[k - 1] and not inside[k]:
+            found.append((float(t[k]), Event.LEAVES))
+    return found
+
+
+def _pass_events(t: Floats, a: _Along, b: _Along) -> list[tuple[float, Event]]:
+    """The first time that it gets from behind the ego's centre to ahead of it, going the ego's way."""
+    ahead = b.s - a.s
+    behind = _first((ahead <= -PASS) & (np.abs(b.turn) < ACROSS))
+    k = None if behind is None else _first((np.arange(len(t)) > behind) & (ahead >= PASS))
+    if k is None or abs(b.d[k]) < 1.0:
+        return []
+    return [(float(t[k]), Event.PASSES_LEFT if b.d[k] > 0 else Event.PASSES_RIGHT)]
+
+
+def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
+    """Each run of braking or speeding up that changes the speed enough; standstill and moving off."""
+    found: list[tuple[float, Event]] = []
+    low = high = float(bv.speed[0])
+    since_low = since_high = float(t[0])
+    last = None
+    for time, speed in zip(t.tolist(), bv.speed.tolist(), strict=True):
+        if speed <= low:
+            low, since_low = speed, time
+        if speed >= high:
+            high, since_high = speed, time
+        if speed <= high - CHANGE and last is not Event.BRAKES:
+            found.append((since_high, last := Event.BRAKES))
+            low, since_low = speed, time
+        elif speed >= low + CHANGE and last is not Event.SPEEDS_UP:
+            found.append((since_low, last := Event.SPEEDS_UP))
+            high, since_high = speed, time
+        if last is Event.BRAKES:
+            high, since_high = low, since_low
+        elif last is Event.SPEEDS_UP:
+            low, since_low = high, since_high
+    standing = bv.speed < STANDING
+    for k in range(1, len(t)):
+        if standing[k] != standing[k - 1]:
+            found.append((float(t[k]), Event.STOPS if standing[k] else Event.STARTS))
+    return found
+
+
+def change_after(time: Floats, speed: Floats, after: float, event: Event) -> float | None:
+    """When a vehicle begins to brake or to speed up, by ``CHANGE`` or more, at ``after`` or later [s]; None if it does
+    not. What began before and goes on counts from ``after`` on."""
+    sign = -1.0 if event is Event.BRAKES else 1.0
+    keep = time >= after
+    if not keep.any():
+        return None
+    t, gained = time[keep], sign * speed[keep]
+    since = np.minimum.accumulate(gained)
+    k = _first(gained >= since + CHANGE)
+    return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
+
+
+def _beside(a: _Along, o: _Along) -> str | None:
+    near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < BESIDE)
+    k = _first(near & (np.abs(o.turn) < ACROSS))
+    return None if k is None else ("left" if o.d[k] > 0 else "right")
+
+
+def _first(where: Bools) -> int | None:
+    return int(np.argmax(where)) if where.any() else None
+
+
+KINDS: Mapping[RoadUser, str] = {
+    RoadUser.VEHICLE: "vehicle", RoadUser.CYCLIST: "cyclist", RoadUser.PEDESTRIAN: "pedestrian"
+}  # fmt: skip
+PHRASES = {
+    Event.PASSES_LEFT: "A has come from behind and is now ahead of EGO, on its left",
+    Event.PASSES_RIGHT: "A has come from behind and is now ahead of EGO, on its right",
+    Event.ENTERS_FROM_LEFT: "A comes from the left into EGO's way, going the same way",
+    Event.ENTERS_FROM_RIGHT: "A comes from the right into EGO's way, going the same way",
+    Event.CROSSES_FROM_LEFT: "A comes from the left across EGO's way",
+    Event.CROSSES_FROM_RIGHT: "A comes from the right across EGO's way",
+    Event.COMES_OVER: "A, which came towards EGO, comes into EGO's way",
+    Event.LEAVES: "A goes out of EGO's way",
+    Event.TURNS_LEFT: "A has turned left by 45 degrees",
+    Event.TURNS_RIGHT: "A has turned right by 45 degrees",
+    Event.SPEEDS_UP: "A begins to speed up",
+    Event.BRAKES: "A begins to brake",
+    Event.STOPS: "A stands",
+    Event.STARTS: "A moves off",
+    Event.RUNS_RED: "A enters the junction on red",
+}
+
+
+def _words(
+    scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along, events: Sequence[tuple[float, Event]],
+    user: RoadUser, others: Sequence[tuple[Track, _Along]],
+) -> str:  # fmt: skip
+    """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
+    turned = math.degrees(float(wrap(ego.heading[-1] - ego.heading[0])))
+    route = "goes straight on" if abs(turned) < 30 else f"turns {'left' if turned > 0 else 'right'}"
+    lines = [
+        f"EGO is {ego.length:.1f} m long and {route}. A is a {KINDS[user]}, {bv.length:.1f} m long and "
+        f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
+        *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
+        *_others(a, others),
+    ]
+    marks = sorted({*np.arange(0.0, float(t[-1]) - EVERY / 4, EVERY).tolist(), float(t[-1])})
+    before = -EVERY
+    for mark in marks:
+        k = int(np.argmin(np.abs(t - mark)))
+        lines += [f"{time:.1f} s: {PHRASES[event]}." for time, event in events if before < time <= mark + 0.05]
+        before = mark + 0.05
+        ahead, left = float(b.s[k] - a.s[k]), float(b.d[k])
+        lines.append(
+            f"{t[k]:.1f} s: EGO {ego.speed[k]:.1f} m/s; A {bv.speed[k]:.1f} m/s, {abs(ahead):.1f} m "
+            f"{'ahead of' if ahead >= 0 else 'behind'} EGO along EGO's way, {abs(left):.1f} m to the "
+            f"{'left' if left > 0 else 'right'} of that way, heading {math.degrees(float(b.turn[k])):.0f} deg to it."
+        )
+    end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
+    return "\n".join([*lines, end])
+
+
+def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
+    """Where the nearest other vehicles are, at first and in the end."""
+    near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MOST_OTHERS]
+    return [
+        f"Another {KINDS[road_user(track)]}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
+        f"in the end {_placed(a, o, track, -1)}."
+        for track, o in near
+    ]
+
+
+def _placed(a: _Along, o: _Along, track: Track, k: int) -> str:
+    ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
+    side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
+    place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
+    if track.speed[k] < STANDING:
+        return f"{place}, standing"
+    return f"{place}, {track.speed[k]:.0f} m/s, heading {math.degrees(float(o.turn[k])):.0f} deg"
+
+
+def _where(scene: Scene, a: _Along, b: _Along) -> str:
+    words = {
+        "leader": "ahead of EGO in its lane", "follower": "behind EGO in its lane",
+        "neighbour": "in a lane beside EGO, going the same way", "oncoming": "coming towards EGO",
+        "crossing": "on a way that crosses EGO's", "merging": "on a way that joins EGO's",
+    }  # fmt: skip
+    side = "left" if b.d[0] > 0 else "right"
+    if road_user(scene.adversary) is not RoadUser.VEHICLE:
+        return f"{b.s[0] - a.s[0]:.0f} m ahead, beside EGO's way, on its {side}"
+    return f"{words.get(scene.relation, scene.relation)}, on its {side}"

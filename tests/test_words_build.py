@@ -1,0 +1,160 @@
+"""From a draft to files: each kind of road, where vehicles start, and the sentence for a draft with a fault."""
+
+from __future__ import annotations
+
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sumo_adv.asked import Written
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.words.build import build
+from sumo_adv.words.draft import SceneDraft
+
+WRITTEN = Written(words='He said "stop" \\ and \u00fcber.', model="a model", date="2026-11-27")
+
+
+def scene(road: dict[str, Any], ego: dict[str, Any], *vehicles: dict[str, Any], **more: Any) -> SceneDraft:
+    attack = more.pop("attack", {"adversary": vehicles[0]["id"] if vehicles else "walker", "asked": {}})
+    return SceneDraft.model_validate(
+        {"road": road, "ego": ego, "vehicles": list(vehicles), "attack": attack, **more}
+    )  # fmt: skip
+
+
+def other(route: tuple[str, str], **more: Any) -> dict[str, Any]:
+    return {"id": "other", "route": list(route), "speed": 36, **more}
+
+
+def starts(folder: Path) -> dict[str, tuple[float, str]]:
+    """Where each vehicle starts on its first edge [m], and its route."""
+    root = ElementTree.parse(folder / "my.rou.xml").getroot()
+    return {
+        v.get("id", ""): (float(v.get("departPos", "")), v.find("route").get("edges", ""))  # type: ignore[union-attr]
+        for v in root.iter("vehicle")
+    }
+
+
+WEST_EAST = {"route": ["west_in", "east_out"], "speed": 36}
+ROADS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = [
+    ({"kind": "straight", "lanes": 2, "lanes_back": 0}, {"route": ["forward", "forward"], "speed": 36},
+     other(("forward", "forward"), lane=1, gap=5)),
+    ({"kind": "straight", "sidewalk": True, "bike_lane": True}, {"route": ["forward", "forward"], "speed": 36},
+     other(("forward", "forward"), type="bicycle", speed=15, gap=40)),
+    ({"kind": "ramp", "lanes": 2, "speed_limit": 100, "minor_limit": 80}, {"route": ["main", "onward"], "speed": 72},
+     other(("ramp", "onward"), speed=72, arrives=0)),
+    ({"kind": "lane_drop", "lanes": 2, "ends": "left"}, {"route": ["before", "after"], "speed": 36},
+     other(("before", "after"), lane=1, gap=-10)),
+    ({"kind": "t", "length": 300}, WEST_EAST, other(("south_in", "west_out"), speed=20, arrives=0)),
+    ({"kind": "crossing", "control": "all_stop", "length": 300}, WEST_EAST,
+     other(("north_in", "south_out"), arrives=0)),
+    ({"kind": "crossing", "control": "right_before_left", "length": 300}, WEST_EAST,
+     other(("south_in", "north_out"), arrives=1)),
+    ({"kind": "roundabout", "length": 200}, {"route": ["west_in", "east_out"], "speed": 28},
+     other(("south_in", "north_out"), speed=28, arrives=0.5)),
+    ({"kind": "shipped", "name": "two_way"}, {"route": ["eastbound", "eastbound"], "speed": 72},
+     other(("westbound", "westbound"), speed=72, arrives=0)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("road", "ego", "vehicle"), ROADS, ids=lambda value: value.get("kind", ""))
+def test_each_road_is_built_and_loads(
+    tmp_path: Path, road: dict[str, Any], ego: dict[str, Any], vehicle: dict[str, Any]
+) -> None:
+    made = load_input(build(scene(road, ego, vehicle), tmp_path / "my.toml", WRITTEN))
+    assert made.ego == "ego" and made.candidates == ("other",) and made.words == WRITTEN.words
+    assert {"ego", "other"} == set(starts(tmp_path))
+
+
+def test_a_crossing_vehicle_arrives_when_the_draft_says(tmp_path: Path) -> None:
+    """Both drive 10 m/s; 2 s later is 20 m farther back. The ways meet 1.6 m below and left of the middle: the ego is
+    counted from where they come within 2 m, 5.2 m before the other's place."""
+    road = {"kind": "crossing", "lanes": 1, "length": 300}
+    build(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=2)), tmp_path / "my.toml", WRITTEN)
+    placed = starts(tmp_path)
+    assert placed["ego"][0] - placed["other"][0] == pytest.approx(20.0 - 5.2, abs=1.0)
+    file = tomllib.loads((tmp_path / "my.toml").read_text())
+    assert file["window"]["trigger"] == pytest.approx(4.0, abs=0.2)  # 5 s before the ego is there, after 9 s
+
+
+def test_vehicles_with_a_gap_and_boxes_along_the_way(tmp_path: Path) -> None:
+    walker = {"id": "walker", "at": 50, "offset": -5}
+    van = {"type": "van", "at": 46, "offset": -4.5}
+    draft = scene(
+        {"kind": "straight", "length": 500}, {"route": ["forward", "forward"], "speed": 36, "position": 100},
+        other(("forward", "forward"), gap=-30), walkers=[walker], parked=[van],
+        attack={"adversary": "walker", "intents": ["Pedestrian From Behind Obstacle"],
+                "asked": {"user": "pedestrian", "hidden": True, "level": "near_miss"}},
+    )  # fmt: skip
+    made = load_input(build(draft, tmp_path / "my.toml", WRITTEN))
+    assert starts(tmp_path)["other"][0] == 70.0
+    assert made.candidates == ("pedestrian0",)
+    assert made.settings() == {"horizon": 10.0, "ttc": (0.2, 1.5), "until": "critical"}
+    assert made.settings(["until"]) == {"horizon": 10.0}
+    file = tomllib.loads((tmp_path / "my.toml").read_text())
+    lane = -1.6  # the middle of the ego's lane, which is 3.2 m wide
+    assert (file["pedestrians"][0]["x"], file["pedestrians"][0]["y"]) == (150.0, lane - 5)
+    assert (file["parked"][0]["x"], file["parked"][0]["y"]) == (146.0, lane - 4.5)
+    assert file["asked"] == {"user": "pedestrian", "hidden": True, "level": "near_miss"}
+    assert file["written"]["words"] == WRITTEN.words
+
+
+def test_the_ego_has_green_and_who_crosses_has_red(tmp_path: Path) -> None:
+    road = {"kind": "crossing", "lanes": 1, "control": "signals", "length": 300}
+    build(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=0)), tmp_path / "my.toml", WRITTEN)
+    (phase,) = ElementTree.parse(tmp_path / "my.add.xml").getroot().iter("phase")
+    state = phase.get("state", "")
+    links = {
+        (c.get("from"), c.get("to")): state[int(c.get("linkIndex", ""))]
+        for c in ElementTree.parse(tmp_path / "my.net.xml").getroot().iter("connection") if c.get("tl")
+    }  # fmt: skip
+    assert links["west_in", "east_out"] == links["east_in", "west_out"] == "G"
+    assert links["west_in", "north_out"] == "g"  # a left turn waits
+    assert links["north_in", "south_out"] == links["south_in", "north_out"] == "r"
+
+
+STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "forward"], "speed": 36}
+
+
+@pytest.mark.parametrize(
+    ("draft", "says"),
+    [
+        (scene({"kind": "shipped", "name": "twoway"}, ALONG, other(("forward", "forward"), gap=9)),
+         "There is no shipped network 'twoway'; the nearest is 'two_way'."),
+        (scene({"kind": "shipped", "name": "../../secret"}, ALONG, other(("forward", "forward"), gap=9)),
+         "There is no shipped network '../../secret'"),
+        (scene({"kind": "given"}, ALONG, other(("forward", "forward"), gap=9)), "There is no network of the user's"),
+        (scene(STRAIGHT, ALONG, other(("forward", "north"), gap=9)), "There is no edge 'north' for 'other'"),
+        (scene(STRAIGHT, ALONG, other(("forward", "backward"), gap=9)), "No way leads a passenger from edge 'forward'"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=9, lane=2)), "so its lane is 0 to 0, not 2"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"))), "'other' needs a gap or arrives, or stands."),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), arrives=0)), "so it needs a gap, not arrives"),
+        (scene(STRAIGHT, ALONG, other(("backward", "backward"), gap=9)), "has a gap but begins on edge 'backward'"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=3)), "would start on top of one another in lane 0"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=900)), "which has room from 5 to 500 m"),
+        (scene(STRAIGHT, {**ALONG, "speed": 120}, other(("forward", "forward"), gap=30)), "where the limit is 50 km/h"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=30) | {"id": "ego"}), "The id 'ego' is used twice"),
+        (scene(STRAIGHT, ALONG, other(("forward", "forward"), gap=30), attack={"adversary": "nobody", "asked": {}}),
+         "The attack names 'nobody', which is no vehicle or walker"),
+        (scene({"kind": "lane_drop"}, {"route": ["before", "after"], "speed": 36}, other(("before", "after"), gap=9)),
+         "A lane_drop needs lanes = 2 or more"),
+        (scene({"kind": "crossing", "length": 100}, {**WEST_EAST, "speed": 100}, other(("north_in", "south_out"),
+                                                                                      arrives=0)),
+         "give a longer road, or a lower speed"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_built_is_one_sentence(tmp_path: Path, draft: SceneDraft, says: str) -> None:
+    with pytest.raises(UsageError) as raised:
+        build(draft, tmp_path / "my.toml", WRITTEN)
+    assert says in str(raised.value), raised.value
+
+
+def test_the_users_network_is_named_by_its_path(tmp_path: Path) -> None:
+    network = data_folder("networks") / "two_way.net.xml"
+    draft = scene({"kind": "given"}, {"route": ["eastbound", "eastbound"], "speed": 72},
+                  other(("westbound", "westbound"), speed=72, arrives=0))  # fmt: skip
+    made = load_input(build(draft, tmp_path / "my.toml", WRITTEN, network))
+    assert made.network == network

@@ -1,0 +1,122 @@
+"""What happened in an attempt: events of hand-made tracks along a straight way of the ego, and whether they fit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sumo_adv.asked import Asked, Event
+from sumo_adv.datatypes import Floats, Relation, Role, Track
+from sumo_adv.geometry import make_path
+from sumo_adv.road_users import RoadUser
+from sumo_adv.words.fit import misfits
+from sumo_adv.words.motion import Motion, Scene, observe
+
+TIME = np.round(np.arange(0.0, 6.01, 0.1), 3)
+WAY = make_path([(-50.0, 0.0), (250.0, 0.0)])  # eastward
+EGO_SPEED = 10.0
+
+
+def track(name: str, x: Floats, y: Floats, heading: float, speed: Floats | float, size: tuple[float, float]) -> Track:
+    speeds = np.full(len(TIME), speed) if isinstance(speed, float) else speed
+    headings = np.full(len(TIME), heading)
+    role = Role.EGO if name == "ego" else Role.ADVERSARY
+    return Track(name, role, TIME, x, y, headings, speeds, np.zeros(len(TIME)), *size)
+
+
+EGO = track("ego", EGO_SPEED * TIME, 0.0 * TIME, 0.0, EGO_SPEED, (4.8, 1.8))
+
+
+def seen(adversary: Track, others: tuple[Track, ...] = (), side: str | None = None, **more: float) -> Motion:
+    motion = observe(Scene(EGO, adversary, others, WAY, "neighbour", False, side, 0.0, **more))
+    assert motion is not None
+    return motion
+
+
+def events(motion: Motion) -> dict[Event, float]:
+    return {event: time for time, event in motion.events}
+
+
+def cut_in(size: tuple[float, float] = (4.8, 1.8)) -> Track:
+    """10 m ahead at the ego's speed, 3.6 m to the left until 2 s, then 1.2 m/s to the right until it is in the lane;
+    after 5 s it loses 4 m/s within a second."""
+    y = np.clip(3.6 - 1.2 * (TIME - 2.0), 0.0, 3.6)
+    speed = EGO_SPEED - np.clip(4.0 * (TIME - 5.0), 0.0, 4.0)
+    x = 10.0 + np.concatenate([[0.0], np.cumsum(speed[:-1] * 0.1)])
+    return track("cutter", x, y, 0.0, speed, size)
+
+
+def test_a_cut_in_comes_from_the_left_and_brakes_after_it() -> None:
+    happened = events(seen(cut_in()))
+    assert happened == {Event.ENTERS_FROM_LEFT: 3.6, Event.BRAKES: 5.0}  # 3.6 - 1.2 * 1.6 = 1.68 < 0.9 + 0.9
+    asked = Asked(events=(Event.ENTERS_FROM_LEFT, Event.BRAKES), relation=Relation.NEIGHBOUR)
+    assert misfits(asked, seen(cut_in())) == ()
+
+
+def test_the_order_counts() -> None:
+    asked = Asked(events=(Event.BRAKES, Event.ENTERS_FROM_LEFT))
+    (lack,) = misfits(asked, seen(cut_in()))
+    assert lack.startswith("'enters_from_left' does not happen after 'brakes'")
+
+
+def test_a_contact_counts_as_being_in_the_way() -> None:
+    """The tracks end just before the boxes touch, here 1.85 m beside, where 1.8 m would be inside."""
+    beside = track("b", EGO.x + 1.0, 0.0 * TIME + 1.85, 0.0, EGO_SPEED, (4.8, 1.8))
+    assert Event.ENTERS_FROM_LEFT not in events(seen(beside))
+    assert Event.ENTERS_FROM_LEFT in events(seen(beside, side="left"))
+
+
+@pytest.mark.parametrize(("sign", "event"), [(1, Event.CROSSES_FROM_LEFT), (-1, Event.CROSSES_FROM_RIGHT)])
+def test_a_crossing_vehicle_comes_from_a_side(sign: int, event: Event) -> None:
+    y = sign * (20.0 - 8.0 * TIME)
+    crossing = track("c", 0.0 * TIME + 40.0, y, -sign * np.pi / 2, 8.0, (4.0, 1.8))
+    happened = events(seen(crossing))  # its half length 2 m and the ego's half width 0.9 m: in the way from 2.9 m on
+    assert happened[event] == 2.2 and happened[Event.LEAVES] == 2.9
+
+
+def test_an_oncoming_vehicle_comes_over() -> None:
+    y = np.clip(3.45 - 1.0 * TIME, 0.0, 3.5)  # less than 1.8 m from 1.7 s on
+    oncoming = track("o", 150.0 - 10.0 * TIME, y, np.pi, 10.0, (4.8, 1.8))
+    assert events(seen(oncoming)) == {Event.COMES_OVER: 1.7}
+
+
+def test_a_vehicle_passes_on_the_right_while_another_is_beside_on_the_left() -> None:
+    passing = track("p", -10.0 + 14.0 * TIME, 0.0 * TIME - 3.5, 0.0, 14.0, (4.8, 1.8))
+    beside = track("s", EGO.x + 1.0, 0.0 * TIME + 3.5, 0.0, EGO_SPEED, (4.8, 1.8))
+    parked = track("v", 0.0 * TIME + 30.0, 0.0 * TIME - 4.0, 0.0, 0.0, (5.5, 2.0))
+    motion = seen(passing, (beside, parked))
+    assert events(motion) == {Event.PASSES_RIGHT: 2.8}  # it gains 4 m/s: 11 m after 2.75 s
+    assert motion.beside == frozenset({"left"}), "what is parked is not beside"
+    assert "5.5 m long" in motion.words and "standing" in motion.words
+
+
+def test_standing_and_red_lights() -> None:
+    speed = np.clip(2.0 * (TIME - 1.0), 0.0, 6.0)
+    starts = track("w", 60.0 + 0.0 * TIME, 0.0 * TIME + 8.0, -np.pi / 2, speed, (4.8, 1.8))
+    happened = events(seen(starts, red_at=1.5))
+    assert happened[Event.STARTS] == 1.3 and happened[Event.SPEEDS_UP] == 1.0 and happened[Event.RUNS_RED] == 1.5
+
+
+def test_who_it_is_and_what_is_hit() -> None:
+    motion = seen(cut_in((12.0, 2.5)), side="left")
+    assert misfits(Asked(least_length=10, side="left", user=RoadUser.VEHICLE, most_speed_first=10), motion) == ()
+    lacks = misfits(
+        Asked(
+            relation=Relation.LEADER, user=RoadUser.PEDESTRIAN, side="front", hidden=True, beside="right",
+            least_length=13, most_speed_first=5,
+        ),
+        motion,
+    )  # fmt: skip
+    assert lacks == (
+        "The adversary is a vehicle, not a pedestrian.", "The adversary is neighbour, not leader.",
+        "The ego is hit at its left, not at its front.", "Nothing hides the adversary from the ego at first.",
+        "No other vehicle is beside the ego on its right.", "The adversary is 12 m long, not 13 m or more.",
+        "The adversary drives 10.0 m/s at first, not 5.",
+    )  # fmt: skip
+
+
+def test_the_words_hold_facts_and_no_names() -> None:
+    words = seen(cut_in()).words
+    assert "cutter" not in words and words.splitlines()[-1] == "They do not touch."
+    assert "3.6 s: A comes from the left into EGO's way, going the same way." in words
+    assert "0.0 s: EGO 10.0 m/s; A 10.0 m/s, 10.0 m ahead of EGO along EGO's way, 3.6 m to the left" in words

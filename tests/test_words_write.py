@@ -1,0 +1,136 @@
+"""``write``: a model makes a scenario of words; it is built, runs, and is compared with the words."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_samples import Program
+from model_server import Asked, ModelServer
+
+CUT_IN = "On the motorway a van squeezes in right in front of me from the left lane."
+QUICK = ("--attempts", "40", "--seconds", "3600", "--memory", "bank.sqlite", "--out", "my.toml", "--run-out", "run")
+READ = {"happened": "A vehicle comes into the lane of EGO from the left and touches it.", "fits": True, "lacks": ""}
+
+
+def cut_in(**changed: Any) -> dict[str, Any]:
+    """A van 2 m ahead of the ego in the left lane of a motorway."""
+    van = {"id": "van", "type": "van", "route": ["forward", "forward"], "lane": 1, "speed": 105, "gap": 2} | changed
+    return {
+        "understood": "A van changes from the left lane into the gap ahead of the ego.",
+        "left_out": "", "cannot": "",
+        "scene": {
+            "road": {"kind": "straight", "lanes": 2, "lanes_back": 0, "speed_limit": 120, "length": 1500},
+            "ego": {"route": ["forward", "forward"], "lane": 0, "speed": 100},
+            "vehicles": [van],
+            "attack": {
+                "adversary": "van", "intents": ["Aggressive Cut-in", "Straight Lane Shift"],
+                "asked": {"relation": "neighbour", "events": ["enters_from_left"]},
+            },
+        },
+    }  # fmt: skip
+
+
+def program(folder: Path, server: ModelServer | None = None) -> Program:
+    made = Program(folder, folder)
+    made.variables.update(server.environment() if server is not None else {})
+    return made
+
+
+def is_reader(request: Asked) -> bool:
+    return request.system.startswith("You compare a recorded")
+
+
+def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
+    with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
+        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+    assert done.status == 0, done.err
+    built, happened, fits = done.out.strip().splitlines()
+    assert built.startswith("Built: A van changes") and "my.toml" in built
+    assert happened.startswith("Happened: level ") and READ["happened"] in happened
+    assert fits == "Fits: yes, by the rules and to a reader."
+    scenario = tomllib.loads((tmp_path / "my.toml").read_text())
+    assert scenario["written"]["words"] == CUT_IN and scenario["written"]["model"] == "gpt-test"
+    assert scenario["asked"] == {"relation": "neighbour", "events": ["enters_from_left"]}
+    outcome = json.loads((tmp_path / "run" / "outcome.json").read_text())
+    assert outcome["asked"]["fits"] and "from the left into EGO's way" in outcome["asked"]["motion"]
+    assert [is_reader(request) for request in server.asked] == [False, True]
+    assert "squeezes in" in server.asked[1].last and "neighbour" not in server.asked[1].last  # it sees no plan
+
+
+def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
+    drafts = iter([cut_in(route=["forward", "backwards"]), cut_in(gap=-90), cut_in()])
+    with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
+        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK, "--json")
+    assert done.status == 0, done.err
+    faults = [request.last for request in server.asked if not is_reader(request)][1:]
+    assert "There is no edge 'backwards' for 'van'; there are forward." in faults[0]
+    assert json.loads(done.out)["fits"] is True
+    assert len(faults) == 2 and "no vehicle near could endanger the ego" in faults[1]  # it is 90 m behind
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("!!! 123", "The request holds no words"),
+        ("ignore all " * 1000, "at most 6000 are read"),
+    ],
+)
+def test_words_that_cannot_be_a_request_are_refused(tmp_path: Path, words: str, says: str) -> None:
+    done = program(tmp_path)("write", words, "--llm", "gpt-test", "--out", "my.toml")
+    assert (done.status, says in done.err, len(done.err.splitlines())) == (2, True, 1)
+    assert not (tmp_path / "my.toml").exists()
+
+
+def test_what_no_road_can_hold_ends_in_a_sentence(tmp_path: Path) -> None:
+    cannot = {"understood": "A plane.", "left_out": "", "cannot": "A plane that lands is no road user.", "scene": None}
+    with ModelServer(lambda _: cannot) as server:
+        done = program(tmp_path, server)("write", "A plane lands on me.", "--llm", "gpt-test", *QUICK)
+    assert done.status == 1
+    assert done.err.strip() == ("sumo-adv: There is no scenario for these words: A plane that lands is no road user.")
+    assert not (tmp_path / "my.toml").exists() and not (tmp_path / "run").exists()
+
+
+def test_without_a_model_the_nearest_shipped_scenarios_are_named(tmp_path: Path) -> None:
+    done = program(tmp_path)("write", "A pedestrian runs out from behind a parked van.", "--out", "my.toml")
+    assert done.status == 2
+    assert "needs a language model" in done.err and "pedestrian_from_behind_parked" in done.err
+
+
+def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "report.txt").write_text(CUT_IN)
+    (tmp_path / "my.rou.xml").write_text("mine")
+    with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
+        run = program(tmp_path, server)
+        taken = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        assert (taken.status, "my.rou.xml is there already" in taken.err, server.asked) == (2, True, [])
+        both = run("write", CUT_IN, "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        assert both.status == 2 and "not both" in both.err
+        missing = run("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)
+        assert missing.status == 2 and "The report none.txt cannot be read" in missing.err
+        done = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
+    assert done.status == 0, done.err
+    assert tomllib.loads((tmp_path / "my.toml").read_text())["written"]["words"] == CUT_IN
+
+
+def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:
+    """Without a model: the rules in the file decide, and its level is the goal."""
+    with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
+        run = program(tmp_path, server)
+        assert run("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
+        questions = len(server.asked)
+        text = (tmp_path / "my.toml").read_text()
+        (tmp_path / "my.toml").write_text(text.replace("[asked]", '[asked]\nlevel = "near_miss"'))
+        done = run(
+            "run", "my.toml", "--learn", "off", "--attempts", "40", "--seconds", "3600", "--out", "out", "--json"
+        )
+        repeated = run("run", "--replay", "out", "--out", "again", "--json")
+    assert done.status == 0 and len(server.asked) == questions
+    assert done.outcome["goal"] == "near miss with a min TTC of 0.2 to 1.5 s"
+    assert done.outcome["ending"] == "critical" and done.outcome["asked"]["fits"]
+    again = json.loads((tmp_path / "again" / "outcome.json").read_text())
+    assert repeated.status == 0 and again["asked"]["motion"] == done.outcome["asked"]["motion"]
+    assert again["asked"]["fits"]
