@@ -55,7 +55,9 @@ def test_environment_speed_has_a_row_for_an_environment(program: Program) -> Non
 
 def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     """Over a bound (status 1) is allowed: other tests run beside it."""
-    output = printed(program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8", statuses=(0, 1))
+    output = printed(
+        program, "attempt_cost.py", "motorway_cut_in_left", "--pairs", "2", "--proposals", "8", statuses=(0, 1)
+    )
     assert "same states and verdict both ways: yes" in output
     for name in ("attempt by fork", "attempt by load and repeat", "two by fork at once, each"):
         timing = re.search(rf"{name}{NUMBER * 3}  ms", output)
