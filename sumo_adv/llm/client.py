@@ -129,7 +129,7 @@ class HttpModel:
         """The model's reply. A rejected schema is sent again in the next of ``MODES``.
 
         A model that only thinks until it is cut off is asked again for less thinking, in one way of
-        ``wire.LESS_THINKING`` after another, once in a run; the one that helps is kept. Tokens of all tries are summed.
+        ``wire.LESS_THINKING`` after another, once in a run; the first that helps is kept. Tokens of all tries are summed.
         Raises ModelError, and BudgetError if the run's time ends during the question.
         """
         with self._connection.question(self._ledger.seconds_left()) as question:
