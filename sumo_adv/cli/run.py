@@ -60,11 +60,13 @@ def run(
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
     """The input and the driver of its ego. Raises UsageError without an input."""
+    from sumo_adv.cli.shown import say_conversion
     from sumo_adv.drivers.registry import trusted_driver
 
     if source is None:
-        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
+        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, a map, or the name of a shipped one.")
     given = app.load(source, record)
+    say_conversion(given)
     return given, trusted_driver(ego, given.ego_controller, given.source)
 
 

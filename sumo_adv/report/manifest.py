@@ -17,6 +17,7 @@ from sumo_adv.parsing import parse_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
+from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
 from sumo_adv.simulation.props import Prop
 from sumo_adv.simulation.simulation import SimulationSpec
@@ -73,7 +74,10 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         driven_from=m.get("driven_from"), delay=m.get("delay"),
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
-    source = RunInput(name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]))
+    source = RunInput(
+        name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
+        conversion=_conversion(m.get("conversion"), spec.network),
+    )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 
 
@@ -103,6 +107,12 @@ def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) ->
     props = [Prop(**{**q, "end": math.inf if q["end"] is None else q["end"]}) for q in p["props"]]
     tracks, signals = (_copy(folder, p[k]) if p[k] else None for k in ("tracks", "signals"))
     return make_playback(tracks, p["background"], signals, props, routes)
+
+
+def _conversion(made: dict[str, Any] | None, network: Path) -> Conversion | None:
+    if made is None:
+        return None
+    return Conversion(Path(made["map"]), network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"]))
 
 
 def _copy(folder: Path, name: str) -> Path:

@@ -28,6 +28,7 @@ from sumo_adv.datatypes import (
 from sumo_adv.episode.episode import Episode, Tried
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
+from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 
 SCHEMA = 1
@@ -266,7 +267,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
-        "playback": _playback(task.playback, inputs),
+        "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
         "skips": episode.skips,
@@ -276,6 +277,15 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "prompts": None if model_agents is None else model_agents.prompts.versions,
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
+    }  # fmt: skip
+
+
+def _conversion(made: Conversion | None) -> dict[str, Any] | None:
+    """How the network was made of a map."""
+    if made is None:
+        return None
+    return {
+        "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
     }  # fmt: skip
 
 

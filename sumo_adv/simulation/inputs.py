@@ -1,4 +1,4 @@
-"""What a run may start from: a network, a SUMO configuration, a scenario, or the name of a shipped one.
+"""What a run may start from: a network, a SUMO configuration, a scenario, a map, or the name of a shipped one.
 
 ``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. What is
 wrong with the files it names is found by ``scan.py``.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from sumo_adv.errors import UsageError, nearest
+from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
@@ -23,7 +24,7 @@ _OPTIONS = {
     "begin": "begin", "b": "begin", "end": "end", "e": "end",
 }  # fmt: skip
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
-_SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
+_SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml", *sorted(MAPS, key=len, reverse=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +47,7 @@ class RunInput:
     ego: an id in the demand, an EgoRoute, or None = to be chosen. trigger: a time, or "auto".
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
-    moves.
+    moves. conversion: of a map that was no SUMO network.
     """
 
     name: str
@@ -71,6 +72,7 @@ class RunInput:
     label: Label | None = None
     files: tuple[Path, ...] = ()
     playback: PlaybackSpec | None = None
+    conversion: Conversion | None = None
 
 
 def load_input(path: Path) -> RunInput:
@@ -86,10 +88,16 @@ def load_input(path: Path) -> RunInput:
         return _from_scenario(file)
     if lower.endswith((".sumocfg", ".sumo.cfg")):
         return _from_configuration(file)
+    if is_map(file):
+        made = convert_map(file)
+        scan_network(made.network)
+        return RunInput(
+            name=input_name(file), source=file, network=made.network, files=(file, made.network), conversion=made
+        )
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
         return RunInput(name=input_name(file), source=file, network=file, files=(file,))
-    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
 
 
 def input_name(path: Path) -> str:
