@@ -87,7 +87,7 @@ def test_an_id_hangs_on_all_that_shapes_an_episode_and_on_nothing_else() -> None
         )
     ]  # fmt: skip
     assert len(set(ids)) == 5
-    same = ({"learn": "after"}, {"memory": "x.sqlite"}, {"figures": True}, {"settings": {"attempts": 25}})
+    same = ({"learn": "after"}, {"memory": "x.sqlite"}, {"figures": True}, {"settings": {"attempts": 400}})
     assert {plan_of(**base, **more).jobs[0].id for more in same} == {ids[0]}
 
 

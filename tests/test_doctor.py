@@ -78,7 +78,7 @@ def test_a_variable_that_is_no_setting_is_named() -> None:
 
 def test_the_version_names_sumo_and_the_bank(program: Program) -> None:
     done = program("--version")
-    assert done.out.startswith(f"sumo-adv {__version__} (SUMO 1.28.0; memory bank: schema 2, content ")
+    assert done.out.startswith(f"sumo-adv {__version__} (SUMO 1.28.0; memory bank: schema 3, content ")
     assert done.out == program("--version").out
     bank = program.home / "data" / "sumo_adv"
     bank.mkdir(parents=True)

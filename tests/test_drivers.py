@@ -440,12 +440,3 @@ def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
     egos = egos_of(sit)
     egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), at_junction())
     assert egos.v[0] == pytest.approx(20.0)
-
-
-@pytest.mark.parametrize(("sees", "brakes"), [(0.0, False), (2.5, True)])
-def test_for_a_driver_that_sees_wider_a_vehicle_beside_its_lane_is_a_leader(sees: float, brakes: bool) -> None:
-    """A car that stands 12.5 m before the ego's front, its middle 2.2 m to the left: the lane ends at 1.6 m."""
-    egos = egos_of(situation([leader()], model=replace(KRAUSS, sees=sees, ignores_sumo_lane_rules=True)))
-    for k in range(10):
-        egos.step(0.1 * k, (np.array([17.5]), np.array([2.2]), np.array([0.0])), np.array([0.0]), at_junction())
-    assert bool(egos.v[0] < 9.0) is brakes

@@ -1,4 +1,4 @@
-"""The search by real attempts: what an attempt is worth, what is tried first, and what is varied."""
+"""The search by real attempts: how attempts are ranked, which candidates come first, and how they are varied."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_planner_without_attempts_left_is_not_drawn() -> None:
 
 
 def test_kinds_that_succeeded_are_not_varied() -> None:
-    """Nothing is drawn anew here, so what is left without elites is a draw."""
+    """Nothing is drawn anew here, so without elites a candidate is a draw."""
     search = evolution(settings=EvolutionSettings(first=1, anew=0.0))
     first = search.propose()
     assert first is not None

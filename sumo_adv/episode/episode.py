@@ -79,7 +79,7 @@ class Episode:
         return left
 
     def back_to(self, left: Episode) -> None:
-        """Make an encounter that was left the one that counts: no later one came to more."""
+        """Let an earlier encounter count, because no later one came to more."""
         for name in ("ending", "reason", "found", "intents", "intent", "casts", "refinement", "prefix", "lanes",
                      "known_labels", "skips", "bandit"):  # fmt: skip
             setattr(self, name, getattr(left, name))

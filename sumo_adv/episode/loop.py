@@ -62,28 +62,26 @@ def model_ending(error: ModelError) -> Ending:
 
 def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
     began, best = time.perf_counter(), None
-    while True:
-        planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
-        entries = None if planned is None else decide(episode, planned, agents, bank)
-        if planned is None or entries is None:
-            break
-        tell("intents", episode.intents)
-        runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
-        steps = StepwiseRunner(runner, engine.at_once)
-        another = may_go_on(episode)
-        pursue(episode, planned, entries, steps, agents, bank, tell, another=another)
-        if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
-            break
-        left = episode.leave()
-        best = left if best is None or _worth(left) < _worth(best) else best
-        if time.perf_counter() - began >= episode.settings.total_seconds:
-            break
-    if (
-        best is not None
-        and episode.ending is not Ending.CRITICAL
-        and (episode.best is None or _worth(best) <= _worth(episode))
-    ):
-        episode.back_to(best)
+    try:
+        while True:
+            planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
+            entries = None if planned is None else decide(episode, planned, agents, bank)
+            if planned is None or entries is None:
+                return
+            tell("intents", episode.intents)
+            runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
+            steps = StepwiseRunner(runner, engine.at_once)
+            another = may_go_on(episode)
+            pursue(episode, planned, entries, steps, agents, bank, tell, another=another)
+            if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
+                return
+            left = episode.leave()
+            best = left if best is None or _worth(left) < _worth(best) else best
+            if time.perf_counter() - began >= episode.settings.total_seconds:
+                return
+    finally:  # also after an interruption: no attempt of an earlier encounter is lost
+        if best is not None and episode.ending is not Ending.CRITICAL and _worth(best) <= _worth(episode):
+            episode.back_to(best)
 
 
 def may_go_on(episode: Episode) -> bool:
@@ -94,7 +92,7 @@ def may_go_on(episode: Episode) -> bool:
 
 
 def _worth(episode: Episode) -> tuple[float, float]:
-    """Sorts encounters without success: the one that came to most first."""
+    """A key that sorts encounters without success, the best attempt first."""
     return (math.inf, 0.0) if episode.best is None else rank(episode.best.verdict)
 
 

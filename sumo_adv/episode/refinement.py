@@ -23,7 +23,7 @@ from sumo_adv.search.fixed_order import FixedOrder, as_written, chosen
 from sumo_adv.search.protocols import Optimizer
 from sumo_adv.search.search import AttackSearch
 
-GENERATION = 8  # attempts whose results the next ones know: fixed, so that results do not depend on the number of cores
+GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states

@@ -21,6 +21,7 @@ def gate_verdict(
 ) -> Verdict | None:  # fmt: skip
     """The verdict on the attempt that began at ``start`` [s]; None if ego or collider left before it moved.
 
+    Reference drivers are asked as far as the level depends on them; where a model reads what they did, all of them.
     ``bvs``: all adversaries, the collider first. ``trigger_step``: how many snapshots the recording had at the trigger.
     """
     assert drive.ego is not None
@@ -38,7 +39,7 @@ def gate_verdict(
     verdict = replace(verdict, log_gates=case.log_gates)
     return with_level(
         verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
-        lane_half_width=half, unattacked=unattacked(found, settings), only_level=True,
+        lane_half_width=half, unattacked=unattacked(found, settings), only_level=settings.player("modifier") is None,
     )  # fmt: skip
 
 

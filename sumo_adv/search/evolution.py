@@ -135,7 +135,8 @@ class Evolution:
             self._elites[cell] = _Elite(tried, worth, step)
 
     def _drawn(self, templates: Sequence[AttackTemplate]) -> Proposal:
-        """Uniform numbers for the better of two templates, by what came of their families; an untried one is good."""
+        """Uniform numbers for the better of two templates, by the best attempt of their families; an untried one is
+        good."""
         pair = [self._random.choice(templates) for _ in range(2)]
         best = min(pair, key=lambda t: self._families.get((t.target.state.id, t.entry.label, t.planner.mode), 0.0))
         return best.proposal(self._random)

@@ -89,6 +89,7 @@ class AttackSearch:
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self._evolution = Evolution(Sampler(settings.sampling, seed), self._goal, settings.evolution)
         self._predicts = predicts
+        self._most_predicted = settings.predicted if adversaries == 1 else settings.predicted_together
         self.pool: list[Proposal] = []
         if recalled is not None:
             self.pool = [recalled]
@@ -195,7 +196,7 @@ class AttackSearch:
     def _predicted_or_drawn(self) -> Proposal | None:
         """A candidate that promises something by its prediction, as long as there is one; then one from what attempts
         came to."""
-        if self._predicts and len(self._tried) < self._settings.predicted and (best := self._next()) is not None:
+        if self._predicts and len(self._tried) < self._most_predicted and (best := self._next()) is not None:
             return best
         over = self._used_up()
         shares = {f"{t.entry.label}/{t.planner.mode}" for t in self._evolution.templates} - over
@@ -217,7 +218,7 @@ class AttackSearch:
             self._best = max(self._best, reached)
         self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side))
-        if motion is None or not self._predicts:
+        if motion is None or not self._predicts or len(self._tried) >= self._most_predicted:
             return
         if reached < Level.VALID:
             self._support.observe(tried, motion)

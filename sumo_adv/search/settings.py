@@ -123,7 +123,8 @@ class SearchSettings:
     another attempt must differ from those before by this [m] at the contact (``novelty.py``). same_gate: a mode is
     given up after this many attempts that failed the same gate. few: with fewer avoidable candidates, intents that the
     library lacks are composed. diverse_every: each time this number of attempts is reached, the template that was tried
-    least has its turn.
+    least has its turn. predicted, predicted_together: attempts at most that are chosen by prediction, with one
+    adversary and with several; later ones vary attempts.
     """
 
     proposals: int = 80
@@ -136,6 +137,7 @@ class SearchSettings:
     few: int = 5
     diverse_every: int = 3
     predicted: int = 3
+    predicted_together: int = 25
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)

@@ -8,7 +8,7 @@ import pytest
 from mirrors import both_ways, farthest
 
 FARTHEST = {"priority_left_turn_oncoming": 1.0, "signals_left_turn": 1.0}
-"""m, where SUMO's own driver of the ego is not mirrored exactly before a turning vehicle (0.72 m measured)."""
+"""m, for two scenarios with a turning vehicle (0.72 m measured; the cause was not found)."""
 
 
 @pytest.mark.soak

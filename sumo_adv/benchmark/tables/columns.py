@@ -193,7 +193,7 @@ def _to_first(level: str) -> Callable[[Cell], Value]:
 
 
 def _within_seconds(level: str, most: float) -> Callable[[Cell], Value]:
-    """Whether an attempt reached a level within so many seconds."""
+    """Whether an attempt reached a level within ``most`` seconds."""
     return lambda cell: (took := _to_first(level)(cell)) is not None and took <= most
 
 
