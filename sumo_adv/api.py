@@ -147,7 +147,7 @@ def run(
     settings: those of ``sumo_adv.config.Settings``, options of ``sumo-adv run`` with ``_`` for ``-``: ``until``,
     ``attempts``, ``intents``, ``exclude``, ``kind``, ``ttc`` (LOW, HIGH), ``min_delta_v``, ``seed`` ... None is not
     given.
-    tell: called with what happens (``encounter``, ``intents``, ``why_first``, ``attempt``) and its value.
+    tell: called with what happens (``encounter``, ``intents``, ``attempt``) and its value.
     The user's memory bank is used and, unless ``learn="off"``, added to, as on the command line.
 
     Raises:

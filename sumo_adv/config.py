@@ -124,7 +124,7 @@ class Settings(ModelSettings, BaseSettings):
     forecast: Literal["model", "constant"] = "model"  # of the ego: by its driver's model, or its speed kept
     delays: tuple[float, ...] = (0.0, 1.5, 3.0)
     shortlist: int = Field(5, ge=1, le=20)
-    search: float = Field(120.0, gt=0)
+    search: float = Field(600.0, gt=0)
     cell_seconds: float = Field(900.0, gt=0)
     proposals: int = Field(80, ge=4, le=2000)
     per_planner: int = Field(8, ge=1)

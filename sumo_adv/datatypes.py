@@ -443,7 +443,6 @@ class Prediction:
     level: that the collision reaches, by the reference drivers ``careful`` (cc_human) and ``manoeuvre``, which avoid it
     or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2]; human: it stays within the human
     envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why the contact does not count.
-    trace: positions of the adversary, x and y, every 0.5 s up to ``closest``.
     """
 
     failure: str = ""
@@ -465,7 +464,6 @@ class Prediction:
     third_party: bool = False
     off_road: bool = False
     beyond_limits: bool = False
-    trace: tuple[tuple[float, float], ...] = ()
 
     @property
     def hopeless(self) -> bool:
@@ -478,9 +476,7 @@ class Proposal:
     """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
 
     ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
-    search goes by, lower is better. ``nominal``: the score before its neighbours counted, None if they were not
-    predicted. ``uncorrected``: the score before observed motions of the ego counted, None if none did.
-    ``is_neighbour``: predicted only to tell how robust another candidate is. ``duty``: what the vehicle does in the
+    search goes by, lower is better. ``duty``: what the vehicle does in the
     attack; ``supports``: what the other adversaries do, each a candidate of its own with the same delay and without
     supports. ``composition``: the label of the composed intent that they carry out together, empty for a single
     adversary.
@@ -496,9 +492,6 @@ class Proposal:
     score: float = float("nan")
     prediction: Prediction | None = None
     course: PrescribedMotion | None = None
-    nominal: float | None = None
-    uncorrected: float | None = None
-    is_neighbour: bool = False
     duty: Duty = Duty.COLLIDER
     supports: tuple[Proposal, ...] = ()
     composition: str = ""
@@ -519,12 +512,7 @@ class Proposal:
 
     def unscored(self) -> Proposal:
         """The same candidate without what was predicted of it; ``score`` then means nothing."""
-        return replace(self, prediction=None, nominal=None, uncorrected=None)
-
-    @property
-    def nominal_score(self) -> float:
-        """The score of its very parameters, whatever its neighbours come to."""
-        return self.score if self.nominal is None else self.nominal
+        return replace(self, prediction=None)
 
     @property
     def family(self) -> tuple[str, str, str]:

@@ -113,9 +113,6 @@ class Target:
         return tuple(sorted(words))
 
 
-SHIFT_STEP = 5.0  # m
-
-
 @dataclass(frozen=True, slots=True)
 class OnPath:
     """A vehicle's unattacked motion in the ego path's frame by step from the trigger: station s, offset d of its centre
@@ -148,8 +145,7 @@ class RoadAhead:
     sides: lanes beside the ego's lane: offset [m, left positive], "same" | "opposite". junction: station at which the
     next junction begins; later: stations of the junctions behind it. bay: station at which the ego waits on the next
     junction where it gives way (SUMO's internal junction). rule: SUMO's letter for the ego's right of way there
-    (``Connection.state``), empty if there is no junction. shifts: for each lane beside the ego's, its offset [m, left
-    positive] and by how much SUMO takes a vehicle on it to be further ahead [m], every ``SHIFT_STEP`` of the path.
+    (``Connection.state``), empty if there is no junction.
     """
 
     lane_width: float
@@ -158,7 +154,6 @@ class RoadAhead:
     later: tuple[float, ...] = ()
     bay: float = math.inf
     rule: str = ""
-    shifts: tuple[tuple[float, Floats], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

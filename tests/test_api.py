@@ -53,7 +53,7 @@ def test_importing_is_light(tmp_path: Path) -> None:
 
 def test_the_names_are_few() -> None:
     drivers = {"LaneSpeed", "Observation", "Pose", "Steer"}
-    names = {"Campaign", "Result", "__version__", "batch", "crash_rate", "judge", "load", "run"}
+    names = {"Campaign", "Result", "__version__", "batch", "crash_rate", "hunt", "judge", "load", "run"}
     assert set(sumo_adv.__all__) == names | drivers == set(dir(sumo_adv))
     assert all(getattr(sumo_adv, name) for name in sumo_adv.__all__)
     with pytest.raises(AttributeError, match="has no attribute 'walk'"):
@@ -65,7 +65,7 @@ def test_a_script_needs_no_guard_and_a_temporary_folder_goes_with_its_result(tmp
     script.write_text(UNGUARDED)
     once, ending_and_events, there = python(script, tmp_path).splitlines()
     assert once == "once"  # the engine's process did not run the script again
-    assert ending_and_events.endswith("['encounter', 'intents', 'why_first', 'attempt']")
+    assert ending_and_events.endswith("['encounter', 'intents', 'attempt']")
     assert there == "False"
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith("bank.sqlite")) == ["script.py"]
 

@@ -90,7 +90,7 @@ def test_cost_with_and_without_the_model() -> None:
     usage = {"model": "m", "calls": 3, "prompt_tokens": 900, "completion_tokens": 100, "seconds": 1.5}
     timing = {"total": 2.0, "waited": 0.6, "first_valid": 0.5}  # three questions of 0.5 s each, nearly all at once
     cells = [
-        cell("straight-1", "llm-a", attempt(valid=True), llm=usage, recall="hit", timing=timing),
+        cell("straight-1", "llm-a", attempt(valid=True, level="valid"), llm=usage, recall="hit", timing=timing),
         cell("straight-2", "llm-a", attempt(min_ttc=2.0), recall="generated"),
         cell("straight-3", "llm-a", attempt(min_ttc=2.0)),
     ]

@@ -15,7 +15,7 @@ from situation_samples import neighbour, situation
 import sumo_adv
 from sumo_adv.app import shipped_bank
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Level, LibraryEntry, ObservedMotion, Prediction, Proposal, Verdict
+from sumo_adv.datatypes import Level, LibraryEntry, Prediction, Proposal, Verdict
 from sumo_adv.episode.memory_access import selected
 from sumo_adv.errors import UsageError
 from sumo_adv.goal import Goal
@@ -164,9 +164,9 @@ class Counted:
     def __init__(self) -> None:
         self.labels = set[str]()
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         self.labels |= {p.label for p in proposals}
-        return [replace(p, score=0.05, nominal=0.05) for p in proposals]
+        return [replace(p, score=0.05) for p in proposals]
 
 
 def test_nothing_of_another_intent_is_even_predicted() -> None:

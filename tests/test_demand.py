@@ -59,6 +59,16 @@ def test_twelve_a_minute_over_100_s_are_twenty_in_order_within_the_times(tmp_pat
     assert scan_demand(path).vehicles == {f"bv{number}" for number in range(20)}
 
 
+def test_a_later_end_changes_nothing_before(tmp_path: Path) -> None:
+    """Traffic is drawn in parts of 120 s."""
+    network = shipped("priority_crossing")
+    short, long = (
+        generate(network, tmp_path / f"{end}.rou.xml", seed=7, begin=0.0, end=end).read_text() for end in (120.0, 300.0)
+    )
+    assert long.startswith(short.removesuffix("</routes>\n"))
+    assert max(departs(tmp_path / "300.0.rou.xml")) > 240.0
+
+
 def test_routes_lead_from_fringe_to_fringe_over_edges_of_the_network(tmp_path: Path) -> None:
     network = shipped("t_junction")
     scan = scan_demand(generate(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=120.0))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from situation_samples import KRAUSS, changed, leader, situation
 
-from sumo_adv.datatypes import DriverModel, Floats, ObservedMotion
+from sumo_adv.datatypes import DriverModel, Floats
 from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.junctions import AtJunction, seconds
 from sumo_adv.drivers.prediction import PredictedEgos
@@ -372,71 +372,3 @@ def test_it_does_not_wait_for_a_vehicle_if_their_ways_do_not_meet() -> None:
     egos = egos_of(crossroads(30.0))
     drive(egos, 5.0, lambda _: at_junction(front_to_zone=5.0, rear_to_exit=25.0, meets_at=math.inf), 3.0)
     assert not egos.disturbed[0]
-
-
-# ---- observed egos
-
-
-def test_an_observed_ego_repeats_its_motion_whatever_is_in_its_way() -> None:
-    speed = np.array([10.0, 9.0, 7.0, 4.0])
-    course = ObservedMotion(np.array([0.0, 0.9, 1.6, 2.0]), np.zeros(4), speed)
-    faster = ObservedMotion(2.0 * course.s, np.zeros(4), 2.0 * speed)
-    both = np.array([1.0, 1.0])
-    egos = PredictedEgos(Scenes([crossroads(30.0)] * 2), ["bv"] * 2, 5.0 * both, 2.0 * both, [course, faster])
-    here = AtJunction(*(np.repeat(q, 2) for q in at_junction(True, front_to_zone=-1.0, meets_at=6.0)))
-    for k in range(3):
-        egos.step(0.1 * k, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
-        assert egos.s == pytest.approx([course.s[k + 1], faster.s[k + 1]])
-        assert egos.v == pytest.approx([speed[k + 1], 2.0 * speed[k + 1]])
-    assert egos.a == pytest.approx([-30.0, -60.0])  # 3 and 6 m/s within the last 0.1 s
-    egos.step(0.3, (5.0 * both, 0.0 * both, 0.0 * both), 0.0 * both, here)
-    assert egos.s == pytest.approx([2.0, 4.0])  # nothing more is known
-
-
-# ---- above 60 km/h SUMO's drivers do not overtake on the right
-
-LEFT = ((3.2, "same"),)  # a lane of the same direction
-
-
-@pytest.mark.parametrize(
-    ("ego", "left_speed", "left", "brakes"),
-    [
-        (20.0, 15.0, 3.2, True),
-        (20.0, 15.0, -3.2, False),  # on the right: passing on the left is free
-        (20.0, 15.0, 6.4, False),  # two lanes away
-        (20.0, 26.0, 3.2, False),  # faster
-        (20.0, 21.0, 3.2, True),  # faster, but nearer than the driver would follow it
-        (16.0, 12.0, 3.2, False),  # below 60 km/h: as in a jam
-    ],
-)
-def test_behind_one_in_the_lane_to_the_left_a_fast_driver_brakes_gently(
-    ego: float, left_speed: float, left: float, brakes: bool
-) -> None:
-    """15 m before it. Krauss's safe speed is below what 4.5 m/s2 can do in a step of 0.1 s: it does that."""
-    sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
-    sit = changed(sit, ego=replace(sit.ego, speed=ego), s=np.arange(51) * 0.1 * ego, v=np.full(51, ego), sides=LEFT)
-    egos = egos_of(sit)
-    egos.step(0.0, (np.array([20.0]), np.array([left]), np.array([0.0])), np.array([left_speed]), at_junction())
-    assert egos.v[0] == pytest.approx(ego - (0.45 if brakes else 0.0))
-
-
-def test_a_vehicle_that_leaves_the_lane_to_the_left_is_followed_while_it_is_partly_there() -> None:
-    """A car 2 m wide goes on to the next lane but one: at 5.7 m to the left its right side is 0.1 m over the line at
-    4.8 m, at 5.9 m no more. Coming from there, it is not followed until its middle is over the line."""
-    sit = situation([leader()], model=replace(KRAUSS, speed=25.0))
-    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0), sides=LEFT)
-    for before, after, brakes in ((3.2, 5.7, True), (3.2, 5.9, False), (6.4, 5.7, False)):
-        egos = egos_of(sit)
-        egos.step(0.0, (np.array([80.0]), np.array([before]), np.array([0.0])), np.array([20.0]), at_junction())
-        egos.step(0.1, (np.array([80.0]), np.array([after]), np.array([0.0])), np.array([20.0]), at_junction())
-        assert egos.v[0] == pytest.approx(20.0)  # SUMO's drivers look aside at the end of a step
-        egos.step(0.2, (np.array([24.0]), np.array([after]), np.array([0.0])), np.array([15.0]), at_junction())
-        assert egos.v[0] == pytest.approx(19.55 if brakes else 20.0)
-
-
-def test_a_driver_that_is_not_sumo_s_passes_on_the_right() -> None:
-    sit = situation([leader()], model=replace(KRAUSS, ignores_sumo_lane_rules=True))
-    sit = changed(sit, ego=replace(sit.ego, speed=20.0), s=np.arange(51) * 2.0, v=np.full(51, 20.0))
-    egos = egos_of(sit)
-    egos.step(0.0, (np.array([20.0]), np.array([3.2]), np.array([0.0])), np.array([15.0]), at_junction())
-    assert egos.v[0] == pytest.approx(20.0)

@@ -17,7 +17,7 @@ FIRST = Proposal("bv", "Shift", PLANNER, {"push": 8.0}, 0.0, 0.0)
 class ByPush:
     """The acceleration is the parameter; below 3 m/s2 there is no collision. The ego's delta-v is 1 m/s."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         return [replace(p, score=0.0, prediction=self.of(p)) for p in proposals]
 
     def of(self, p: Proposal) -> Prediction:

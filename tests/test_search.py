@@ -10,7 +10,7 @@ import pytest
 from situation_samples import crossing, neighbour, situation
 
 from sumo_adv.agents.generator import ExpertGenerator
-from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Prediction, Proposal, Verdict
+from sumo_adv.datatypes import Intent, Level, LibraryEntry, Planner, Prediction, Proposal, Verdict
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
 from sumo_adv.search.sampling import Sampler
@@ -32,15 +32,15 @@ SHIFT = make_planner("Shift", "side", TABLE + ENDPOINT, "seed")
 class Same:
     """Every proposal scores half a point."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         return [replace(p, score=0.5) for p in proposals]
 
 
 class Best:
     """A brake avoids every proposal: nothing more is drawn."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        return [replace(p, score=0.05, nominal=0.05) for p in proposals]
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        return [replace(p, score=0.05) for p in proposals]
 
 
 NEW = "Ramp Merge Rush"
@@ -272,12 +272,12 @@ def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
 class ByGap:
     """A serious hit on the ego's front with a gap below 2, a valid one on its left side with a larger gap."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         front, left = Prediction(hit=True, side="front"), Prediction(hit=True, side="left")
         return [
-            replace(p, score=0.0, prediction=front, nominal=0.0)
+            replace(p, score=0.0, prediction=front)
             if p.parameters["gap"] < 2.0
-            else replace(p, score=0.65, prediction=left, nominal=0.65)
+            else replace(p, score=0.65, prediction=left)
             for p in proposals
         ]
 

@@ -182,11 +182,11 @@ SHIFT = LibraryEntry("Shift", "It shifts.", ("neighbour",), (make_planner("Shift
 class Saved:
     """A swerve to the left saves the ego from each candidate, unless a support blocks the left side."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         hit, miss = Prediction(hit=True, level=Level.STRICT, min_ttc=0.0), Prediction(min_ttc=1.0, gap=1.0)
         blocked = [any(s.duty is Duty.BLOCK_LEFT for s in p.supports) for p in proposals]
         return [
-            replace(p, score=0.4 if b else 1.9, nominal=0.4 if b else 1.9, prediction=hit if b else miss)
+            replace(p, score=0.4 if b else 1.9, prediction=hit if b else miss)
             for p, b in zip(proposals, blocked, strict=True)
         ]
 

@@ -19,7 +19,7 @@ from situation_samples import EGO_PATH, car, line, situation, target
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, TeamAnalysis, analyzer_prompt
 from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.teams import Teamwork
-from sumo_adv.datatypes import Duty, Level, LibraryEntry, Limits, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import Duty, Level, LibraryEntry, Limits, Prediction, Proposal
 from sumo_adv.episode.memory_access import known_casts
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
@@ -148,9 +148,9 @@ def test_a_composition_that_the_bank_knows_is_retrieved_and_another_one_is_compo
 class Near:
     """All candidates are predicted to be valid collisions."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         hit = Prediction(hit=True, level=Level.VALID, min_ttc=0.0)
-        return [replace(p, score=0.6, nominal=0.6, prediction=hit) for p in proposals]
+        return [replace(p, score=0.6, prediction=hit) for p in proposals]
 
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
         return [()] * len(proposals)

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Level, LibraryEntry, Prediction, Proposal
-from sumo_adv.search.robustness import drawn
 from sumo_adv.search.settings import SearchSettings
 
 REACHES = SearchSettings().reaches
@@ -26,7 +25,7 @@ def evidence_words(
     remembered: label -> the bank's evidence in words.
     """
     groups: dict[tuple[str, str], list[Proposal]] = {}
-    for p in drawn(pool):
+    for p in pool:
         if p.bv in aliases.by_id:
             groups.setdefault((aliases.by_id[p.bv], p.label), []).append(p)
     if not groups:
@@ -68,7 +67,7 @@ def _mode(members: Sequence[Proposal], now: float) -> str:
     if seen is None or seen.failure:
         return "its planner failed."
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in best.parameters.items()) or "no parameters"
-    if best.nominal_score < REACHES:
+    if best.score < REACHES:
         came_to = f"level {seen.level}, warning {seen.warning:.1f} s, delta-v {seen.delta_v:.1f} m/s"
     else:
         came_to = f"nearest {seen.gap:.1f} m" if seen.level < Level.COLLISION else "a contact that does not count"
@@ -82,7 +81,7 @@ def _hits(members: Sequence[Proposal]) -> list[Prediction]:
     """The predictions of those that collide in a way that counts."""
     return [
         p.prediction for p in members
-        if p.prediction is not None and p.prediction.hit and not p.prediction.failure and p.nominal_score < REACHES
+        if p.prediction is not None and p.prediction.hit and not p.prediction.failure and p.score < REACHES
     ]  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ class Reporter(Protocol):
     """Told what happens."""
 
     def tell(self, what: str, value: Any) -> None:
-        """``encounter``, ``intents``, ``why_first`` or ``attempt``."""
+        """``encounter``, ``intents`` or ``attempt``."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -53,7 +54,9 @@ class Lines(Silent):
 class Best:
     """Which attempts are worth a line: the first, and each that came to more than all before in its encounter."""
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: float = math.inf) -> None:
+        """``seconds``: that attempts may take in an encounter."""
+        self._seconds = seconds
         self._begin()
 
     def _begin(self) -> None:
@@ -74,19 +77,20 @@ class Best:
         return better
 
     def words(self) -> str:
-        """Attempts so far, how fast they are made, the best level and the seconds used."""
+        """Attempts so far, how fast they are made, the best level and the seconds that are left."""
         took = time.perf_counter() - self._began
-        pace = self.attempts / max(took, 1e-3)
-        return f"Attacking: {self.attempts} attempts, {pace:.0f} a second, best level {self.level}, {took:.0f} s ..."
+        pace, left = self.attempts / max(took, 1e-3), max(self._seconds - took, 0.0)
+        until = f"{took:.0f} s so far" if math.isinf(left) else f"{left:.0f} s left"
+        return f"Attacking: {self.attempts} attempts, {pace:.0f} a second, best level {self.level}, {until} ..."
 
 
 class Live(Silent):
     """Lines above a spinner, in a terminal."""
 
-    def __init__(self) -> None:
+    def __init__(self, seconds: float) -> None:
         from rich.console import Console
 
-        self._console, self._best = Console(highlight=False), Best()
+        self._console, self._best = Console(highlight=False), Best(seconds)
         self._display = self._console.status("Looking for an encounter ...")
 
     def tell(self, what: str, value: Any) -> None:
@@ -97,11 +101,11 @@ class Live(Silent):
         self._display.update(self._best.words())
 
 
-def make_reporter(*, quiet: bool) -> Reporter:
-    """Silent with --json, live in a terminal, lines in a pipe."""
+def make_reporter(*, quiet: bool, seconds: float = math.inf) -> Reporter:
+    """Silent with --json, live in a terminal, lines in a pipe. ``seconds``: that attempts may take in an encounter."""
     if quiet:
         return Silent()
-    return Live() if sys.stdout.isatty() else Lines()
+    return Live(seconds) if sys.stdout.isatty() else Lines()
 
 
 def line(what: str, value: Any) -> str:
@@ -114,8 +118,6 @@ def line(what: str, value: Any) -> str:
     if what == "intents":
         top = value[0]
         return f"Most dangerous: {top.bv} — {top.label} (risk {top.risk}; {top.reason})"
-    if what == "why_first":
-        return f"  {value}"
     return _attempt(value) if what == "attempt" else ""
 
 
@@ -143,6 +145,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    if (robust := result.get("robust")) is not None:
+        lines.append(f"It holds in {robust['held']} of {robust['of']} neighbours (slightly other numbers or timing).")
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")

@@ -81,7 +81,7 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
     from sumo_adv.cli.progress import make_reporter
     from sumo_adv.report.staging import scratch_folder, staged
 
-    reporter = make_reporter(quiet=as_json)
+    reporter = make_reporter(quiet=as_json, seconds=settings.seconds)
     with (
         Interrupts() as interrupts,
         staged(target, force=force) as folder,

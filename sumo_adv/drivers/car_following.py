@@ -10,17 +10,8 @@ import numpy as np
 
 from sumo_adv.datatypes import DriverModel, Floats
 
-EMERGENCY = 9.0  # m/s2, emergencyDecel of SUMO's default vType
 AMPLIFIED = 1.2  # -, in an emergency Krauss's driver brakes harder than necessary by this factor
-DEFAULT_DRIVER = DriverModel("krauss", acceleration=2.6, deceleration=4.5, tau=1.0, min_gap=2.5, speed=60.0)
-"""SUMO's DEFAULT_VEHTYPE, with a desired speed [m/s] above all speed limits."""
 NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
-EXACT = ("krauss", "idm", "careful")  # kinds of drivers that follow a leader exactly as in SUMO
-
-
-def exact(model: DriverModel) -> bool:
-    """Whether the model follows a leader exactly as the real driver does."""
-    return model.kind in EXACT and model.known
 
 
 class CarFollowing:
@@ -45,19 +36,6 @@ class CarFollowing:
             return self._safe_behind(v, gap - self.min_gap, leader)
         desired_gap = self.min_gap + np.maximum(0.0, v * self.tau + v * (v - leader) / self._twice_root)
         return self._idm(v, desired_gap, gap)
-
-    def staying_behind(self, v: Floats, gap: Floats, leader: Floats) -> Floats:
-        """The speed behind vehicles in the lane to the left, which SUMO's drivers do not overtake; inf = no limit.
-
-        The driver brakes gently and ignores emergencies. It also ignores a vehicle that is beside it and faster; this
-        was measured in SUMO.
-        """
-        if self.krauss:
-            speed = self._safe(gap - self.min_gap + self._braking(leader), self.tau)
-        else:
-            speed = self.behind(v, gap, leader)
-        speed = np.where((leader < v) | (gap >= self.min_gap), speed, np.inf)
-        return np.maximum(speed, v - self.deceleration * self._dt)
 
     def stopping(self, v: Floats, room: Floats) -> Floats:
         """The speed ``room`` metres before the place where the driver stops, without a headway (``stopSpeed``)."""

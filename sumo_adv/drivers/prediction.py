@@ -12,22 +12,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats, ObservedMotion
+from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.drivers.car_following import NUMERICAL, CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.junctions import AtJunction, Junctions
-from sumo_adv.drivers.lateral_gap import SUBLANE, LateralGap
 from sumo_adv.drivers.lattice_model import LatticeDrivers
-from sumo_adv.drivers.leaders import JAM, NOTICED, Leaders
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.road_users import unprotected
 
+NOTICED = 0.005  # m/s below the unattacked speed after a step, from which on an ego no longer moves as unattacked
+SUBLANE = 0.8  # m, SUMO's lateral resolution
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
-SAME_WAY = 0.5  # rad
 OVER = 0.365  # m beyond the line to the opposite lane up to which SUMO keeps a vehicle in its lane (measured)
 TURNED = 0.21  # m/rad by which ``OVER`` shrinks with the vehicle's heading (measured)
 BACK = 0.1  # m beyond that line at which SUMO has a vehicle back in its lane (measured)
-LEAST_STEP = 0.05  # m: over a shorter step the heading of an observed ego is nearly the path's
 
 
 class PredictedEgos:
@@ -40,13 +38,8 @@ class PredictedEgos:
     second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
     """
 
-    def __init__(
-        self, scenes: Scenes, names: Sequence[str], length: Floats, width: Floats,
-        observed: Sequence[ObservedMotion] | None = None, each: int = 1,
-    ) -> None:  # fmt: skip
-        """``scenes``, ``names``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``. ``observed``: the egos repeat
-        these motions, ``(n,)``."""
-        self._observed = None if observed is None else np.stack([np.stack([m.s, m.d, m.v]) for m in observed])
+    def __init__(self, scenes: Scenes, names: Sequence[str], length: Floats, width: Floats, each: int = 1) -> None:
+        """``scenes``, ``names``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``."""
         self._pairs, self._each, self._length, self._width = scenes, each, length, width
         n, pairs = len(length) // each, len(length)
         self.scenes = scenes = scenes if each == 1 else Scenes(scenes.of[:n])
@@ -56,8 +49,7 @@ class PredictedEgos:
         self.a = scenes.each(lambda s: float(s.baseline.a[0]))
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
-        self._front_before: Floats | None = None
-        self._was_inside, self._was_beside, self._gone_over = (np.zeros(pairs, bool) for _ in range(3))
+        self._was_inside, self._gone_over = np.zeros(pairs, bool), np.zeros(pairs, bool)
         size = (scenes.ego.length, scenes.ego.width)
         self._lane = self._pairs.each(lambda s: s.road.lane_width)
         self._has_left, self._has_right = self._pairs.has_lane(1), self._pairs.has_lane(-1)
@@ -67,12 +59,10 @@ class PredictedEgos:
             self._opposed = np.zeros(pairs, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(self._pairs, self._driver)
-        self._leaders = Leaders(scenes, names, length, self._driver)
         careful = self.model.kind == "careful"
         self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
-        self._lateral_gap = LateralGap(scenes, length, width)
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
         over_kerb = np.where(self._unprotected, width / 2, 0.0)
         self._over_kerb = (
@@ -98,54 +88,35 @@ class PredictedEgos:
         next_s, next_v = self.scenes.profile_now(now + dt)
         (s, d, h), half = adversary, self._length / 2
         front_d = d + half * np.sin(h)
-        sumo_s = s if self.model.ignores_sumo_lane_rules else self._pairs.sumo_station(s, front_d)
-        ahead = sumo_s + half * np.cos(h) > self._of_pairs(self.s) + self.scenes.ego.length / 2
-        bound = self._bound(adversary, speed, (sumo_s, ahead, front_d), at_junction)
+        ahead = s + half * np.cos(h) > self._of_pairs(self.s) + self.scenes.ego.length / 2
+        bound = self._bound(adversary, speed, (ahead, front_d), at_junction)
         if self._lattice is not None:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
             self.d, self.turn = self._lattice.d, self._lattice.turn
             self._looks_from = self.d
             return
-        held_up = self._leaders.held_up(self.s)
-        self.disturbed |= (bound < next_v - NOTICED) | (held_up & (bound > next_v + NOTICED))
-        others = self._leaders.bound(now, self.s, self.v, self.disturbed)
-        self.disturbed |= others < next_v - NOTICED
-        bound = np.minimum(bound, others)
-        self._leaders.step(now, sumo_s, front_d, speed)
+        self.disturbed |= bound < next_v - NOTICED
         v = next_v
         if self.disturbed.any():
-            pace = np.maximum(np.where(held_up, self._driver.desired_speed, self.scenes.pace(self.s)), next_v)
+            pace = np.maximum(self.scenes.pace(self.s), next_v)
             free = np.minimum(self._driver.free(self.v), pace)
             reaction = np.maximum(np.minimum(free, bound), self.v - self.model.hardest_braking * dt)
             v = np.where(self.disturbed, reaction, next_v)
         v = np.maximum(v, 0.0)
-        next_ahead = sumo_s - self._of_pairs(self.s) + dt * (speed * np.cos(h) - self._of_pairs(v))
-        self._lateral_gap.step(next_ahead, front_d, self._was_inside, v)
-        self.d, self.turn, self.a = self._lateral_gap.d, self._lateral_gap.turn, (v - self.v) / dt
-        self._looks_from = self._lateral_gap.front
+        self.a = (v - self.v) / dt
         self.s = np.where(self.disturbed, self.s + v * dt, next_s)
         self.v = v
 
     @property
     def reacts(self) -> bool:
-        """Whether the egos' motions depend on the adversaries: they repeat no observed motions and replay no log."""
-        return self._observed is None and self.model.kind != "replay"
+        """Whether the egos' motions depend on the adversaries: they replay no log."""
+        return self.model.kind != "replay"
 
     def step_alone(self, now: float) -> None:
         """Advance egos that do not react by a step; ``now``: time since the trigger [s]."""
-        if self._observed is not None:
-            self._repeat(now, self._observed)
-            return
         next_s, next_v = self.scenes.profile_now(now + self.scenes.dt)
         self.s, self.a, self.v = next_s, (next_v - self.v) / self.scenes.dt, next_v
-
-    def _repeat(self, now: float, observed: Floats) -> None:
-        """Advance along the observed motions ``(n, 3, steps)``: station, offset, speed."""
-        dt = self.scenes.dt
-        s, d, v = observed[:, :, min(round(now / dt) + 1, observed.shape[2] - 1)].T
-        self.turn = np.arctan2(d - self.d, np.maximum(s - self.s, LEAST_STEP))
-        self.s, self.d, self.a, self.v = s, d, (v - self.v) / dt, v
 
     def pose(self) -> tuple[Floats, Floats, Floats, Floats]:
         """x, y, heading, speed, each ``(n,)``."""
@@ -158,15 +129,15 @@ class PredictedEgos:
         return np.stack([*self.scenes.ego_at(s, self.d[:, None]), np.broadcast_to(self.v[:, None], s.shape)])
 
     def _bound(
-        self, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Floats, Bools, Floats],
+        self, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Bools, Floats],
         at_junction: AtJunction | None,
     ) -> Floats:  # fmt: skip
         """The highest speed [m/s] that the adversaries leave to the drivers ``(n,)``, inf without a reason to brake.
 
-        front: the adversaries' stations in SUMO, whether their fronts are ahead of the egos', and the fronts' offsets.
+        front: whether the adversaries' fronts are ahead of the egos', and the fronts' offsets.
         """
         own_s, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.v, self.a))
-        (_, _, h), (s, ahead, front_d) = adversary, front
+        (s, _, h), (ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
         leads = self._in_lane(front_d, h) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
@@ -178,7 +149,6 @@ class PredictedEgos:
             bound = np.minimum(bound, self._careful.bound((own_s, own_v, own_a), adversary, speed))
         if at_junction is not None:
             bound = np.minimum(bound, self._junctions.bound(at_junction, own_s, own_v))
-        bound = np.minimum(bound, self._staying_behind(gap, speed, front_d, ahead & (np.abs(h) < SAME_WAY), own_v))
         return bound if self._each == 1 else bound.reshape(self._each, -1).min(axis=0)
 
     def _of_pairs(self, of_egos: Floats) -> Floats:
@@ -214,24 +184,6 @@ class PredictedEgos:
         inside = (front_d > -self._sees - self._over_kerb[1]) & (front_d < left)
         self._gone_over = ~inside & (front_d > 0.0)
         return inside
-
-    def _staying_behind(self, gap: Floats, speed: Floats, front_d: Floats, ahead: Bools, own_v: Floats) -> Floats:
-        """The highest speed [m/s] behind an adversary in the lane to the left; inf without a limit.
-
-        Above ``JAM`` SUMO's drivers do not overtake on the right. They stay behind a slower vehicle that is in the lane
-        to the left, or was there and is still partly in it. They brake gently for it.
-        """
-        if self.model.ignores_sumo_lane_rules:
-            return np.full(len(own_v), np.inf)
-        before = front_d if self._front_before is None else self._front_before  # lanes change at the end of a step
-        front_d, self._front_before = before, front_d
-        beside = (front_d >= self._lane / 2) & (front_d < 1.5 * self._lane)
-        self._was_beside |= beside
-        beside |= self._was_beside & (front_d >= self._lane / 2) & (front_d - self._width / 2 < 1.5 * self._lane)
-        limits = beside & ahead & (own_v > JAM) & self._has_left & (speed < self._driver.desired_speed)
-        if not limits.any():
-            return np.full(len(own_v), np.inf)
-        return np.where(limits, self._driver.staying_behind(own_v, gap, speed), np.inf)
 
 
 def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floats]:

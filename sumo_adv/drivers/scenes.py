@@ -14,7 +14,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import Paths, wrap
-from sumo_adv.situation import SHIFT_STEP, Situation
+from sumo_adv.situation import Situation
 
 
 class Scenes:
@@ -32,7 +32,6 @@ class Scenes:
             [(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames]
         )
         self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
-        self._shifted = any(s.road.shifts for s in distinct)
         self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model
 
     def each(self, value: Callable[[Situation], float]) -> Floats:
@@ -71,22 +70,6 @@ class Scenes:
         for situation, rows in zip(self._distinct, self._rows, strict=True):
             speed[rows] = np.interp(station[rows], situation.baseline.s, situation.baseline.v)
         return speed
-
-    def sumo_station(self, s: Floats, front_d: Floats) -> Floats:
-        """The stations ``(n,)`` at which SUMO takes vehicles to be, given the offsets of their fronts.
-
-        On a lane beside the ego's they differ from the real ones (``RoadAhead.shifts``).
-        """
-        if not self._shifted:
-            return s
-        s = s.copy()
-        for situation, rows in zip(self._distinct, self._rows, strict=True):
-            at = s[rows]
-            for offset, metres in situation.road.shifts:
-                on = np.abs(front_d[rows] - offset) < situation.road.lane_width / 2
-                at = at + np.where(on, np.interp(at, SHIFT_STEP * np.arange(len(metres)), metres), 0.0)
-            s[rows] = at
-        return s
 
     def ego_at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations and offsets [m] of the egos' paths, ``(n,)`` or ``(n, k)``."""

@@ -15,7 +15,7 @@ from sumo_adv.episode.references import simulated
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.metrics.levels import judged
-from sumo_adv.search.novelty import kind_of
+from sumo_adv.search.templates import kind_of
 from sumo_adv.simulation.recording import tracks_of
 
 NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import RoadMap
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
+SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
 INSERTED_EGO = "ego"
 MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
 
@@ -33,6 +35,8 @@ class EncounterSearch:
         self.drive, self.road, self.task = drive, road, task
         self._moments: list[tuple[float, int]] = []
         self._meetings = Meetings(road)
+        self._left_egos = set[str]()
+        self._left_vehicles, self._left_at = frozenset[str](), -math.inf
         drive.on_load = self.begin
         self.begin()
 
@@ -56,12 +60,26 @@ class EncounterSearch:
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
 
+    def leave(self, ranked: Collection[str]) -> None:
+        """Look for something else than the encounter that began now with these vehicles: with another ego if it is
+        chosen here, else with other vehicles or later."""
+        drive = self.drive
+        self._left_vehicles, self._left_at = frozenset(ranked), drive.now
+        if self.task.ego is None and drive.ego is not None and not drive.recorded():
+            self._left_egos.add(drive.ego)
+            drive.release()
+
+    def _is_another(self, ranking: Sequence[RankedVehicle]) -> bool:
+        """Whether an encounter is not the one that was left."""
+        later = self.drive.now >= self._left_at + SAME or self.drive.recorded()
+        return later or not self._left_vehicles.issuperset(c.id for c in ranking)
+
     def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
         """Step until an encounter begins. The ranking, highest risk first; at a given trigger it may be empty."""
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         detector = self._watch()
-        since, tried = -math.inf, set[str]()
+        since, tried = -math.inf, set(self._left_egos)
         if drive.ego is not None:
             since = drive.now - task.warm_up
         while drive.now < task.end:
@@ -92,7 +110,7 @@ class EncounterSearch:
                     return detector.rank(drive)
             elif step % every == 0 and drive.now - since >= self._wait(requested):
                 ranking = detector.look(drive)
-                if ranking:
+                if ranking and self._is_another(ranking):
                     return ranking
                 if requested is None and drive.now - since > PATIENCE:
                     tried.add(drive.ego)

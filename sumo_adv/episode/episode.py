@@ -21,9 +21,14 @@ class Tried:
 
     time: float
     ego: str
-    attempts: int
+    made: Sequence[Attempt]
     level: Level
     reason: str
+
+    @property
+    def attempts(self) -> int:
+        """How many were made."""
+        return len(self.made)
 
 
 @dataclass(slots=True)
@@ -72,7 +77,7 @@ class Episode:
         left, best = replace(self, timing=dict(self.timing)), self.best
         assert self.found is not None
         level = Level.NONE if best is None else best.verdict.level
-        self.tried.append(Tried(self.found.time, self.found.ego, len(self.refinement.attempts), level, self.reason))
+        self.tried.append(Tried(self.found.time, self.found.ego, tuple(self.refinement.attempts), level, self.reason))
         self.refinement, self.skips = Refinement(goal=self.settings.goal), self.skips + 1
         self.intents, self.intent, self.casts, self.bandit = (), None, (), []
         self.ending, self.reason = Ending.SIMULATION_FAILED, ""

@@ -10,7 +10,6 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import Intent, LibraryEntry
-from sumo_adv.drivers.car_following import exact
 from sumo_adv.episode.encounter_detector import ON_RECORDED
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
@@ -35,8 +34,7 @@ from sumo_adv.simulation.engine import Engine
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]
-"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("why_first", sentence),
-("attempt", Attempt)."""
+"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ def searched(
     search = AttackSearch(
         predictor, found.situations, library,
         weights, seed=settings.seed, goal=settings.goal,
-        selection=selection_of(episode, bank), exact_driver=exact(driver),
+        selection=selection_of(episode, bank),
         recalled=None if recalled is None else recalled[1], adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
         predicts=forecast or driver.known or settings.adversaries > 1 or _evidence_wanted(episode),

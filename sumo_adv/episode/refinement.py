@@ -9,13 +9,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from random import Random
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
 from sumo_adv.episode.attempt_runner import Attempts
+from sumo_adv.episode.neighbours import Robustness, neighbours
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
@@ -25,8 +27,10 @@ from sumo_adv.search.search import AttackSearch
 
 GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
-HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come
+HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
+HOPELESS = 40  # so many where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
+POLISHED = 3  # attempts at most whose neighbours are simulated, once the goal is reached
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 
@@ -35,8 +39,8 @@ class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best. why_first: why the first attempt does not try the intent that is
-    ranked first, empty if it does.
+    the attempt that counts, if it is not the best. polished: the attempt that took the best one's place, because more
+    of its neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was tried.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -48,13 +52,16 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
-    why_first: str = ""
+    polished: int | None = None
+    robustness: Robustness | None = None
 
     @property
     def best(self) -> int | None:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
+        if self.polished is not None:
+            return self.polished
         verdicts = [a.verdict for a in self.attempts]
         return min(range(len(verdicts)), key=lambda k: (not self.goal.met(verdicts[k]), *rank(verdicts[k]), k))
 
@@ -89,25 +96,22 @@ class Refiner:
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
         self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
-        self._intents: Sequence[Intent] = ()
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
         """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
-        optimizer, self._intents = self.optimizer(intents), intents
+        optimizer = self.optimizer(intents)
         while len(found.attempts) < self._settings.attempts:
             if time.perf_counter() - began >= self._settings.seconds:
                 found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
                 break
-            if self._another and _since_better(found) >= HOPEFUL:
-                found.reason = f"The last {HOPEFUL} attempts came to no more, and another encounter may come."
+            if self._another and (vain := _in_vain(found)):
+                found.reason = f"The last {vain} attempts came to no more, and another encounter may come."
                 break
             plans = self._next(optimizer, found)
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
                 break
-            if not found.attempts:
-                self._explain(plans[0], found)
             if self._try(plans, found, began):
                 break
             self._observe(optimizer, found, len(plans))
@@ -117,13 +121,8 @@ class Refiner:
         if found.attempts and all(a.ending == "crashed" for a in found.attempts):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
+        self._polish(found, began)
         found.seconds = time.perf_counter() - began
-
-    def _explain(self, first: Proposal, found: Refinement) -> None:
-        """Say why the first attempt does not try the intent that is ranked first, if it does not."""
-        found.why_first = self._search.why_first(first, self._intents)
-        if found.why_first:
-            self._tell("why_first", found.why_first)
 
     def optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
@@ -173,6 +172,47 @@ class Refiner:
         for k, result in enumerate(found.results):
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
+
+    def _polish(self, found: Refinement, began: float) -> None:
+        """Simulate neighbours of the success that counts. A neighbour takes its place if it holds in more of its own,
+        or if it is gentler."""
+        tested: dict[int, Robustness] = {}
+        now, random = found.best if found.successes else None, Random(self._settings.seed)
+        while now is not None and len(tested) < POLISHED and self._has_left(found, began):
+            attempt = found.attempts[now]
+            near = neighbours(attempt, found.results[now], random, self._settings.step_length)
+            tried = [
+                (self._attempt(len(found.attempts), p, result), result)
+                for p, result in zip(near, self._runner.attempt(near), strict=True)
+            ]
+            held = [(a, result) for a, result in tried if found.goal.met(a.verdict)]
+            tested[now] = Robustness(len(held), len(tried))
+            if tested[now].enough and attempt.verdict.humanlike:
+                break
+            same = [each for each in held if each[0].proposal.course is None and each[0].kind == attempt.kind]
+            now = self._next_winner(same, found)
+        if tested:
+            best = max(tested, key=lambda k: _worth(tested[k], found.attempts[k]))
+            found.robustness = tested[best]
+            if best != found.best:
+                before, found.polished = found.best, best
+                found.successes = [best if k == before else k for k in found.successes]
+
+    def _next_winner(self, held: Sequence[tuple[Attempt, AttemptResult]], found: Refinement) -> int | None:
+        """The index of the neighbour that is looked at next, the gentlest one; it joins the attempts."""
+        for attempt, result in sorted(held, key=lambda each: (not each[0].verdict.humanlike, *rank(each[0].verdict))):
+            again = checked(attempt, result, self._runner, found.goal)
+            if found.goal.met(again.verdict):
+                found.attempts.append(replace(again, index=len(found.attempts), phase="polish"))
+                found.results.append(result)
+                self._tell("attempt", found.attempts[-1])
+                return len(found.attempts) - 1
+        return None
+
+    def _has_left(self, found: Refinement, began: float) -> bool:
+        """Whether attempts and seconds are left for neighbours."""
+        settings = self._settings
+        return settings.attempts - len(found.attempts) >= GENERATION and time.perf_counter() - began < settings.seconds
 
     def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
         """Take note of a success; whether there are enough of different kinds now."""
@@ -224,10 +264,18 @@ class Refiner:
                     search.add_chosen([candidate])
 
 
-def _since_better(found: Refinement) -> int:
-    """How many attempts were made since the first one of the highest level so far."""
+def _worth(robustness: Robustness, attempt: Attempt) -> tuple[bool, bool, int, int]:
+    """Sorts successes, the best last: robust ones, then what a person could drive, then those that hold in more of
+    their neighbours."""
+    return robustness.enough, bool(attempt.verdict.humanlike), robustness.held, -attempt.index
+
+
+def _in_vain(found: Refinement) -> int:
+    """How many attempts were made since the first one of the highest level, once these are enough to leave; else 0."""
     levels = [found.goal.reached(a.verdict) for a in found.attempts]
-    return len(levels) - levels.index(max(levels)) if levels else 0
+    since = len(levels) - levels.index(max(levels)) if levels else 0
+    enough = HOPEFUL if levels and max(levels) >= Level.CRITICAL else HOPELESS
+    return since if since >= enough else 0
 
 
 def _tried(found: Refinement) -> list[tuple[Attempt, AttemptResult]]:

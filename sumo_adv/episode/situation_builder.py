@@ -22,7 +22,6 @@ from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
 from sumo_adv.simulation.sight import Sight
 from sumo_adv.situation import (
-    SHIFT_STEP,
     Baseline,
     OnPath,
     RoadAhead,
@@ -38,7 +37,6 @@ from sumo_adv.situation import (
 
 OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
 ANOTHER = 1.0  # m beyond the start of a junction: what begins there is another junction
-UNLIKE = 0.05  # m: smaller differences between SUMO's positions on parallel lanes are ignored
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 FARTHEST_TIME = 20.0  # s at a BV's highest speed: covers an attempt and the plan made at its end
 IN_SIGHT = 120.0  # m
@@ -150,7 +148,7 @@ def build_situation(
     situation = Situation(
         time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading, road.hand), ego,
         Baseline(path, stations, ego_track.speed, ego_track.acceleration, trigger.ego_model),
-        RoadAhead(width, sides, float(junction), later, float(bay), rule, _shifts(road, ego.lane, path)),
+        RoadAhead(width, sides, float(junction), later, float(bay), rule),
         Traffic(
             others, _ahead(tracks, ego_track, path, stations, dt, width),
             tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)),
@@ -205,12 +203,6 @@ def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[
     onto = [k for k in range(1, len(inside)) if inside[k] and not inside[k - 1] and ego.lane[k - 1] in road.lanes]
     ends = [road.lanes[ego.lane[k - 1]].shape[-1] for k in onto]
     return [path.project(float(x), float(y), near=float(stations[k]))[0] for k, (x, y) in zip(onto, ends, strict=True)]
-
-
-def _shifts(road: RoadMap, lane: str, path: Path) -> tuple[tuple[float, Floats], ...]:
-    """``RoadAhead.shifts``."""
-    x, y, _ = path.at(np.arange(0.0, path.length, SHIFT_STEP))
-    return tuple((o, m) for o, m in road.lane_shifts(lane, x, y) if np.abs(m).max() > UNLIKE)
 
 
 def _ahead(

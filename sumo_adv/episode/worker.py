@@ -100,6 +100,7 @@ class Worker:
             passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
             self._unreached = self._unreached or (self._encounter, self._trigger_step, self._baseline_ego)
             self._at_trigger()
+            self._search.leave([name for name, _, _ in self._encounter.ranking])
             self._cool_down()
         while True:
             ranking = self._search.until_encounter()

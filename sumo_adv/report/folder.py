@@ -15,6 +15,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
+from sumo_adv.report.attempts import ATTEMPTS, write_attempts
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_signals, write_states
@@ -38,6 +39,7 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     realism = judged.realism if judged is not None else None
     result = outcome(episode, raw_figures(episode), figures(judged), realism)
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
+    write_attempts(stage / ATTEMPTS, episode)
     if episode.found is not None and episode.prefix is not None:
         _tables(stage, episode)
         if episode.best is not None:

@@ -63,9 +63,9 @@ def outcome(
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
         "encounters_tried": [_tried(t) for t in episode.tried], "seconds_allowed": settings.seconds,
-        "best": episode.refinement.best, "successes": _successes(episode), "until": str(settings.until),
-        "goal": _goal(settings), "attempts_allowed": settings.attempts,
-        "why_first": episode.refinement.why_first or None,
+        "best": episode.refinement.best, "robust": _robust(episode),
+        "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
+        "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
@@ -86,6 +86,12 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
         "limit": None if place is None else number(place.limit),
         "vehicles_near": None if place is None else place.vehicles_near,
     }  # fmt: skip
+
+
+def _robust(episode: Episode) -> dict[str, Any] | None:
+    """How many neighbours of the attack succeed, too; None where none was simulated."""
+    made = episode.refinement.robustness
+    return None if made is None else {**asdict(made), "robust": made.enough}
 
 
 def _tried(tried: Tried) -> dict[str, Any]:

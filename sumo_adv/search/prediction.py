@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Duty, Limits, ObservedMotion, Prediction, Proposal
+from sumo_adv.datatypes import Duty, Limits, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trusted import is_trusted
@@ -40,8 +40,8 @@ class Predictor:
         self.failures: dict[str, str] = {}  # planner hash -> sentence
         self.stopped: Mapping[str, int] = dict(stopped or {})
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """The same candidates with ``score`` and ``prediction``."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
         users = [road_user(self._situations[p.delay].targets[p.bv].state) for p in proposals]
@@ -50,8 +50,7 @@ class Predictor:
             rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and kinds[k] == kind]
             if not rows:
                 continue
-            egos = None if motions is None else [motions[k] for k in rows]
-            for k, p in zip(rows, self._together([proposals[k] for k in rows], egos), strict=True):
+            for k, p in zip(rows, self._together([proposals[k] for k in rows]), strict=True):
                 scored[k] = p
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
@@ -73,10 +72,10 @@ class Predictor:
         """The limits of candidates that are all of one kind of road user."""
         return self._settings.limits.of(situations[proposals[0].delay].targets[proposals[0].bv].state)
 
-    def _together(self, proposals: list[Proposal], motions: Sequence[ObservedMotion] | None) -> list[Proposal]:
+    def _together(self, proposals: list[Proposal]) -> list[Proposal]:
         limits = self._limits(self._situations, proposals)
         with _no_garbage_collection():
-            rollouts, failures = self._rolled(self._situations, proposals, motions)
+            rollouts, failures = self._rolled(self._situations, proposals)
             judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
         goal, weights = self._settings.goal, self._weights
         judged = [(goal_score(goal, score, made, weights), made) for score, made in judged]
@@ -86,13 +85,12 @@ class Predictor:
 
     def rolled(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Rollouts:
         """The predicted motions, row by row, also after a contact; ``situations``: by delay [s]."""
-        return self._rolled(situations, proposals, None, to_the_end=True)[0]
+        return self._rolled(situations, proposals, to_the_end=True)[0]
 
     def _rolled(
-        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal],
-        motions: Sequence[ObservedMotion] | None, to_the_end: bool = False,
-    ) -> tuple[Rollouts, dict[int, str]]:  # fmt: skip
-        """As ``rolled``, with egos that drive as in ``motions``; and by row why a planner failed."""
+        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], to_the_end: bool = False
+    ) -> tuple[Rollouts, dict[int, str]]:
+        """As ``rolled``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
         members, n = lined_up(proposals), len(proposals)
         with Sessions(
@@ -102,7 +100,7 @@ class Predictor:
             rollouts = predict(
                 situations, proposals, lambda rows, observations: sessions.answers(members, rows, observations),
                 limits=self._limits(situations, proposals), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan), motions=motions,
+                replan=settings.steps(settings.replan),
                 touch=touch_of(situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures

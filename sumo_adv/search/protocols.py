@@ -11,8 +11,8 @@ from sumo_adv.datatypes import Duty, ObservedMotion, Proposal, Verdict
 class Scorer(Protocol):
     """Predicts candidates; lower scores are better."""
 
-    def score(self, proposals: Sequence[Proposal], motions: Sequence[ObservedMotion] | None = None) -> list[Proposal]:
-        """The same candidates with ``score`` and ``prediction``; ``motions``: the egos drive so, row by row."""
+    def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
+        """The same candidates with ``score`` and ``prediction``."""
         ...
 
     def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 from sumo_adv.datatypes import Intent, Proposal
 from sumo_adv.goal import Goal
-from sumo_adv.search.robustness import drawn
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.templates import AttackTemplate
 
@@ -49,8 +48,7 @@ def unpredicted_intents(templates: Sequence[AttackTemplate]) -> list[Intent]:
 
 def _share(members: Sequence[Proposal], settings: SearchSettings) -> float:
     """The share of the drawn candidates that is predicted to collide in a way that counts."""
-    first = drawn(members)
-    return sum(p.nominal_score < settings.reaches for p in first) / len(first)
+    return sum(p.score < settings.reaches for p in members) / len(members)
 
 
 def _counts(goal: Goal, met: int, avoidable: int, count: int) -> str:
@@ -61,11 +59,11 @@ def _counts(goal: Goal, met: int, avoidable: int, count: int) -> str:
 
 
 def _intent(members: Sequence[Proposal], description: str, settings: SearchSettings, goal: Goal) -> Intent:
-    best, first = min(members, key=lambda p: p.score), drawn(members)
+    best = min(members, key=lambda p: p.score)
     risk = "high" if best.score < settings.avoidable else ("medium" if best.score < settings.reaches else "low")
-    avoidable = sum(p.nominal_score < settings.avoidable for p in first)
-    made = [p.prediction for p in first if p.prediction is not None and not p.prediction.failure]
+    avoidable = sum(p.score < settings.avoidable for p in members)
+    made = [p.prediction for p in members if p.prediction is not None and not p.prediction.failure]
     least = min((prediction.min_ttc for prediction in made), default=NOTHING_NEAR)
-    met = sum(p.nominal_score < settings.reaches for p in first)
-    reason = f"predicted: {_counts(goal, met, avoidable, len(first))}; least TTC {least:.2f} s"
+    met = sum(p.score < settings.reaches for p in members)
+    reason = f"predicted: {_counts(goal, met, avoidable, len(members))}; least TTC {least:.2f} s"
     return Intent(best.bv, best.label, description, risk, best.acceleration, reason)

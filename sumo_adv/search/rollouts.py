@@ -11,14 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats, Limits, ObservedMotion, Proposal
+from sumo_adv.datatypes import Bools, Floats, Limits, Proposal
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint
 from sumo_adv.planners.follower import Follower
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
-from sumo_adv.search.early_termination import EarlyTermination
 from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
@@ -48,7 +47,6 @@ def predict(
     limits: Limits,
     steps: int,
     replan: int,
-    motions: Sequence[ObservedMotion] | None = None,
     touch: Touch | None = None,
     to_the_end: bool = False,
 ) -> Rollouts:
@@ -58,8 +56,8 @@ def predict(
     the number of adversaries.
 
     situations: by delay [s], the moment at which a candidate's attack begins. ask(rows, observations): the answers of
-    the planners of ``rows``, None where a planner fails, and for all other rows. motions: the egos drive so.
-    A candidate is asked no more once ego and collider have touched or parted for good: the adversaries then follow
+    the planners of ``rows``, None where a planner fails, and for all other rows.
+    A candidate is asked no more once ego and collider have touched: the adversaries then follow
     their last plans, as in an attempt. Once that holds for all, the egos go on at constant speed; ``to_the_end``: by
     their drivers.
     """
@@ -67,16 +65,14 @@ def predict(
     ground, each = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members]), len(members) // n
     scenes, dt = ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, motions, each)
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, each)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
-    over, parting, driven, speed_before = np.zeros(n, bool), EarlyTermination(ground, held_up=each > 1), -1, egos.v
+    over, driven, speed_before = np.zeros(n, bool), -1, egos.v
     for k in range(steps):
         moment = k * dt
-        if k % replan == 0:
-            over |= parting.gone(motion, np.tile(egos.s, each))[:n]
         if k % replan == 0 and not over.all():
             rows = np.flatnonzero(np.tile(~over, each)).tolist()
             mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt

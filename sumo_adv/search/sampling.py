@@ -74,7 +74,7 @@ def varied(p: Proposal, random: Random, spread: float) -> Proposal:
         value = p.parameters.get(q.name, q.default) + random.gauss(0.0, spread * (q.high - q.low))
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
     supports = tuple(varied(support, random, spread) for support in p.supports)
-    return replace(p.unscored(), parameters=numbers, is_neighbour=False, by="tuner", supports=supports)
+    return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports)
 
 
 def originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:

@@ -15,13 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role
-from sumo_adv.drivers.third_parties import braking
 from sumo_adv.metrics.boxes import between_steps, gap, half_diagonal, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.road_users import unprotected
-from sumo_adv.search.novelty import TRACE_STEP
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
@@ -163,7 +161,7 @@ def _prediction(seen: _Seen, k: int) -> Prediction:
         hit=hit, min_ttc=0.0 if hit else float(seen.least[k]), gap=float(seen.nearest[k]), time=last * dt,
         spare=float(seen.end[k] - last) * dt, braking=float(braking_share), third_party=bool(seen.third[k]),
         off_road=bool(seen.leaves[k]), beyond_limits=bool(seen.beyond[k]),
-        level=Level.COLLISION if seen.counts[k] else Level.NONE, trace=_trace(seen.adversary, k, closest, dt),
+        level=Level.COLLISION if seen.counts[k] else Level.NONE,
         closest=closest * dt,
     )  # fmt: skip
 
@@ -175,13 +173,6 @@ def _with_danger(made: Prediction, danger: Danger, row: int) -> Prediction:
         manoeuvre=bool(danger.manoeuvre[row]), side=danger.sides[row],
         acceleration=float(danger.acceleration[row]),
     )  # fmt: skip
-
-
-def _trace(adversary: Boxes, row: int, until: int, dt: float) -> tuple[tuple[float, float], ...]:
-    """Where the adversary is every ``TRACE_STEP`` [s], x and y [m], up to a step."""
-    steps = slice(0, until + 1, max(1, round(TRACE_STEP / dt)))
-    x, y = np.round(adversary.x[row, steps], 2).tolist(), np.round(adversary.y[row, steps], 2).tolist()
-    return tuple(zip(x, y, strict=True))
 
 
 def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
@@ -251,7 +242,8 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any
 def _third_party(
     begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
-    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s], also if that vehicle brakes for it.
+    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s]. One that reacts and is behind it at
+    first is taken to brake in time.
 
     begun: the situation of each row; bvs: all adversaries of a row, which are no third parties.
     """
@@ -259,38 +251,28 @@ def _third_party(
     pairs = [
         _near_others(situation, begun, bvs, adversary, time, end) for situation in {id(s): s for s in begun}.values()
     ]
-    rows, reacts = np.concatenate([p.rows for p in pairs]), np.concatenate([p.reacts for p in pairs])
+    rows = np.concatenate([p.rows for p in pairs])
     if not len(rows):
         return touched
     around = _joined([p.vehicles for p in pairs])
     meets = third_party(some_steps(some_rows(adversary, rows), driven), some_steps(around, driven), when, end[rows])
-    touched[rows[meets & ~reacts]] = True
-    brake = np.flatnonzero(meets & reacts)
-    if len(brake):
-        rows, dt = rows[brake], begun[0].dt
-        lanes = np.array([begun[row].road.lane_width for row in rows.tolist()])
-        steps = slice(0, int(np.searchsorted(time, end[rows].max())) + 1)
-        adversaries = some_steps(some_rows(adversary, rows), steps)
-        braked = braking(some_rows(around, brake), adversaries, lanes[:, None], dt)
-        meets = third_party(some_steps(adversaries, driven), some_steps(braked, driven), time[steps][driven], end[rows])
-        touched[rows[meets]] = True
+    touched[rows[meets]] = True
     return touched
 
 
 class _Near(NamedTuple):
-    """Pairs of an adversary and another vehicle that may touch: the adversary's row, the other vehicle's motion
-    ``(pairs, steps)``, and whether it reacts."""
+    """Pairs of an adversary and another vehicle that may touch: the adversary's row, and the other vehicle's motion
+    ``(pairs, steps)``."""
 
     rows: Ints
     vehicles: Boxes
-    reacts: Bools
 
 
 def _near_others(
     situation: Situation, begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats,
     end: Floats,
 ) -> _Near:  # fmt: skip
-    """The pairs of the rows that begin in a situation."""
+    """The pairs of the rows that begin in a situation, without vehicles that will brake."""
     own = np.flatnonzero([s is situation for s in begun])
     tracks, driven = situation.traffic.others, slice(1, None)
     around = on_grid(tracks, np.asarray(situation.time + time))
@@ -299,10 +281,12 @@ def _near_others(
     )
     rows = own[rows]
     ids, ranks = np.array([t.id for t in tracks])[others], zip(*bvs, strict=True)
-    is_other = np.all([ids != np.array(rank)[rows] for rank in ranks], axis=0)
-    rows, others = rows[is_other], others[is_other]
+    counts = np.all([ids != np.array(rank)[rows] for rank in ranks], axis=0)
     reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks], bool)[others]
-    return _Near(rows, some_rows(around, others), reacts)
+    x, y, heading = (q[rows, 0] for q in (adversary.x, adversary.y, adversary.heading))
+    ahead = (around.x[others, 0] - x) * np.cos(heading) + (around.y[others, 0] - y) * np.sin(heading)
+    kept = counts & ~(reacts & (ahead < 0.0))
+    return _Near(rows[kept], some_rows(around, others[kept]))
 
 
 def _joined(boxes: Sequence[Boxes]) -> Boxes:

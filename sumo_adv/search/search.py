@@ -1,41 +1,35 @@
 """The search for an attack: a pool of predicted candidates, from which the next ones to try are proposed.
 
-``AttackSearch`` draws candidates (``sampling``), has them predicted and scored (``scorer``), weighs the best ones with
-their neighbours (``robustness``), and draws more while none is good. ``propose`` takes the candidate with the least
-price: its score, and what else counts (``settings.PriceSettings``). ``observe`` corrects the pool by how the ego really
-drove (``correction``). It plays the analyzer where no language model does (``ranking``).
+``AttackSearch`` draws candidates (``sampling``), has them predicted and scored (``scorer``), and draws more while none
+is good. ``propose`` takes the candidate with the least price: its score, and what else counts
+(``settings.PriceSettings``); after a few of them it varies what attempts came to (``evolution``). It plays the analyzer
+where no language model does (``ranking``).
 
 Where no candidate promises a valid collision, colliders that nearly succeed get supports, if more than one adversary is
 allowed (``supports``).
 
-An attempt is only made if it can bring something new. Its prediction must promise a higher level than the attempts so
-far reached, and its adversary must not move as in an attempt that has failed (``novelty``). Where nothing is left the
-search ends, long before the budget of attempts.
+An attempt that is chosen by its prediction must promise a higher level than the attempts so far reached.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.composition_record import Composition
 from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
-from sumo_adv.search.correction import PredictionCorrection
 from sumo_adv.search.evolution import Evolution
-from sumo_adv.search.first_attempt import why_first
-from sumo_adv.search.novelty import is_copy, kind_of
 from sumo_adv.search.protocols import Scorer
 from sumo_adv.search.ranking import ranked_intents, unpredicted_intents
-from sumo_adv.search.robustness import drawn, is_robust, weighed_with_neighbours
 from sumo_adv.search.sampling import Sampler, elites
 from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.supports import SupportSearch
-from sumo_adv.search.templates import AttackTemplate, templates_of
+from sumo_adv.search.templates import AttackTemplate, kind_of, templates_of
 from sumo_adv.situation import Situation
 
 
@@ -52,7 +46,6 @@ class AttackSearch:
         seed: int,
         goal: Goal | None = None,
         selection: Selection | None = None,
-        exact_driver: bool = False,
         recalled: Proposal | None = None,
         adversaries: int = 1,
         colliders: Collection[str] = (),
@@ -62,23 +55,20 @@ class AttackSearch:
         """Predict the first candidates.
 
         situations: by delay after the trigger [s]. goal: what is wanted, a serious collision by default. selection: the
-        intents that may be tried, all by default. exact_driver: the model of the ego is its driver's own.
-        recalled: a candidate that succeeded in a similar scene; it is tried first, and nothing is predicted until it
-        has failed. adversaries: the most of a candidate; colliders: the vehicles that may be the collider, empty for
-        all; compositions: composed intents that the bank knows. predicts: whether
-        candidates are predicted at all; else only attempts tell what they come to.
+        intents that may be tried, all by default. recalled: a candidate that succeeded in a similar scene; it is tried
+        first, and nothing is predicted until it has failed. adversaries: the most of a candidate; colliders: the
+        vehicles that may be the collider, empty for all; compositions: composed intents that the bank knows. predicts:
+        whether candidates are predicted at all; else only attempts tell what they come to.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
         self._level = max(self._goal.level, Level.VALID)
         self._selection = selection or Selection()
         self._sampler = Sampler(settings.sampling, seed)
-        self._correction = PredictionCorrection(scorer, settings.correction, known_driver=exact_driver)
         self._ranks: Mapping[tuple[str, str], int] = {}
         self._tried: list[Proposal] = []
         self._by_family: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[Planner] = Counter()
-        self._failures: Counter[tuple[tuple[str, str, str], str]] = Counter()  # by family and gate
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
@@ -121,7 +111,6 @@ class AttackSearch:
         most = settings.sampling.before_first_attempt * count
         while templates and len(self.pool) < min(self._wanted(self.pool), most):
             self.pool += self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
-        self.pool = self._made_robust(self.pool, self._cheapest, settings.robustness.first)
 
     def ranking(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         """The intents of the pool, most dangerous first.
@@ -133,7 +122,7 @@ class AttackSearch:
         if not self._predicts:
             return unpredicted_intents(self._evolution.templates) + self._composed(library)
         reaching, rest = ranked_intents(self.pool, descriptions, self.price, self._settings, self._goal)
-        good = sum(p.nominal_score < self._settings.avoidable for p in drawn(self.pool))
+        good = sum(p.score < self._settings.avoidable for p in self.pool)
         new = [] if good >= self._settings.few else self._composed(library)
         return reaching + new + rest
 
@@ -147,12 +136,6 @@ class AttackSearch:
         if seen is None:
             return p.score
         return p.score + weights.late * seen.time + weights.harsh * seen.braking + weights.support * len(p.supports)
-
-    def why_first(self, first: Proposal, intents: Sequence[Intent]) -> str:
-        """Why the first attempt does not try the intent that is ranked first, in a sentence; empty if it does."""
-        if not self._predicts:
-            return ""
-        return why_first(first, intents[0], self.pool, self._price_now, self._goal, self._settings.price)
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -170,7 +153,7 @@ class AttackSearch:
         self._ranks = {}
         for i in intents if in_their_order else ():
             self._ranks.setdefault((i.bv, i.label), len(self._ranks))
-        self._redrawn = len(drawn(self.pool))
+        self._redrawn = len(self.pool)
         self._evolution.draw_from(self._templates)
         return list(self._templates)
 
@@ -216,14 +199,11 @@ class AttackSearch:
         reached = self._goal.reached(verdict)
         if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
             self._best = max(self._best, reached)
-        self._failures.update((tried.family, gate) for gate in verdict.failed_gates)
         self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side))
         if motion is None or not self._predicts or len(self._tried) >= self._most_predicted:
             return
         if reached < Level.VALID:
             self._support.observe(tried, motion)
-        if not tried.supports and (tried.nominal_score < self._settings.avoidable) != (reached >= Level.VALID):
-            self.pool = self._correction.corrected(self.pool, self._correction.observe(tried, motion))
 
     def succeeded(self, kind: str) -> None:
         """From now on look for an attack of another kind; see ``novelty.kind_of``."""
@@ -234,7 +214,7 @@ class AttackSearch:
     @property
     def result(self) -> str:
         """What the search came to, in a sentence."""
-        count, wish = len(drawn(self.pool)) + len(self._tried), self._goal.attack(self._level)
+        count, wish = len(self.pool) + len(self._tried), self._goal.attack(self._level)
         if self._kinds:
             kinds = "one kind" if len(self._kinds) == 1 else f"{len(self._kinds)} kinds"
             return f"Attacks of {kinds} succeeded; {count} candidates promise no {wish} of another kind."
@@ -279,56 +259,37 @@ class AttackSearch:
         if self._support.due or not any(p.score < self._settings.avoidable for p in open_):
             self.pool += self._support.candidates(self.pool, self.price)
             open_ = self._open()
-        if not open_:
-            return None
-        opened = {id(q) for q in open_}
-        closed = [p for p in self.pool if id(p) not in opened]
-        robustness = self._settings.robustness
-        open_ = self._made_robust(open_, self._choice, robustness.later if self._tried else robustness.first)
-        self.pool = closed + open_
-        worth = [p for p in open_ if self._is_worth(p)] if self._tried else open_
-        return self._take(self._choice(worth)) if worth else None
+        return self._take(self._choice(open_)) if open_ else None
 
     def _open(self) -> list[Proposal]:
-        """The candidates that may be tried: they promise more than was reached, and are no copies of attempts.
+        """The candidates that may be tried: they promise more than was reached.
 
         Before the first attempt all may be.
         """
         if not self._tried:  # the first attempt shows something in any case
             return list(self.pool)
         over, bound = self._used_up(), self._settings.bound(self._best)
-        promising = [p for p in self.pool if p.nominal_score < bound and self._is_worth(p)]
-        promising = [p for p in promising if self._share_of(p.planner) not in over]
-        return [p for p in promising if not any(is_copy(p, tried, self._settings.differs) for tried in self._tried)]
+        promising = [p for p in self.pool if p.score < bound and self._is_worth(p)]
+        return [p for p in promising if self._share_of(p.planner) not in over]
 
     def _is_worth(self, p: Proposal) -> bool:
-        """Whether nothing rules a candidate out: its prediction, the same gate failed again and again, or its kind."""
+        """Whether nothing rules a candidate out: its prediction, or its kind."""
         seen = p.prediction
         if p.by == "memory" or seen is None:
             return True
-        if seen.hopeless or self._kind_of(p, seen.side) in self._kinds:
-            return False
-        worst = max((n for (family, _), n in self._failures.items() if family == p.family), default=0)
-        return worst < self._settings.same_gate
+        return not seen.hopeless and self._kind_of(p, seen.side) not in self._kinds
 
     def _kind_of(self, p: Proposal, side: str | None) -> str:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
-        """The cheapest candidate; every few attempts, the cheapest of the template that was tried least. Every other
-        attempt has supports, where candidates with supports promise a valid collision."""
-        every, weights = self._settings.diverse_every, self._settings.price
+        """The cheapest candidate. Every other attempt has supports, where candidates with supports promise a valid
+        collision."""
+        weights = self._settings.price
         supported = [p for p in open_ if p.supports and p.score < self._settings.avoidable]
         if supported and len(self._tried) % 2 == 1:
             open_ = supported
-        if len(self._tried) % every == every - 1:
-            promising = [p for p in open_ if p.score < self._settings.reaches] or list(open_)
-            least = min(self._by_family[p.family] for p in promising)
-            return min((p for p in promising if self._by_family[p.family] == least), key=self._price_now)
         return min(open_, key=lambda p: self._price_now(p) + weights.tried * self._by_family[p.family])
-
-    def _cheapest(self, pool: Sequence[Proposal]) -> Proposal:
-        return min(pool, key=self.price)
 
     def _price_now(self, p: Proposal) -> float:
         """The price, with what the analyzer's order adds."""
@@ -365,7 +326,7 @@ class AttackSearch:
 
     def _scored(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         """All predicted together, which takes less time than one by one."""
-        return self._correction.corrected(self._scorer.score(proposals)) if proposals else []
+        return self._scorer.score(proposals) if proposals else []
 
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
@@ -374,20 +335,3 @@ class AttackSearch:
         if best < bound - settings.spare:
             return 0
         return sampling.most if best >= bound else settings.proposals + sampling.for_spare
-
-    def _made_robust(
-        self, pool: Sequence[Proposal], choose: Callable[[Sequence[Proposal]], Proposal], at_once: int
-    ) -> list[Proposal]:
-        """The pool in which the chosen candidate is robust: it and the best others are weighed with neighbours, a few
-        rounds at most."""
-        settings, selected = self._settings, list(pool)
-        for _ in range(settings.robustness.rounds if selected else 0):
-            first = choose(selected)
-            if is_robust(first) or first.score >= settings.avoidable:
-                break
-            loose = [p for p in selected if p is not first and not is_robust(p) and p.score < settings.avoidable]
-            best = [first, *sorted(loose, key=self.price)[: at_once - 1]]
-            taken = {id(p) for p in best}
-            weighed = weighed_with_neighbours(best, self._scored, self._sampler.random, settings.robustness)
-            selected = weighed + [p for p in selected if id(p) not in taken]  # of equals a robust one comes first
-        return selected

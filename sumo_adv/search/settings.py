@@ -62,28 +62,6 @@ class SamplingSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class RobustnessSettings:
-    """How candidates are weighed together with neighbours (``robustness.py``)."""
-
-    spread: float = 0.04  # of a parameter's range: standard deviation of a neighbour
-    neighbours: int = 5
-    worst: float = 1.5  # a neighbour's score above it (a miss, a rear-end) counts as this
-    own: float = 0.5  # weight of a candidate's own score; the rest is the mean over it and its neighbours
-    rounds: int = 4  # until the chosen candidate is robust
-    first: int = 3  # candidates that get neighbours at once before the first attempt,
-    later: int = 8  # and after it
-
-
-@dataclass(frozen=True, slots=True)
-class CorrectionSettings:
-    """How observed motions of the ego change scores (``correction.py``)."""
-
-    share: float = 0.5  # of what is left of a prediction's weight goes to the observation, for each surprise
-    worst: float = 2.5  # a score above it (a miss by far, a rear-end) counts as this
-    at_once: int = 300  # the best candidates that one surprise corrects
-
-
-@dataclass(frozen=True, slots=True)
 class SupportSettings:
     """How colliders that nearly succeed get supports (``supports.py``)."""
 
@@ -119,11 +97,9 @@ class SearchSettings:
 
     proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
     modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
-    spare: what a candidate's score must be below that of its level, so that no better one is looked for. differs:
-    another attempt must differ from those before by this [m] at the contact (``novelty.py``). same_gate: a mode is
-    given up after this many attempts that failed the same gate. few: with fewer avoidable candidates, intents that the
-    library lacks are composed. diverse_every: each time this number of attempts is reached, the template that was tried
-    least has its turn. predicted, predicted_together: attempts at most that are chosen by prediction, with one
+    spare: what a candidate's score must be below that of its level, so that no better one is looked for.
+    few: with fewer avoidable candidates, intents that the
+    library lacks are composed. predicted, predicted_together: attempts at most that are chosen by prediction, with one
     adversary and with several; later ones vary attempts.
     """
 
@@ -132,17 +108,12 @@ class SearchSettings:
     reaches: float = 1.5
     avoidable: float = 0.9
     spare: float = 0.15
-    differs: float = 1.0
-    same_gate: int = 3
     few: int = 5
-    diverse_every: int = 3
     predicted: int = 3
     predicted_together: int = 25
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
-    robustness: RobustnessSettings = field(default_factory=RobustnessSettings)
-    correction: CorrectionSettings = field(default_factory=CorrectionSettings)
     supports: SupportSettings = field(default_factory=SupportSettings)
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
 

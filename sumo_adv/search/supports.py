@@ -156,7 +156,7 @@ def _drawn(
     made = []
     for k in range(settings.drawn):
         support = replace(template.proposal(None if k == 0 else random), duty=duty)
-        collider = varied(base, random, settings.spread) if k % 2 else replace(base.unscored(), is_neighbour=False)
+        collider = varied(base, random, settings.spread) if k % 2 else replace(base.unscored())
         supports = (*collider.supports, support)
         made.append(replace(collider, supports=supports, composition=label(collider, supports), by="tuner"))
     return made

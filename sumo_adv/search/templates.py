@@ -70,3 +70,8 @@ def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> lis
         if count[planner.mode, learnt] <= VERSIONS:
             selected.append((planner, learnt))
     return selected
+
+
+def kind_of(label: str, relation: str, side: str | None) -> str:
+    """The kind of an attack: its intent, the adversary's relation to the ego, and the side of the ego that is hit."""
+    return f"{label} / {relation} / {side or 'no contact'}"

@@ -7,6 +7,7 @@ network (a test track closed in itself), routes between inner edges are added.
 
 from __future__ import annotations
 
+import math
 import random
 from dataclasses import dataclass
 from itertools import pairwise
@@ -24,6 +25,7 @@ INNER_LENGTH = 150.0  # m that a route between inner edges must have
 MIN_ORIGIN = 8.0  # m of an edge that a vehicle has room to start on; shorter fringe edges are stumps of a cut map
 FRINGE_COVER = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
 PAIR_TRIES = 400
+PART = 120.0  # s of traffic that are drawn at a time, so that a later end changes nothing before it
 
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 
@@ -59,9 +61,13 @@ def generate(
     routes = journeys(network, draw)
     if density is None:
         density = default_density(routes)
-    lines = [_HEADER]
-    for number, depart in enumerate(_departures(draw, density, begin, end)):
-        journey = draw.choices(routes, weights=[journey.lanes for journey in routes])[0]
+    lines, weights = [_HEADER], [journey.lanes for journey in routes]
+    drawn = list[tuple[float, Journey]]()
+    for part in range(math.ceil((end - begin) / PART)):
+        first = begin + part * PART
+        departs = _departures(draw, density, first, min(first + PART, end))
+        drawn += [(depart, draw.choices(routes, weights=weights)[0]) for depart in departs]
+    for number, (depart, journey) in enumerate(drawn):
         lines.append(
             f'    <vehicle id="bv{number}" type="bv" depart="{depart:.2f}" departLane="best" departPos="base" '
             f'departSpeed="max"><route edges={quoteattr(" ".join(journey.edges))}/></vehicle>\n'

@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, along, make_path, wrap
+from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.simulation.drivable import KEY, Drivable, area_of
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
@@ -182,17 +182,6 @@ class RoadMap:
             between = sum(o.width for o in row[min(i, lane.index) + 1 : max(i, lane.index)])
             yield neighbour, math.copysign(between + (neighbour.width + lane.width) / 2, i - lane.index)
 
-    def lane_shifts(self, lane_id: str, x: Floats, y: Floats) -> list[tuple[float, Floats]]:
-        """By how much SUMO takes a vehicle on the lanes beside a lane to be further ahead than at the places ``(n,)``
-        along it: offset of the lane [m, left positive], metres ``(n,)``.
-
-        All lanes of an edge have one length there, whatever their shapes': on and behind a bend they count unlike."""
-        lane = self.lanes.get(lane_id)
-        if lane is None or lane.internal:
-            return []
-        here = _share(lane.shape, x, y) * lane.length
-        return [(offset, _share(o.shape, x, y) * o.length - here) for o, offset in self._beside(lane)]
-
     def ways(
         self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
     ) -> list[Way]:
@@ -342,11 +331,6 @@ def _ground(path: FilePath, net: Any) -> Any:
         return area_of(node.getParam(KEY) for node in net.getNodes() if node.getParam(KEY))
     except ValueError as error:
         raise UsageError(f"The drivable area in {path} is damaged ({error}); convert the record again.") from error
-
-
-def _share(shape: Floats, x: Floats, y: Floats) -> Floats:
-    """What part of a polyline's length lies before the places on it that are nearest to (x, y), ``(n,)``."""
-    return along(shape, x, y) / float(np.hypot(*np.diff(shape, axis=0).T).sum())
 
 
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:

@@ -1,0 +1,87 @@
+"""Neighbours of an attack tell whether it holds: slightly other numbers, or other timing."""
+
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+import sumo_adv
+from sumo_adv.datatypes import Attempt, Level, PrescribedMotion, Proposal
+from sumo_adv.episode.assessment import NOTHING
+from sumo_adv.episode.attempt import Driven
+from sumo_adv.episode.neighbours import Robustness, neighbours, retimed
+from sumo_adv.episode.task import AttemptResult
+from sumo_adv.planners.source import make_planner
+from sumo_adv.simulation.simulation import Snapshot
+
+TEXT = """
+PARAMETERS = {"gap": (0.5, -3.0, 4.0, "m", "where"), "drift": (3.0, 2.0, 6.0, "m/s", "how fast")}
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    return {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 1.0, "time": 1.0}
+"""
+EAST = PrescribedMotion(
+    np.arange(1.0, 61.0), np.zeros(60), np.zeros(60), np.full(60, 10.0)
+)  # 6 s to the east at 10 m/s, a state each 0.1 s
+
+
+def test_a_slower_clock_is_taken_over_one_second() -> None:
+    slow = retimed(EAST, 0.9, 0.1)
+    # at 1 s the clock shows 1 - 0.1 / 2 = 0.95 s, at 6 s another 5 * 0.9 = 4.5 s
+    assert slow.x[9] == pytest.approx(9.5)
+    assert slow.x[59] == pytest.approx(54.5)
+    assert (slow.speed[9], slow.speed[59]) == pytest.approx((9.0, 9.0))
+    assert np.diff(slow.speed).min() > -0.11  # 1 m/s over 1 s: no jump
+
+
+def test_after_the_recorded_motion_a_faster_one_goes_straight_on() -> None:
+    fast = retimed(EAST, 1.1, 0.1)
+    # the clock shows 1.05 + 5 * 1.1 = 6.55 s: 60 m and 0.55 s at 10 m/s
+    assert fast.x[59] == pytest.approx(65.5)
+    assert fast.y[59] == 0.0
+
+
+def attack(contact: float) -> tuple[Attempt, AttemptResult]:
+    """A vehicle of 5 m that goes east at 10 m/s from 100 s on and hits the ego ``contact`` s later."""
+    planner = make_planner("Shift", "side", TEXT, "seed")
+    proposal = Proposal("bv", "Shift", planner, {"gap": 0.5, "drift": 3.0}, 0.0, 0.0)
+    verdict = replace(NOTHING, level=Level.VALID, collided=True, contact_time=100.0 + contact)
+    snapshots = [Snapshot(100.0 + 0.1 * k, {"bv": (2.5 + k, 0.0, 90.0, 10.0, "a")}) for k in range(61)]
+    result = AttemptResult(Driven("contact", ""), None, 100.0, snapshots, {"bv": (5.0, 2.0)})
+    return Attempt(0, "tuner", proposal, 100.0, verdict, "contact", ""), result
+
+
+def test_four_neighbours_have_other_numbers_within_a_twentieth_of_their_ranges() -> None:
+    """The gap's range is -3 to 4 m, so it is at most 0.35 m away; the drift's is 2 to 6 m/s, so 0.2 m/s."""
+    first = neighbours(*attack(4.0), Random(1), 0.1)[:4]
+    gaps, drifts = ([p.parameters[name] for p in first] for name in ("gap", "drift"))
+    assert len(set(gaps)) == 4 and max(abs(g - 0.5) for g in gaps) <= 0.35
+    assert len(set(drifts)) == 4 and max(abs(d - 3.0) for d in drifts) <= 0.2
+
+
+def test_two_neighbours_come_to_the_contact_a_fifth_of_a_second_earlier_and_later() -> None:
+    """The contact is at 4 s, at 40 m. At an even clock that would be after 3.8 and 4.2 s; the clock takes a second to
+    get there, so it is short of that by half a second's difference of 5 %."""
+    early, late = neighbours(*attack(4.0), Random(1), 0.1)[4:]
+    assert early.course is not None and late.course is not None
+    assert early.course.x[37] == pytest.approx(40.0 - 0.5 * 10 / 19, abs=0.1)
+    assert late.course.x[41] == pytest.approx(40.0 + 0.5 * 10 / 21, abs=0.1)
+
+
+def test_at_once_no_other_timing_is_possible() -> None:
+    assert len(neighbours(*attack(0.1), Random(1), 0.1)) == 4
+
+
+def test_an_attack_is_robust_if_four_of_six_neighbours_succeed() -> None:
+    assert [Robustness(held, 6).enough for held in (3, 4)] == [False, True]
+
+
+def test_a_run_says_in_how_many_neighbours_its_attack_holds(tmp_path: Path) -> None:
+    """Without attempts left for neighbours it says nothing."""
+    result = sumo_adv.run("leader_brakes_hard", until="serious", learn="off", attempts=20, out=tmp_path / "a")
+    robust = result.outcome.document["robust"]
+    assert robust["of"] == 6 and robust["robust"] == (robust["held"] >= 4)
+    short = sumo_adv.run("leader_brakes_hard", until="serious", learn="off", attempts=5, out=tmp_path / "b")
+    assert short.outcome.document["robust"] is None
