@@ -6,6 +6,9 @@ engine, planner asked every 0.5 s (ours where the attempt runs, any other in a f
 Load-and-repeat costs more the later the trigger is and the more vehicles there are; a fork costs the pages that the
 child writes to.  The third line has two forks at once, as a run has them after its first attempt.  Both ways must give
 the same states: else status 1.
+
+At the end the first attempts of a search that predicts nothing, one after the other, on a road with about 20 vehicles:
+those without a contact and those with one whose level is wanted must cost no more than ``BOUNDS`` each, in the median.
 """
 
 from __future__ import annotations
@@ -40,6 +43,8 @@ from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
 INPUTS = ("motorway_cut_in_left", "priority_straight_from_left", "roundabout")
 BATCH = 100  # planner calls sent at once
+ROAD, DENSITY, FIRST = "straight_4lane", 250.0, 60  # with about 20 vehicles; attempts of a search
+BOUNDS = {"without a contact": 40.0, "with a contact and its level": 60.0}  # ms, median
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -148,6 +153,35 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
     return same
 
 
+def first_attempts(entries: Sequence[LibraryEntry]) -> bool:
+    """Print what the first attempts of a search cost; whether the bounds hold."""
+    source = load_input(Path(ROAD))
+    settings = load_settings(None, ego="idm", duration=8.0, density=DENSITY)
+    took: dict[str, list[float]] = {name: [] for name in BOUNDS}
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
+        found = encounter(engine, source, settings, folder)
+        predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+        weights = SearchSettings(share=FIRST)
+        search = AttackSearch(predictor, found.situations, entries, weights, seed=settings.seed, predicts=False)
+        runner, vehicles = AttemptRunner(engine, sandbox, found, settings.seed), 0
+        for proposal in search.propose(FIRST):
+            began = time.perf_counter()
+            result = runner.attempt([proposal])[0]
+            cost = 1e3 * (time.perf_counter() - began)
+            vehicles = max(vehicles, len(result.snapshots[0].raw) if len(result.snapshots) else 0)
+            collided = result.verdict is not None and result.verdict.collided
+            took["with a contact and its level" if collided else "without a contact"].append(cost)
+    print(f"{ROAD}, {vehicles} vehicles, {settings.duration:g} s at most: the first {FIRST} attempts of a search")
+    good = True
+    for name, costs in took.items():
+        if costs:
+            print(spread(f"{len(costs)} {name}", costs, "ms"))
+            good &= statistics.median(costs) <= BOUNDS[name]
+    return good
+
+
 def main() -> int:
     """Print the lines of each scenario; 1 if an expectation does not hold."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
@@ -158,7 +192,7 @@ def main() -> int:
     entries = library()
     print(f"  {'':42s} {'min':>9s} {'median':>9s} {'max':>9s}")
     good = [measure(name, given.pairs, given.proposals, entries) for name in given.inputs]
-    return int(not all(good))
+    return int(not all([*good, first_attempts(entries)]))
 
 
 if __name__ == "__main__":

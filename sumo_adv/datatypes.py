@@ -390,8 +390,7 @@ class DriverModel:
     kind: ``krauss``, ``idm``, ``eidm``, ``careful``, ``lattice`` or ``replay``. acceleration, deceleration: both
     positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
     hardest_braking: positive [m/s2].
-    known: False if the model is an assumption. ignores_sumo_lane_rules: it may overtake on the right, and the direction
-    of lanes is nothing to it.
+    known: False if the model is an assumption.
     """
 
     kind: str
@@ -401,7 +400,6 @@ class DriverModel:
     min_gap: float
     speed: float
     known: bool = True
-    ignores_sumo_lane_rules: bool = False
     hardest_braking: float = 9.0  # SUMO's emergencyDecel of cars
 
 

@@ -90,6 +90,11 @@ def test_the_outcome_is_the_file() -> None:
     assert (outcome.ending, outcome.network, outcome.seed) == (written["ending"], written["network"], written["seed"])
     assert (outcome.ego, outcome.ego_driver) == ("ego", "idm")
     assert outcome.adversary == written["adversaries"][0]["id"] and outcome.trigger_time == written["trigger_time"]
+    cause = written["outcome"]["cause"]
+    assert (outcome.cause is None) is (cause is None)
+    if cause is not None and outcome.cause is not None:
+        assert (str(outcome.cause.kind), outcome.cause.sentence) == (cause["kind"], cause["sentence"])
+        assert outcome.cause.enough == cause["enough"]
     assert outcome.intent is not None and outcome.intent.label == written["intent"]["label"]
     assert [(a.index, a.intent, str(a.level)) for a in outcome.attempts] == [
         (a["index"], a["intent"], a["level"]) for a in written["attempts"]

@@ -78,6 +78,7 @@ def test_the_attempt_that_counts_is_one_of_the_attempts(runs: Runs) -> None:
     assert outcome["intent"]["label"] == best["intent"]
     if outcome["ending"] == "critical":
         assert best["valid"] is True
+        assert f"Why: {outcome['outcome']['cause']['sentence']}" in runs["again"].out.splitlines()
         assert outcome["best"] == len(outcome["attempts"]) - 1
 
 

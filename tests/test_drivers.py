@@ -54,7 +54,7 @@ def drive(
 
 
 def egos_of(sit: Situation) -> PredictedEgos:
-    return PredictedEgos(Scenes([sit]), ["bv"], np.array([5.0]), np.array([2.0]))
+    return PredictedEgos(Scenes([sit]), np.array([5.0]), np.array([2.0]))
 
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], AtJunction]:
@@ -267,28 +267,6 @@ def test_an_ego_that_turns_left_waits_in_its_bay_for_a_vehicle_on_the_junction()
     egos = egos_of(changed(crossroads(3.0, rule="m"), bay=12.0))
     drive(egos, 8.0, lambda _: at_junction(True, meets_at=25.0, front_to_zone=3.0, goes_first=False), 0.0)
     assert egos.s[0] + 2.5 == pytest.approx(11.9, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("sides", "offset", "heading", "follows"),
-    [
-        (((-3.2, "same"), (3.2, "opposite")), 1.9, 0.0, True),  # less than 0.365 m over the line, which is at 1.6 m
-        (((-3.2, "same"), (3.2, "opposite")), 2.0, 0.0, False),
-        (((-3.2, "same"), (3.2, "opposite")), 1.94, 0.2, False),  # turned by 0.2 rad: 0.323 m
-        (((3.2, "opposite"),), 1.65, 0.0, False),  # a road of two lanes that leads to no junction
-        (((-3.2, "same"), (3.2, "same")), 1.65, 0.0, False),
-        (((-3.2, "same"), (3.2, "opposite")), 1.4, math.pi, False),  # comes: 0.295 m before the line
-        (((-3.2, "same"), (3.2, "opposite")), 1.2, math.pi, True),
-    ],
-)
-def test_beside_a_lane_of_the_other_direction_others_count_as_in_the_lane_for_longer(
-    sides: tuple[tuple[float, str], ...], offset: float, heading: float, follows: bool
-) -> None:
-    """A car that stands 12 m ahead with the middle of its front ``offset`` to the left of the ego's path."""
-    egos = egos_of(changed(situation([leader()], model=KRAUSS, speed=10.0), sides=sides))
-    there = (np.array([12.0]), np.array([offset - 2.5 * math.sin(heading)]), np.array([heading]))
-    egos.step(0.0, there, np.array([0.0]))
-    assert bool(egos.disturbed[0]) == follows
 
 
 # ---- its line is at 6 m, the ways meet at 10 m, it comes with 5 m/s. To be over it has 7.5 + 5 + 2 = 14.5 m, which it

@@ -99,13 +99,13 @@ def test_a_file_alone_makes_no_class_drive_the_ego_however_it_names_it(polite: s
 
 # ---- how drivers are predicted
 
-NUMBERS = DriverModel("idm", 2.0, 4.0, 1.2, 2.0, 15.0, known=False, ignores_sumo_lane_rules=True)
+NUMBERS = DriverModel("idm", 2.0, 4.0, 1.2, 2.0, 15.0, known=False)
 
 
 @pytest.mark.parametrize("name", ["krauss", "idm", "eidm", "careful", "replay"])
 def test_drivers_that_sumo_moves_are_predicted_by_their_kind_and_keep_its_lane_rules(name: str) -> None:
     model = model_of(make_ego(name, {}), NUMBERS)
-    assert model == DriverModel(name, 2.0, 4.0, 1.2, 2.0, 15.0, known=True, ignores_sumo_lane_rules=False)
+    assert model == DriverModel(name, 2.0, 4.0, 1.2, 2.0, 15.0, known=True)
 
 
 @pytest.mark.parametrize(("parameters", "braking"), [({}, 8.0), ({"braking": 2.5}, 2.5)])

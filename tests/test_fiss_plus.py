@@ -56,7 +56,7 @@ def test_sumo_drives_where_it_knows_no_path() -> None:
 
 @needs_it
 def test_it_is_an_unknown_driver() -> None:
-    numbers = DriverModel("idm", 2.0, 4.0, 1.2, 2.0, 15.0, known=False, ignores_sumo_lane_rules=True)
+    numbers = DriverModel("idm", 2.0, 4.0, 1.2, 2.0, 15.0, known=False)
     assert model_of(make_ego("fiss_plus", {}), numbers) == numbers
     with pytest.raises(UsageError, match="has no parameter 'horizon'"):
         make_ego("fiss_plus", {"horizon": 3.0})

@@ -12,7 +12,6 @@ import pytest
 from situation_samples import KRAUSS, changed, crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
-from sumo_adv.drivers.prediction import PredictedEgos, seen_edges
 from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
 from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint, world_endpoint
@@ -136,47 +135,6 @@ def test_a_neighbour_counts_as_a_leader_only_once_its_front_is_in_the_lane(kind:
     assert rollouts.disturbed.tolist() == [False, True]
     assert rollouts.ego[3][1, -1] < rollouts.ego[3][0, -1] - 2.0
     assert rollouts.ego[0][0] == pytest.approx(np.arange(70) * 1.0)
-
-
-@pytest.mark.parametrize(
-    ("lane", "width", "left", "right"),
-    [
-        (3.2, 1.8, 1.6, 1.6),  # 0.7 .. 2.5 m from the right edge: the strips 0 .. 0.8 up to 2.4 .. 3.2
-        (3.4, 1.8, 1.5, 0.9),  # 0.8 .. 2.6 m, a side on an edge is not over it: 0.8 .. 1.6 up to 2.4 .. 3.2
-        (4.0, 1.8, 1.2, 1.2),  # 1.0 .. 3.0 m: the strips 0.8 .. 1.6 up to 2.4 .. 3.2
-        (3.0, 2.5, 1.5, 1.5),  # wider than the lane nearly: all of it, no more
-    ],
-)
-def test_how_far_aside_a_driver_looks_for_what_is_partly_in_its_lane(
-    lane: float, width: float, left: float, right: float
-) -> None:
-    edges = seen_edges(np.array([lane]), width, np.array([0.0]))
-    assert [float(q[0]) for q in edges] == pytest.approx([left, right])
-
-
-@pytest.mark.parametrize(
-    ("kind", "ignores_sumo_lane_rules", "seen"),
-    [
-        ("same", False, True),
-        ("opposite", False, False),  # it went over to the lane of the other direction
-        ("opposite", True, True),  # to no driver of SUMO's that is anything
-    ],
-)
-def test_a_vehicle_that_was_in_the_lane_is_seen_by_its_side_and_any_other_by_its_front(
-    kind: str, ignores_sumo_lane_rules: bool, seen: bool
-) -> None:
-    """Two cars 20 m ahead and 2.3 m aside at 7 m/s, the ego at 10: their sides are 1.4 m from the lane's middle, the
-    lines 1.6 m. The car that was straight ahead before makes the ego brake; the other car does not."""
-    sit = situation([leader(gap=15.0)], model=replace(KRAUSS, ignores_sumo_lane_rules=ignores_sumo_lane_rules))
-    sit = changed(sit, sides=((3.2, kind),))
-    ones = np.ones(2)
-    egos = PredictedEgos(Scenes([sit] * 2), ["bv"] * 2, 5.0 * ones, 1.8 * ones)
-    before = np.array([0.0, 2.3])
-    for k, d in ((0, before), (1, 2.3 * ones)):
-        egos.step(0.1 * k, (20.0 * ones, d, 0.0 * ones), 10.0 * ones)
-        assert not egos.disturbed.any()  # 15 m at equal speed are enough
-    egos.step(0.2, (8.0 * ones, 2.3 * ones, 0.0 * ones), 2.0 * ones)
-    assert egos.disturbed.tolist() == [seen, False]
 
 
 def test_each_of_many_rollouts_goes_as_it_goes_alone() -> None:

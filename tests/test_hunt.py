@@ -25,7 +25,7 @@ ROW: Mapping[str, Any] = {
     "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
     "ego_speed": 25.0, "kind": "Cut / neighbour / left", "delta_v": 3.0, "network": "good", "seed": 1,
     "adversary": "bv", "preventable_by": "cc_human", "attempts": 2, "failure": "", "critical": True,
-    "ending": "critical",
+    "ending": "critical", "cause": "late", "cause_sentence": "Your driver was late.",
 }  # fmt: skip
 
 
@@ -33,12 +33,20 @@ def row(**changes: Any) -> dict[str, Any]:
     return {**ROW, **changes}
 
 
-def test_a_cell_is_the_intent_the_relation_the_road_the_speed_and_the_side() -> None:
+def test_a_cell_is_the_intent_the_relation_the_road_the_speed_the_side_and_the_cause() -> None:
     failure = failure_of(ROW, Path("runs"))
     assert failure is not None
-    assert failure.cell == ("Cut", "neighbour", "motorway", "22-inf m/s", "left")
-    assert failure.words == "serious: Cut (neighbour, motorway), hit on the left with 3.0 m/s"
+    assert failure.cell == ("Cut", "neighbour", "motorway", "22-inf m/s", "left", "late")
+    assert failure.words == (
+        "serious: Cut (neighbour, motorway), hit on the left with 3.0 m/s. Your driver was late"
+    )  # fmt: skip
     assert failure.run == Path("runs/a")
+
+
+def test_an_episode_of_an_earlier_version_has_an_unknown_cause() -> None:
+    failure = failure_of({name: ROW[name] for name in ROW if not name.startswith("cause")}, Path())
+    assert failure is not None and (failure.cell.cause, failure.why) == ("unknown", "")
+    assert failure.words == "serious: Cut (neighbour, motorway), hit on the left with 3.0 m/s"
 
 
 @pytest.mark.parametrize("level", ["collision", "critical", None])
@@ -52,6 +60,12 @@ def test_the_most_serious_one_stands_for_its_cell_and_the_worst_comes_first() ->
         id="d", level="valid", delta_v=12.0, kind="Cut / neighbour / rear")]  # fmt: skip
     found = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
     assert [(f.run.name, f.count, f.level) for f in found] == [("b", 3, Level.SERIOUS), ("d", 1, Level.VALID)]
+
+
+def test_the_same_crash_by_another_fault_is_another_failure() -> None:
+    rows = [row(), row(id="b", cause="no_reaction"), row(id="c", delta_v=1.0)]
+    found = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
+    assert [(f.cell.cause, f.count) for f in found] == [("late", 2), ("no_reaction", 1)]
 
 
 class Campaigns:

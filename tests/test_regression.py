@@ -8,6 +8,7 @@ import re
 import shutil
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from sumo_adv.regression.junit import junit
 from sumo_adv.regression.keep import keep_run
 from sumo_adv.regression.measured import Judged, Measured, Result, judged
 from sumo_adv.regression.suite import SuiteRun
+from sumo_adv.regression.table import lines
 from sumo_adv.simulation.inputs import load_input
 
 CALM = Measured("one", "mine", min_ttc=2.0)
@@ -286,6 +288,21 @@ def test_junit_holds_any_text(suite: Path) -> None:
     error = test.find("error")
     assert test.get("name") == "c<1>" and error is not None
     assert error.get("message") == "a \ufffd b <&> \"'"
+
+
+def test_a_failing_case_says_why_in_the_table_and_in_junit() -> None:
+    """A case that passes has nothing to explain, and an ego that ran into another vehicle another fault."""
+    late = Measured("one", "mine", level="strict", cause="late", cause_sentence="Your driver was late.")
+    cases = [
+        Judged(late, Result.FAIL, "It is hit."), Judged(late, Result.PASS, ""),
+        Judged(replace(late, touched="wall"), Result.FAIL, "The ego ran into wall."),
+    ]  # fmt: skip
+    assert [case.sentence for case in cases] == ["It is hit. Your driver was late.", "", "The ego ran into wall."]
+    run = SuiteRun("s", "mine", cases[:1])
+    (failure,) = ElementTree.fromstring(junit(run, allow_untested=False)).iter("failure")
+    assert failure.get("message") == "It is hit. Your driver was late."
+    assert lines(run)[1].endswith("It is hit. Your driver was late.")
+    assert (cases[0].row()["cause"], cases[0].row()["cause_sentence"]) == ("late", "Your driver was late.")
 
 
 def test_toml_is_written_as_it_is_read() -> None:

@@ -14,6 +14,7 @@ HIT: dict[str, Any] = {
     "collided": True, "valid": True, "strict": True, "level": "serious", "preventable_by": ["cc_human", "fsm"],
     "inconclusive": None, "ego_stationary": False, "humanlike": True, "delta_v": 4.1, "severity": "minor",
     "fault": "adversary", "contact_time": 9.7, "min_ttc": 0.0,
+    "cause": {"kind": "late", "sentence": "Your driver was late."},
 }  # fmt: skip
 
 
@@ -30,6 +31,7 @@ def test_a_row_says_who_attacked_and_where() -> None:
     assert (row["level"], row["strict"], row["serious"]) == ("serious", True, True)
     assert (row["fault"], row["delta_v"], row["contact_time"]) == ("adversary", 4.1, 9.7)
     assert row["preventable_by"] == "cc_human fsm"
+    assert (row["cause"], row["cause_sentence"]) == ("late", "Your driver was late.")
     assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
     assert row["kind"] == "Cut-in / neighbour / left"
     assert (row["road"], row["ego_speed"], row["ego_stationary"]) == ("motorway", 27.6, False)
@@ -51,7 +53,7 @@ def test_a_row_names_the_supports_and_their_composition() -> None:
 
 def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
     row = row_of("a", outcome(), False)
-    columns = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road")
+    columns = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road", "cause")
     assert {row[name] for name in columns} == {None}
     assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
 

@@ -28,6 +28,7 @@ def test_it_is_hit_and_a_careful_driver_would_have_avoided_it(done: Done) -> Non
     assert document["ending"] == "critical" and best["level"] in ("strict", "serious")
     assert {a["adversaries"][0] for a in document["attempts"]} == {"pedestrian0"}
     assert best["impact_speed"] > 0.0 and best["humanlike"] and best["failed_gates"] == []
+    assert best["cause"]["sentence"].startswith("Your driver ") and best["cause"]["reference"] == "cc_human"
     assert (best["injury_risk"] >= 0.1) is (best["level"] == "serious")
 
 

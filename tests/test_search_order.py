@@ -13,8 +13,9 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import compose
 from sumo_adv.search.fixed_order import as_written
 from sumo_adv.search.prediction import batches_of
+from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.settings import SamplingSettings, SearchSettings
 from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
@@ -237,36 +238,29 @@ def test_tries_cost_so_another_family_has_its_turn():
 
 
 @pytest.mark.parametrize(
-    ("scores", "at_first", "then"),
+    ("scores", "drawn"),
     [
-        ([(1, 4.0)], 30 + 7 * 150, 30 + 14 * 150),  # nothing reaches the ego: to 2000
-        ([(1, 0.7)], 30 + 7 * 150, 30 + 14 * 150),  # nor would a valid collision do where a serious one is wanted
-        ([(1, 0.25)], 30 + 3 * 150, 30 + 3 * 150),  # serious with little to spare: 450 more
-        ([(40, 0.5), (1, 0.05)], 30 + 150, 30 + 150),  # serious after the first round
-        ([(1, 0.05)], 30, 30),  # serious already
+        ([(1, 4.0)], 30 + 3 * 150),  # nothing reaches the ego: 450 more
+        ([(1, 0.7)], 30 + 3 * 150),  # nor would a valid collision do where a serious one is wanted
+        ([(1, 0.25)], 30 + 3 * 150),  # serious with little to spare
+        ([(40, 0.5), (1, 0.05)], 30 + 150),  # serious after the first round
+        ([(1, 0.05)], 30),  # serious already
     ],
 )
-def test_more_is_drawn_until_the_goal_is_predicted_with_something_to_spare(scores, at_first, then):
-    """30 are wanted: the analysis draws up to 14 times as many (420), 150 at once, the attempts go on from there."""
-    search, taken = shifts_of(InTurn(*scores)), []
-
-    def count():
-        return len([*search.pool, *taken])
-
-    assert count() == min(at_first, 30 + 3 * 150)
-    taken += search.propose(1)
-    assert count() == then
+def test_more_is_drawn_until_the_goal_is_predicted_with_something_to_spare(scores, drawn):
+    """30 are wanted, and 150 are drawn at once."""
+    search = shifts_of(InTurn(*scores))
+    taken = search.propose(1)
+    assert len([*search.pool, *taken]) == drawn
 
 
 def test_half_of_what_is_redrawn_is_near_the_best_ones():
     """Of the gaps from -3 to 4 m those of the ten best are all -3 m: with a spread of 0.12 * 7 = 0.84 m, cut off at the
     bound, variations lie at -2.7 m in the mean, evenly drawn ones at 0.5 m."""
-    search = shifts_of(InTurn((1, 1.2)))
-    best = [replace(p, parameters={"gap": -3.0, "drift": 3.0}, score=0.9) for p in search.pool[:10]]
-    search.pool[:10] = best
-    search.propose(1)
-    last_round = search.pool[-150:]
-    gaps = [p.parameters["gap"] for p in last_round]
+    templates = templates_of({0.0: straight_situation()}, [entry("Shift", ("neighbour",))])
+    best = [replace(templates[0].proposal(None), parameters={"gap": -3.0, "drift": 3.0})] * 10
+    gaps = [p.parameters["gap"] for p in Sampler(SamplingSettings(), 7).more(templates, best)]
+    assert len(gaps) == 150
     assert np.mean(gaps[75:]) < -2.2
     assert np.mean(gaps[:75]) > -1.0
 
@@ -327,20 +321,6 @@ def test_long_vehicles_touch_from_further_away():
     bus = Boxes(zero + 8.0, zero, zero, zero, 12.0, 2.5)
     assert touching(car, bus).all()  # 2.5 + 6 m reach further than the 8 m between the centres
     assert not touching(car, Boxes(zero + 8.6, zero, zero, zero, 12.0, 2.5)).any()
-
-
-def test_once_no_template_is_left_the_search_ends_however_much_it_may_draw():
-    """Three attempts use up the only mode's share; drawing on to a thousand million candidates would take hours."""
-    weights = SearchSettings(proposals=30, share=3)
-    weights = replace(weights, sampling=replace(weights.sampling, most=10**9))
-    library = [entry("Shift", ("neighbour",))]
-    scorer = InTurn((1, 0.25))  # serious with little to spare: 450 more are drawn while the mode is open
-    search = AttackSearch(scorer, {0.0: straight_situation()}, library, weights, seed=7)
-    search.follow([Intent("bv", "Shift", "", "high", 0.0)], library)
-    assert len(search.propose(3)) == 3
-    predicted = scorer.asked
-    assert search.propose(5) == []
-    assert scorer.asked == predicted
 
 
 def test_an_intent_whose_planners_all_failed_says_no_infinite_time():

@@ -84,6 +84,7 @@ def test_the_same_encounter_again_until_the_collision_is_valid(program: Program)
         attempts = outcome["attempts"]
         assert outcome["ending"] == "critical" and outcome["outcome"]["valid"] and len(attempts) > 1
         assert outcome["best"] == len(attempts) - 1
+        assert outcome["outcome"]["cause"]["sentence"]  # against the foreseen motion without the attack
         started = [e for e in server.events("simulation") if e["state"] == "started"]
         assert len(started) == len(attempts) and {e["seed"] for e in started} == {1}
         delays = {round(a["trigger_time"] - outcome["encounter"]["time"], 3) for a in attempts}

@@ -74,8 +74,7 @@ def egos_after(seconds: float, *adversaries: Sequence[Target]) -> PredictedEgos:
     """Egos at 10 m/s after some time; ``adversaries``: the first ones of all egos, then the second ones."""
     pairs = [t for those in adversaries for t in those]
     sizes = np.full(len(pairs), 5.0), np.full(len(pairs), 2.0)
-    names = [t.state.id for t in pairs]
-    egos = PredictedEgos(Scenes([SCENE] * len(pairs)), names, *sizes, each=len(adversaries))
+    egos = PredictedEgos(Scenes([SCENE] * len(pairs)), *sizes, each=len(adversaries))
     states = np.array([(t.state.x, t.state.y, t.state.speed) for t in pairs])
     for k in range(round(seconds / 0.1)):
         place = (states[:, 0] + states[:, 2] * 0.1 * k, states[:, 1], 0.0 * states[:, 0])

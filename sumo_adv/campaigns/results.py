@@ -20,12 +20,13 @@ COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
-    "kind", "road", "ego_speed", "supports", "composition",
+    "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
 verdict version 2. ``road`` and ``ego_speed`` are those of the encounter. ``supports``: the other adversaries with
-their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary."""
+their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary.
+``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a near miss."""
 
 
 WHOLES = ("seed", "attempts")
@@ -62,11 +63,13 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
     attempt = None if best is None else outcome["attempts"][best]
     supports = " ".join(f"{each['id']}:{each['role']}" for each in outcome["adversaries"][1:])
     relations = {each["id"]: each["relation"] for each in encounter.get("ranking", ())}
+    cause = (outcome["outcome"] or {}).get("cause") or {}
     return {
         "adversary": adversary, "relation": relations.get(adversary),
         "kind": None if attempt is None else attempt.get("kind"),
         "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
         "supports": supports or None, "composition": None if attempt is None else attempt.get("composition") or None,
+        "cause": cause.get("kind"), "cause_sentence": cause.get("sentence"),
     }  # fmt: skip
 
 

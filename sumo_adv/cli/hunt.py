@@ -92,10 +92,12 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     }  # fmt: skip
     if rows:
         shown = Table(box=None, pad_edge=False)
-        for name in ("rank", "level", "intent", "relation", "road", "side", "delta-v", "count", "network"):
+        for name in ("rank", "level", "intent", "relation", "road", "side", "delta-v", "count", "network", "why"):
             shown.add_column(name, justify="right" if name in ("rank", "delta-v", "count") else "left", overflow="fold")
         for row in rows[:SHOWN]:
-            values = ("rank", "level", "intent", "relation", "road", "side", "delta_v", "count", "network")
+            values = (
+                "rank", "level", "intent", "relation", "road", "side", "delta_v", "count", "network", "cause_sentence"
+            )  # fmt: skip
             shown.add_row(*(str(row[v]) for v in values))
         Console(highlight=False).print(shown)
     more = f" The table shows the first {SHOWN}." if len(rows) > SHOWN else ""

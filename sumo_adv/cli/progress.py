@@ -145,6 +145,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and raw is not None:
         intent = result["intent"]
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
+    if best is not None and best.get("cause"):
+        lines.append(f"Why: {best['cause']['sentence']}")
     if (robust := result.get("robust")) is not None:
         lines.append(f"It holds in {robust['held']} of {robust['of']} neighbours (slightly other numbers or timing).")
     for success in result["successes"] if len(result["successes"]) > 1 else ():

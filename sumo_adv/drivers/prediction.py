@@ -2,18 +2,16 @@
 
 An ego follows its unattacked profile until it is disturbed: the adversary is its leader or in its way at a junction,
 and a safe speed falls below the profile. From then on its driver model drives (Krauss's safe speed, IDM, the careful
-driver's brake). Only the lattice driver steers. What SUMO's drivers see is as in SUMO: they look along lanes, and at
-junctions they follow ``MSLink``. A driver that sees only what is visible sees no adversary that a support hides.
+driver's brake). Only the lattice driver steers. An adversary leads once the middle of its front is in the ego's lane;
+at junctions SUMO's drivers follow ``MSLink``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.drivers.car_following import NUMERICAL, CarFollowing
+from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.drivers.junctions import AtJunction, Junctions
 from sumo_adv.drivers.lattice_model import LatticeDrivers
@@ -21,11 +19,7 @@ from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.road_users import unprotected
 
 NOTICED = 0.005  # m/s below the unattacked speed after a step, from which on an ego no longer moves as unattacked
-SUBLANE = 0.8  # m, SUMO's lateral resolution
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
-OVER = 0.365  # m beyond the line to the opposite lane up to which SUMO keeps a vehicle in its lane (measured)
-TURNED = 0.21  # m/rad by which ``OVER`` shrinks with the vehicle's heading (measured)
-BACK = 0.1  # m beyond that line at which SUMO has a vehicle back in its lane (measured)
 
 
 class PredictedEgos:
@@ -38,10 +32,10 @@ class PredictedEgos:
     second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
     """
 
-    def __init__(self, scenes: Scenes, names: Sequence[str], length: Floats, width: Floats, each: int = 1) -> None:
-        """``scenes``, ``names``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``."""
+    def __init__(self, scenes: Scenes, length: Floats, width: Floats, each: int = 1) -> None:
+        """``scenes``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``."""
         self._pairs, self._each, self._length, self._width = scenes, each, length, width
-        n, pairs = len(length) // each, len(length)
+        n = len(length) // each
         self.scenes = scenes = scenes if each == 1 else Scenes(scenes.of[:n])
         self.model = scenes.driver
         self.s = scenes.each(lambda s: float(s.baseline.s[0]))
@@ -49,14 +43,8 @@ class PredictedEgos:
         self.a = scenes.each(lambda s: float(s.baseline.a[0]))
         self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
-        self._was_inside, self._gone_over = np.zeros(pairs, bool), np.zeros(pairs, bool)
         size = (scenes.ego.length, scenes.ego.width)
         self._lane = self._pairs.each(lambda s: s.road.lane_width)
-        self._has_left, self._has_right = self._pairs.has_lane(1), self._pairs.has_lane(-1)
-        self._opposed = self._pairs.opposed()
-        if self.model.ignores_sumo_lane_rules:
-            self._has_left, self._has_right = np.ones(pairs, bool), np.ones(pairs, bool)
-            self._opposed = np.zeros(pairs, bool)
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(self._pairs, self._driver)
         careful = self.model.kind == "careful"
@@ -64,13 +52,6 @@ class PredictedEgos:
         lattice = self.model.kind == "lattice"
         self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
-        over_kerb = np.where(self._unprotected, width / 2, 0.0)
-        self._over_kerb = (
-            np.where(self._pairs.any_lane(1), 0.0, over_kerb), np.where(self._pairs.any_lane(-1), 0.0, over_kerb)
-        )  # fmt: skip
-        self._looks_from = self._edges_at = self.d  # offsets from which the egos look for leaders
-        self._edges = seen_edges(self._lane, scenes.ego.width, self._of_pairs(self.d))
-        self._sees = self._lane / 2
 
     def step(
         self, now: float, adversary: tuple[Floats, Floats, Floats], speed: Floats,
@@ -94,7 +75,6 @@ class PredictedEgos:
             self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
             self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
             self.d, self.turn = self._lattice.d, self._lattice.turn
-            self._looks_from = self.d
             return
         self.disturbed |= bound < next_v - NOTICED
         v = next_v
@@ -139,7 +119,7 @@ class PredictedEgos:
         own_s, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.v, self.a))
         (s, _, h), (ahead, front_d) = adversary, front
         across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
-        leads = self._in_lane(front_d, h) & ahead & ~across
+        leads = (np.abs(front_d) < self._lane / 2) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - own_s - self.scenes.ego.length / 2
         bound = np.full(len(gap), np.inf)
@@ -154,45 +134,3 @@ class PredictedEgos:
     def _of_pairs(self, of_egos: Floats) -> Floats:
         """What is said of the egos ``(n,)``, said of each pair ``(N,)``."""
         return of_egos if self._each == 1 else np.tile(of_egos, self._each)
-
-    def _in_lane(self, front_d: Floats, h: Floats) -> Bools:
-        """Whether the driver takes the adversary to be in its lane, ``(N,)``.
-
-        It does while the centre of the adversary's front is inside. After that SUMO has the adversary in both lanes,
-        except if the other one has the opposite direction. It then stays in the lane while its side is in the strips
-        that the ego takes up. A pedestrian or cyclist is narrower than a strip, so it must be in these strips always.
-        """
-        inside, half = self._inside(front_d, h), self._width / 2
-        if self._looks_from is not self._edges_at:
-            self._edges_at = self._looks_from
-            self._edges = seen_edges(self._lane, self.scenes.ego.width, self._of_pairs(self._edges_at))
-        left, right = self._edges
-        partly = (front_d - half + NUMERICAL < left) & (front_d + half - NUMERICAL > -right)
-        if not self.model.ignores_sumo_lane_rules:
-            inside &= partly | ~self._unprotected
-        self._was_inside |= inside
-        return inside | (self._was_inside & partly & np.where(front_d > 0.0, self._has_left, self._has_right))
-
-    def _inside(self, front_d: Floats, h: Floats) -> Bools:
-        """Whether the front's centre is in the lane, or as near as the driver ``sees``.
-
-        SUMO keeps a vehicle in the lane for longer when it changes to a lane of the opposite direction (``OVER``).
-        Where no lane is beside it, SUMO has a pedestrian or cyclist in the lane as soon as the box could touch it.
-        """
-        beyond = np.where(self._gone_over & (np.abs(h) < np.pi / 2), BACK, OVER - TURNED * np.abs(h))
-        left = self._sees + np.where(self._opposed, beyond, self._over_kerb[0])
-        inside = (front_d > -self._sees - self._over_kerb[1]) & (front_d < left)
-        self._gone_over = ~inside & (front_d > 0.0)
-        return inside
-
-
-def seen_edges(lane: Floats, width: float, offset: Floats) -> tuple[Floats, Floats]:
-    """How far to the left and right of its lane's middle an ego of this width looks for leaders [m], ``(n,)`` each.
-
-    It looks in the strips of ``SUBLANE`` that it takes up, counted from the lane's right edge (``MSLeaderInfo``).
-    lane: widths [m]; offset: of the ego [m].
-    """
-    wide, middle = width - 2 * NUMERICAL, lane / 2 + offset
-    right = np.maximum(np.floor((middle - wide / 2) / SUBLANE), 0.0) * SUBLANE
-    left = np.minimum((np.floor((middle + wide / 2) / SUBLANE) + 1.0) * SUBLANE, lane)
-    return left - lane / 2, lane / 2 - right

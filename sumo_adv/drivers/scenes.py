@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import Paths, wrap
 from sumo_adv.situation import Situation
 
@@ -37,22 +37,6 @@ class Scenes:
     def each(self, value: Callable[[Situation], float]) -> Floats:
         """``value(situation)`` for each adversary, ``(n,)``."""
         return np.array([value(s) for s in self._distinct], float)[self._row]
-
-    def has_lane(self, side: int) -> Bools:
-        """Whether a lane of the same direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        has = [any(kind == "same" and offset * side > 0.0 for offset, kind in s.road.sides) for s in self._distinct]
-        return np.array(has, bool)[self._row]
-
-    def any_lane(self, side: int) -> Bools:
-        """Whether a lane of any direction is to the left (``side`` 1) or right (-1) of the egos', ``(n,)``."""
-        return np.array([any(o * side > 0.0 for o, _ in s.road.sides) for s in self._distinct], bool)[self._row]
-
-    def opposed(self) -> Bools:
-        """Whether the lane to the left of the egos' has the opposite direction, ``(n,)``; False on roads of two lanes
-        that lead to no junction."""
-        left = [min(((o, kind) for o, kind in s.road.sides if o > 0.0), default=(0.0, "")) for s in self._distinct]
-        opposite = np.array([kind == "opposite" for _, kind in left], bool)[self._row]
-        return opposite & (self.has_lane(-1) | np.isfinite(self.each(lambda s: s.road.junction)))
 
     def profile(self, time: Floats) -> tuple[Floats, Floats]:
         """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""

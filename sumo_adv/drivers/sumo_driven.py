@@ -90,7 +90,7 @@ def _number(model: str, name: str, value: Any) -> float:
 
 def known_model(kind: str, numbers: DriverModel) -> DriverModel:
     """The model of a known driver that follows SUMO's lane rules, with the car-following numbers given."""
-    return replace(numbers, kind=kind, known=True, ignores_sumo_lane_rules=False)
+    return replace(numbers, kind=kind, known=True)
 
 
 class SumoEgo:

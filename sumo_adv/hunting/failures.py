@@ -12,24 +12,26 @@ from sumo_adv.report.coverage import BANDS, band_of
 
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
-    "adversary", "preventable_by", "run",
+    "adversary", "preventable_by", "run", "cause", "cause_sentence",
 )  # fmt: skip
 
 
 class FailureCell(NamedTuple):
-    """What makes two failures different: intent, relation of the adversary, kind of road, speed band of the ego, and
-    the side of the ego that is hit."""
+    """What makes two failures different: intent, relation of the adversary, kind of road, speed band of the ego, the
+    side of the ego that is hit, and the kind of cause (``metrics/cause.py``)."""
 
     intent: str
     relation: str
     road: str
     speed_band: str
     side: str
+    cause: str
 
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A cell with its representative. run: its folder; count: how many failures of the cell were found."""
+    """A cell with its representative. run: its folder; why: its cause in a sentence, empty where it is not known;
+    count: how many failures of the cell were found."""
 
     cell: FailureCell
     level: Level
@@ -39,6 +41,7 @@ class Failure:
     adversary: str
     preventable_by: str
     run: Path
+    why: str = ""
     count: int = 1
 
     @property
@@ -50,7 +53,8 @@ class Failure:
     def words(self) -> str:
         """The failure for people."""
         c = self.cell
-        return f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
+        hit = f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
+        return f"{hit}. {self.why.removesuffix('.')}" if self.why else hit
 
 
 def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
@@ -62,12 +66,12 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     low, high = BANDS[band_of(float(speed))] if speed is not None else (0.0, 0.0)
     band = f"{low:g}-{high:g} m/s" if speed is not None else "unknown"
     side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
-    words = (row["composition"] or row["intent"], row["relation"], row["road"])
-    intent, relation, road = (str(word or "unknown") for word in words)
-    cell = FailureCell(intent, relation, road, band, side)
+    words = (row["composition"] or row["intent"], row["relation"], row["road"], row.get("cause"))
+    intent, relation, road, cause = (str(word or "unknown") for word in words)
+    cell = FailureCell(intent, relation, road, band, side, cause)
     return Failure(
         cell, level, float(row["delta_v"] or 0.0), str(row["network"]), int(row["seed"]), str(row["adversary"]),
-        str(row["preventable_by"] or ""), runs / str(row["id"]),
+        str(row["preventable_by"] or ""), runs / str(row["id"]), str(row.get("cause_sentence") or ""),
     )  # fmt: skip
 
 
@@ -90,7 +94,7 @@ def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
         {
             "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,
             "network": f.network, "seed": f.seed, "adversary": f.adversary, "preventable_by": f.preventable_by,
-            "run": f.run.relative_to(folder).as_posix(),
+            "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why,
         }
         for k, f in enumerate(found)
     ]  # fmt: skip

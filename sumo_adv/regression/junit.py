@@ -34,7 +34,7 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
             "classname": _clean(f"{run.suite}.{run.ego}"), "name": _clean(m.case), "time": f"{m.seconds:.3f}",
         })  # fmt: skip
         if kind:
-            about = {"message": _clean(case.why)} | ({"type": str(case.result)} if kind != "skipped" else {})
+            about = {"message": _clean(case.sentence)} | ({"type": str(case.result)} if kind != "skipped" else {})
             ElementTree.SubElement(test, kind, about)
     whole = ElementTree.Element("testsuites")
     whole.append(suite)

@@ -36,7 +36,8 @@ class Measured:
 
     broken: why nothing was measured, with ``missed``: because there was no encounter. level, collided, rear_end,
     failed_gates, min_ttc, delta_v, severity, contact_time, preventable_by: of the attempt's verdict. touched: another
-    vehicle or object that the ego ran into. planner: why the adversary's planner failed. seconds: that it took.
+    vehicle or object that the ego ran into. planner: why the adversary's planner failed. seconds: that it took. cause,
+    cause_sentence: the kind of cause of a contact or near miss, and the cause in words.
     """
 
     case: str
@@ -55,6 +56,8 @@ class Measured:
     touched: str | None = None
     planner: str = ""
     seconds: float = 0.0
+    cause: str | None = None
+    cause_sentence: str = ""
 
     @property
     def compared_ttc(self) -> float:
@@ -70,6 +73,12 @@ class Judged:
     result: Result
     why: str
     before: Measured | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The reason, and why the ego was hit or nearly hit where the case fails."""
+        cause = self.measured.cause_sentence if self.result is Result.FAIL and self.measured.touched is None else ""
+        return " ".join(filter(None, (self.why, cause)))
 
     def row(self) -> dict[str, Any]:
         """As the JSON file has it."""

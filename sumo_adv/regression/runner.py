@@ -160,12 +160,14 @@ def measure(case: Case, episode: Episode, outcome: Mapping[str, Any]) -> Measure
     """What the attempt of a case came to, from the episode and its ``outcome.json``."""
     best, verdict = episode.best, outcome["outcome"]
     assert best is not None
+    cause = verdict["cause"] or {}
     return Measured(
         case.name, episode.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
         delta_v=verdict["delta_v"], severity=verdict["severity"], contact_time=verdict["contact_time"],
         preventable_by=tuple(verdict["preventable_by"] or ()), touched=_touched(episode, best),
-        planner=best.message if best.ending == "planner_failed" else "",
+        planner=best.message if best.ending == "planner_failed" else "", cause=cause.get("kind"),
+        cause_sentence=cause.get("sentence", ""),
     )  # fmt: skip
 
 

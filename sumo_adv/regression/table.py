@@ -29,7 +29,7 @@ def _row(case: Judged) -> Sequence[str]:
     m = case.measured
     measured = case.result not in (Result.NO_ENCOUNTER, Result.ERROR)
     figures = (m.level, _number(m.min_ttc, "s"), _number(m.delta_v, "m/s")) if measured else ("-", "-", "-")
-    return (m.case, str(case.result), *figures, _before(case.before), case.why.split("\n")[0])
+    return (m.case, str(case.result), *figures, _before(case.before), case.sentence.split("\n")[0])
 
 
 def _number(value: float | None, unit: str) -> str:

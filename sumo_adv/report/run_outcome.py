@@ -14,6 +14,7 @@ from typing import Any
 
 from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict
 from sumo_adv.errors import UsageError
+from sumo_adv.metrics.cause import Action, Cause, CauseKind
 
 NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
 LISTS = ("failed_gates", "log_gates", "beyond_human")
@@ -93,7 +94,8 @@ class Outcome:
     """The outcome of a run.
 
     best: the index of the attempt that counts. adversary, trigger_time [s], verdict: of this attempt, None without one.
-    ego_driver: the name of the driver under test. document: all of ``outcome.json``.
+    ego_driver: the name of the driver under test. cause: why it came to a contact or near miss, None where it did not
+    or an earlier version wrote the file. document: all of ``outcome.json``.
     """
 
     ending: Ending
@@ -111,6 +113,7 @@ class Outcome:
     attempts: tuple[AttemptRecord, ...]
     best: int | None
     verdict: Verdict | None
+    cause: Cause | None
     timing: Mapping[str, float | None]
     notes: tuple[str, ...]
     document: Mapping[str, Any] = field(repr=False, compare=False)
@@ -139,7 +142,7 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
             tuple(_intent(i) for i in document["intents"]),
             None if raw is None else Unattacked(_time(raw["min_ttc"]), bool(raw["collided"])),
             tuple(_attempt(a) for a in document["attempts"]), document["best"],
-            None if verdict is None else verdict_of(verdict), dict(document["timing"] or {}),
+            None if verdict is None else verdict_of(verdict), cause_read(verdict), dict(document["timing"] or {}),
             tuple(document["notes"]), dict(document),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
@@ -161,6 +164,16 @@ def verdict_of(written: Mapping[str, Any]) -> Verdict:
             written["references"], alarms, written["inconclusive"], bool(written["simulated"])
         )
     return Verdict(**values)
+
+
+def cause_read(written: Mapping[str, Any] | None) -> Cause | None:
+    """The cause that ``outcome`` of the file holds; None where it has none."""
+    cause = (written or {}).get("cause")
+    if cause is None:
+        return None
+    values = {f.name: cause[f.name] for f in fields(Cause)}
+    action = None if values["action"] is None else Action(values["action"])
+    return Cause(**{**values, "kind": CauseKind(values["kind"]), "action": action})
 
 
 def level_of(name: str | None) -> Level:

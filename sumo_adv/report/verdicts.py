@@ -9,7 +9,7 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,9 @@ import numpy as np
 from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
-from sumo_adv.episode.verdict import first_judged
+from sumo_adv.episode.verdict import first_judged, unattacked
 from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.contact import Impact
 from sumo_adv.metrics.fault import SecondOpinion
 from sumo_adv.metrics.full import PAPER_EPSILON, FullVerdict, full_judge
@@ -44,6 +45,7 @@ SHARES = (
 FULL_KEYS = (
     "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
     "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",
+    "cause",
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
@@ -58,6 +60,7 @@ class Judged:
     """The judgement of the attempt that counts. ``full`` is None where one of the two was gone at once."""
 
     full: FullVerdict | None
+    cause: Cause | None
     markings: Sequence[Crossing]
     realism: Mapping[str, Any]
     rows: Sequence[str]  # of criticality.csv.gz, without the header
@@ -75,7 +78,7 @@ def judge_best(episode: Episode) -> Judged | None:
     bv = best.proposal.bv
     case = make_case(tracks, encounter.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
     if case is None:
-        return Judged(None, (), {}, ())
+        return Judged(None, None, (), {}, ())
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
     full = _full(episode, case, encounter, result)
@@ -84,9 +87,26 @@ def judge_best(episode: Episode) -> Judged | None:
     end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
     moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
     strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
-    return Judged(
-        full, markings_crossed(moved, strips, encounter.drivable), _realism(episode, moved, encounter, prefix), rows
+    cause = cause_of(
+        case.ego, case.adversary, case.others, full.verdict, trigger_time=result.start,
+        lane_half_width=encounter.first.road.lane_width / 2, unattacked=_unattacked(episode, best, encounter),
     )  # fmt: skip
+    return Judged(
+        full, cause, markings_crossed(moved, strips, encounter.drivable), _realism(episode, moved, encounter, prefix),
+        rows,
+    )  # fmt: skip
+
+
+def _unattacked(episode: Episode, best: Attempt, encounter: FoundEncounter) -> Track | None:
+    """The ego's motion without the attack: as it was run, or as it was foreseen."""
+    run = unattacked(encounter, episode.settings)
+    situation = encounter.situations.get(best.proposal.delay)
+    if run is not None or situation is None or len(situation.baseline.s) < 2:
+        return run
+    b = situation.baseline
+    x, y, heading = b.path.at(b.s)
+    time = np.asarray(best.trigger_time + episode.settings.step_length * np.arange(len(b.s)), dtype=np.float64)
+    return Track(encounter.ego, Role.EGO, time, x, y, heading, b.v, b.a, 0.0, 0.0)
 
 
 def _leveled(gates: Verdict, engine: Verdict) -> Verdict:
@@ -120,7 +140,7 @@ def figures(judged: Judged | None) -> dict[str, Any]:
     """What the full verdict adds to ``outcome``; null where the question does not arise."""
     full = judged.full if judged is not None else None
     markings = [] if judged is None else [{"time": number(c.time), "kind": str(c.kind)} for c in judged.markings]
-    if full is None:
+    if judged is None or full is None:
         return {**dict.fromkeys(FULL_KEYS), "markings_crossed": markings}
     met = full.impact is not None
     return {
@@ -134,8 +154,15 @@ def figures(judged: Judged | None) -> dict[str, Any]:
             "minimum": number(full.min_centre_distance), "epsilon": PAPER_EPSILON,
             "within": full.min_centre_distance <= PAPER_EPSILON,
         },
-        "min_ttc_time": number(full.verdict.min_ttc_time), "markings_crossed": markings,
+        "min_ttc_time": number(full.verdict.min_ttc_time), "cause": _cause(judged.cause), "markings_crossed": markings,
     }  # fmt: skip
+
+
+def _cause(c: Cause | None) -> dict[str, Any] | None:
+    if c is None:
+        return None
+    plain = {name: str(value) if isinstance(value, str) else value for name, value in asdict(c).items()}
+    return {name: number(value) if isinstance(value, float) else value for name, value in plain.items()}
 
 
 def _impact(i: Impact | None) -> dict[str, Any] | None:

@@ -65,7 +65,7 @@ def predict(
     ground, each = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members]), len(members) // n
     scenes, dt = ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(scenes, ground.names, ground.length, width, each)
+    motion, egos = ground.begin(), PredictedEgos(scenes, ground.length, width, each)
     goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))

@@ -100,7 +100,7 @@ class AttackSearch:
 
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""
-        settings, count = self._settings, self._settings.proposals
+        count = self._settings.proposals
         templates = self._templates_of(library, [e.label for e in self._selection.of(library)])
         self._evolution.draw_from(templates)
         if not self._predicts:
@@ -108,8 +108,7 @@ class AttackSearch:
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
         fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
         self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
-        most = settings.sampling.before_first_attempt * count
-        while templates and len(self.pool) < min(self._wanted(self.pool), most):
+        while templates and len(self.pool) < self._wanted(self.pool):
             self.pool += self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
 
     def ranking(self, library: Sequence[LibraryEntry]) -> list[Intent]:
@@ -330,8 +329,6 @@ class AttackSearch:
 
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
-        settings, sampling = self._settings, self._settings.sampling
+        settings = self._settings
         best, bound = min((p.score for p in pool), default=math.inf), settings.bound(Level(self._level - 1))
-        if best < bound - settings.spare:
-            return 0
-        return sampling.most if best >= bound else settings.proposals + sampling.for_spare
+        return 0 if best < bound - settings.spare else settings.proposals + settings.sampling.more

@@ -55,10 +55,8 @@ class SamplingSettings:
     redraw: int = 150  # candidates drawn at once after the first ones
     nearest: int = 10  # number of best candidates that are varied
     spread: float = 0.12  # of a parameter's range: standard deviation of a variation
-    for_spare: int = 450  # drawn at most for a candidate that reaches the goal with something to spare
-    most: int = 2000  # drawn at most where none reaches the goal
+    more: int = 450  # drawn at most beside the first ones, where none reaches the goal with something to spare
     around_chosen: int = 5  # variations of each candidate that a model chose
-    before_first_attempt: int = 14  # times ``proposals``: drawn at most before the first attempt
 
 
 @dataclass(frozen=True, slots=True)

@@ -270,7 +270,7 @@ class Simulation:
         v = self._sumo.vehicle
         return DriverModel(
             "idm", v.getAccel(vehicle), self._deceleration(vehicle), v.getTau(vehicle), v.getMinGap(vehicle),
-            v.getAllowedSpeed(vehicle), known=False, ignores_sumo_lane_rules=True,
+            v.getAllowedSpeed(vehicle), known=False,
             hardest_braking=v.getEmergencyDecel(vehicle),
         )  # fmt: skip
 

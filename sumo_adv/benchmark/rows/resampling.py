@@ -120,7 +120,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     ground.rows.row = ground.rows.row + plan.way
     steps, dt, limits = settings.steps(settings.duration), situation.dt, settings.limits.limits()
     width = np.array([t.state.width for t in ground.targets])
-    motion, egos = ground.begin(), PredictedEgos(ground.scenes, ground.names, ground.length, width)
+    motion, egos = ground.begin(), PredictedEgos(ground.scenes, ground.length, width)
     poses, model = np.empty((4, len(names), steps)), np.empty((4, len(names), steps))
     for k in range(steps):
         poses[:, :, k] = (*pose(Batch, motion, ground.rows), motion.v)

@@ -103,9 +103,13 @@ class Counterfactual:
     def braking(self, driver: MakeDriver) -> Answer:
         """What a driver that brakes makes of them."""
         station, speed, alarm = self.roll_out(driver)
+        return replace(self.moving(station, speed), alarm=alarm)
+
+    def moving(self, station: Floats, speed: Floats) -> Answer:
+        """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
         x, y, heading = self.paths.poses(station)
         contact = self._contact(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
-        return Answer(~np.isfinite(contact), alarm, contact)
+        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""

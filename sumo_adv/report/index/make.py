@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.metrics.statistics import Estimate
 from sumo_adv.report.coverage import ALL, BANDS, Coverage, Row
-from sumo_adv.report.index.rows import NUMBERS, TRUTHS, WORDS, Table
+from sumo_adv.report.index.rows import LATER, NUMBERS, TRUTHS, WORDS, Table
 from sumo_adv.report.index.summary import EgoSummary, summarise
 from sumo_adv.report.page.document import asset, document
 from sumo_adv.report.page.encode import packed, whole
@@ -36,6 +36,7 @@ CODED = (
     "relation",
     "road",
     "preventable_by",
+    "cause",
 )  # few values, many rows
 
 
@@ -57,6 +58,7 @@ def make_index(
     pages = [made.get(str(row["id"])) for row in rows]
     maps = [n for n, _ in Counter(m.network for m in pages if m and m.place and m.network in roads).most_common()]
     columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *NUMBERS, *TRUTHS, *table.varied)}
+    columns |= {n: [row.get(n) or "" for row in rows] for n in LATER}
     data = {
         "schema": SCHEMA, "name": name, "varied": list(table.varied),
         "columns": {n: _coded(v) if n in CODED else v for n, v in columns.items()},

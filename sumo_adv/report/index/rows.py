@@ -15,6 +15,7 @@ RESULTS = "results.csv"
 WORDS = (
     "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
 )  # fmt: skip
+LATER = ("cause", "cause_sentence")  # words that tables of earlier versions lack
 NUMBERS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 TRUTHS = ("collided", "valid", "critical")
 VARIED = "set_"
@@ -49,7 +50,7 @@ def read_rows(file: Path) -> Table:
 
 
 def _row(row: Mapping[str, str | None], varied: Sequence[str]) -> dict[str, Any]:
-    made: dict[str, Any] = {name: row[name] or "" for name in (*WORDS, *varied)}
+    made: dict[str, Any] = {name: row.get(name) or "" for name in (*WORDS, *LATER, *varied)}
     made |= {name: _number(row[name]) for name in NUMBERS}
     return made | {name: {"true": True, "false": False}.get(row[name] or "") for name in TRUTHS}
 

@@ -21,6 +21,7 @@ from sumo_adv.report.page.words import planner_versions
 SCHEMA = 1
 SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
 STYLES = ("common.css", "replay.css")
+REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +81,13 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
     """Links into the time line, by time: a key for the address, words, and the time [s]."""
     verdict = outcome.get("outcome") or {}
     shown = {a.key: a for a in attempts}
-    best = shown.get("best")
+    best, cause = shown.get("best"), verdict.get("cause") or {}
+    reacts = REACTIONS.get(str(cause.get("action")), "reacts")
     moments = [
         ("trigger", "trigger", outcome.get("trigger_time")),
         ("hazard", "hazard shows", verdict.get("hazard_time")),
+        ("alarm", "the careful driver is alarmed", cause.get("alarm")),
+        ("began", f"the ego {reacts}", cause.get("began")),
         ("contact", "contact", verdict.get("contact_time")),
     ]
     if best is not None and best.closest is not None and verdict.get("contact_time") is None:

@@ -6,7 +6,8 @@ const HEADS = [
   { name: "intent", words: "intent", wide: "wide" }, { name: "raw_min_ttc", words: "unattacked", wide: "narrow", show: SECONDS },
   { name: "min_ttc", words: "min TTC", wide: "narrow", show: SECONDS }, { name: "class", words: "came to", wide: "wide" },
   { name: "severity", words: "severity", wide: "narrow" }, { name: "delta_v", words: "delta-v [m/s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
-  { name: "preventable_by", words: "preventable by", wide: "wide" }, { name: "relation", words: "adversary", wide: "narrow" }, { name: "road", words: "road", wide: "narrow" },
+  { name: "preventable_by", words: "preventable by", wide: "wide" }, { name: "cause", words: "cause", wide: "middle", show: (v) => (v ? v.replaceAll("_", " ") : "–") },
+  { name: "cause_sentence", words: "why", wide: "wide" }, { name: "relation", words: "adversary", wide: "narrow" }, { name: "road", words: "road", wide: "narrow" },
   { name: "attempts", words: "attempts", wide: "narrow" }, { name: "seconds", words: "took [s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
   ...data.varied.map((name) => ({ name, words: name.slice(4), wide: "middle" })), { name: "id", words: "id", wide: "middle" },
 ];

@@ -23,7 +23,7 @@ function classOf(i) {
 
 const classes = Array.from({ length: total }, (_, i) => classOf(i));
 const haystack = Array.from({ length: total }, (_, i) =>
-  ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by"].map((name) => columns[name][i]).join("\n").toLowerCase());
+  ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by", "cause", "cause_sentence"].map((name) => columns[name][i]).join("\n").toLowerCase());
 
 /** The numbers of the rows that pass a filter, in the order of a column. */
 function selected(filter, order) {

@@ -32,6 +32,7 @@ function headline(outcome) {
   byId("lead").replaceChildren(el("span", null, "Ego: ", quoted(outcome.ego.id ?? "–"), ", driven by ",
     quoted(outcome.ego.controller), `, seed ${outcome.seed}. `, quoted(outcome.reason)));
   const v = outcome.outcome, badges = [];
+  if (v && v.cause) byId("lead").append(el("span", { class: "why" }, " Why: ", quoted(v.cause.sentence)));
   if (v) {
     if (v.level) badges.push([`level: ${answer(v.level)}`, ["valid", "strict", "serious"].includes(v.level) ? "level good" : "level"]);
     const hard = v.impact_speed == null ? `delta-v ${number(v.delta_v, 1, "m/s")}` : `hit at ${number(v.impact_speed, 1, "m/s")}`;
@@ -70,8 +71,18 @@ function verdictPanel(outcome) {
     ["class", v.collision_class ? answer(v.collision_class) : null],
     ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego` : null],
     ["delta-v", impact && v.level ? `ego ${number(v.delta_v, 2, "m/s")}, adversary ${number(v.adversary_delta_v, 2, "m/s")}` : null],
-    ...times.map(([name, time]) => [name, data.scene ? at(time) : null]),
+    ...times.map(([name, time]) => [name, data.scene ? at(time) : null]), ...causeRows(v.cause),
   ]), (outcome.notes || []).map((note) => el("p", { class: "soft" }, quoted(note))));
+}
+
+/** What the cause is made of: kinds, times as links, brakings. */
+function causeRows(c) {
+  if (!c) return [];
+  const row = (name, value, words) => [name, value === null || value === undefined ? null : words(value)];
+  const time = (t) => (data.scene ? at(t) : `${t.toFixed(2)}\u202fs`), rate = (a) => number(a, 1, "m/s²");
+  return [["cause", answer(c.kind)], row(`alarm of ${c.reference}`, c.alarm, time), row(`${c.reference} acts`, c.careful, time),
+    row(c.action ? `the ego ${answer(c.action)} from` : "the ego reacted", c.began, time), row("mean braking", c.braking, rate), row("hardest braking", c.hardest, rate),
+    row("stopped braking", c.let_go, time), row("beside its way", c.shift, (d) => number(d, 1, "m")), row("would have been enough", c.enough, rate)];
 }
 
 function attemptsPanel(outcome) {

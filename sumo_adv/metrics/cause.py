@@ -1,0 +1,355 @@
+"""Why an attempt came to a contact or a near miss: what the ego did, against the careful driver, in a sentence.
+
+============= ====================================================================================================
+kind          meaning
+============= ====================================================================================================
+unforeseeable no danger shows to ``cc_human`` soon enough for it to brake, and no reference driver avoids the contact
+steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
+no_reaction   the ego neither braked nor steered away before the contact
+late          it began more than 0.2 s after the careful driver
+let_go        it braked, and let go for more than 0.5 s before the contact, or stopped and drove on
+too_little    it began in time, and did too little
+no_swerve     it braked in time, and no constant braking up to 0.774 g avoids the contact
+braked_in     it braked, and keeping its speed would have been enough, or braking in time harder than was enough did not
+              avoid it: its braking brought it into the adversary's path
+evaded        no contact: it began in time
+============= ====================================================================================================
+
+A reaction is what the attack changed.  The ego brakes where it loses speed, by at least 1 m/s2 more than it did at the
+same time without the attack, for 0.2 s, and from then on while it loses speed or stands: braking for a red light is no
+reaction.  It steers where it leaves both its way without the attack and the straight on by 0.375 m (the zone of
+wandering of UN R157).
+
+The careful driver is ``cc_human`` (UN R157).  It watches the ego as it drove, up to the contact: the adversary alarms
+it, anew after 2 s without a danger, and 0.75 s later it would begin to brake.  Where it does not avoid the
+contact and another reference driver does, that one takes its place: ``manoeuvre``, else a driver for one direction: of
+those the last to begin to want to brake.  ``enough`` is the least constant braking from the same moment on that touches
+no vehicle in the kinematic counterfactual (``reference/counterfactual.py``), in steps of 0.1 m/s2 up to 0.774 g.  The
+adversary moves as it did, whatever the ego does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Track, Verdict
+from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker, fsm, manoeuvre, reg157, rss
+from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION, CcHuman
+from sumo_adv.metrics.reference.counterfactual import Counterfactual
+from sumo_adv.metrics.reference.view import View
+
+IN_TIME = 0.2  # s after the careful driver is still in time
+CALM = 2.0  # s without a danger, after which the next one is another
+SOON = 0.05  # s before the moment, which is 0.0 s in words
+STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
+CAREFUL = CcHuman.name
+DELAYS = {
+    CAREFUL: REACTION, MANOEUVRE: manoeuvre.DELAY - PERCEPTION, reg157.Reg157.name: reg157.DELAY,
+    rss.RssDriver.name: rss.NUMBERS.response, fsm.Fsm.name: fsm.REACTION,
+}  # fmt: skip
+"""Seconds from a reference driver's alarm until it acts."""
+
+
+NAMES = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
+"""Reference drivers in sentences."""
+
+
+class CauseKind(StrEnum):
+    """What kind of fault led to it; the table above has the meanings."""
+
+    UNFORESEEABLE = "unforeseeable"
+    STEERED_IN = "steered_in"
+    NO_REACTION = "no_reaction"
+    LATE = "late"
+    LET_GO = "let_go"
+    TOO_LITTLE = "too_little"
+    NO_SWERVE = "no_swerve"
+    BRAKED_IN = "braked_in"
+    EVADED = "evaded"
+
+
+class Action(StrEnum):
+    """What the ego did first."""
+
+    BRAKED = "braked"
+    STEERED = "steered"
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why, in a sentence and in numbers.  Times are of the simulation [s]; None: the question does not arise.
+
+    moment: of the contact, or of the least TTC without one.  reference: the driver that the ego is compared with;
+    alarm: when a danger showed to it; careful: when it began to act.  began: when the ego reacted first, and action:
+    how.  braking: the mean from there, or from ``careful`` if that is later, until the contact, the standstill or the
+    end of braking [m/s2]; hardest: the most for 0.2 s [m/s2]; let_go: when it last stopped braking for more than 0.5 s
+    before the moment, or, where it had ``stopped``, when it drove on;
+    held: whether the same braking, held, would have avoided it.  shift: how far the ego had left its way at the moment
+    [m, left positive].  enough: the least constant braking from ``careful`` on that avoids the contact [m/s2].
+    """
+
+    kind: CauseKind
+    sentence: str
+    moment: float
+    reference: str = CAREFUL
+    alarm: float | None = None
+    careful: float | None = None
+    began: float | None = None
+    action: Action | None = None
+    braking: float | None = None
+    hardest: float | None = None
+    let_go: float | None = None
+    stopped: bool = False
+    held: bool = False
+    shift: float | None = None
+    enough: float | None = None
+
+
+def cause_of(
+    ego: Track,
+    adversary: Track,
+    others: Sequence[Track],
+    verdict: Verdict,
+    *,
+    trigger_time: float,
+    lane_half_width: float = 1.6,
+    unattacked: Track | None = None,
+) -> Cause | None:
+    """The cause of a contact or near miss; None where there is neither, or the adversary ran into the ego's back.
+
+    The tracks are those of :func:`sumo_adv.metrics.levels.with_level`: one grid, the adversary past the contact as it
+    planned.  ``unattacked``: the ego's motion without the attack, recorded or foreseen; without it, the ego is compared
+    with a straight way at constant speed.
+    """
+    contact = verdict.contact_time
+    moment = contact if contact is not None else verdict.min_ttc_time
+    if moment is None or verdict.rear_end or not (verdict.collided or verdict.critical):
+        return None
+    check = Counterfactual(encounter_of(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked))
+    begin, dt = max(float(ego.time[0]), float(adversary.time[0])), check.given.dt
+    reference = _reference(check, begin, moment, verdict)
+    careful = reference.acts
+    braking = braking_of(ego, unattacked, trigger_time, moment, reference.danger, careful)
+    steering = steering_of(ego, adversary, unattacked, trigger_time, moment)
+    first = 0 if careful is None else math.ceil((careful - begin) / dt - 1e-6)
+    met = contact is not None and not check.unchanged().avoids[0]
+    enough = _enough(check, first) if met and careful is not None else None
+    found = Cause(
+        CauseKind.EVADED, "", moment, reference.name, reference.alarm, careful, enough=enough,
+        shift=None if steering is None else steering.shift,
+    )  # fmt: skip
+    if braking is not None:
+        found = replace(
+            found, began=braking.began, action=Action.BRAKED, braking=braking.mean, hardest=braking.hardest,
+            let_go=braking.let_go, stopped=braking.stopped,
+            held=braking.let_go is not None and _avoids(check, round((braking.began - begin) / dt), braking.mean),
+        )  # fmt: skip
+    if steering is not None and steering.away and (found.began is None or steering.began < found.began):
+        found = replace(found, began=steering.began, action=Action.STEERED)
+    into = contact is not None and steering is not None and not steering.away
+    into = into and missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
+    avoided = verdict.preventability is not None and bool(verdict.preventability.by)
+    harder = enough is not None and _avoids(check, first, FULL_BRAKING)
+    kind = _kind(found, contact is not None, into, avoided, harder)
+    return replace(found, kind=kind, sentence=_sentence(replace(found, kind=kind), contact is not None))
+
+
+def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> CauseKind:
+    """``met``: there was a contact; ``into``: the ego steered into it; ``avoided``: by some reference driver;
+    ``harder``: braking at 0.774 g would have been enough, too."""
+    if into:
+        return CauseKind.STEERED_IN
+    if c.careful is None or (met and not avoided and c.enough is None):
+        return CauseKind.UNFORESEEABLE
+    if c.began is None:
+        return CauseKind.NO_REACTION
+    late = c.began > c.careful + IN_TIME + 1e-9
+    if met and c.let_go is not None and (c.held or c.stopped or c.enough == 0.0 or not late):
+        return CauseKind.LET_GO
+    if met and c.action is Action.BRAKED and c.enough == 0.0:
+        return CauseKind.BRAKED_IN
+    if late:
+        return CauseKind.LATE
+    if not met:
+        return CauseKind.EVADED
+    if c.action is Action.STEERED:
+        return CauseKind.TOO_LITTLE
+    if c.enough is None:
+        return CauseKind.NO_SWERVE
+    return CauseKind.TOO_LITTLE if (c.braking or 0.0) < c.enough or harder else CauseKind.BRAKED_IN
+
+
+# -- the careful driver ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Reference:
+    """When a driver was alarmed and when it acted [s], None where that was not before the moment.  danger: the alarm of
+    the careful driver, or of this one where the careful driver has none."""
+
+    name: str
+    alarm: float | None
+    acts: float | None
+    danger: float | None
+
+
+class _Watched(CcHuman):
+    """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake; after
+    ``CALM`` without a danger it begins anew."""
+
+    def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
+        super().__init__(shape, dt)
+        self._start = start
+        self.first, self.brakes, self._dangerous_at = math.inf, math.inf, math.inf
+
+    def step(self, view: View) -> Floats:
+        now = self._now
+        answer = super().step(view)
+        if self.danger[0, 0]:
+            if now - self._dangerous_at > CALM:
+                self.first, self.brakes = math.inf, math.inf
+            self._dangerous_at, self.first = now, min(self.first, now)
+            acts = float(self._decided_at[0, 0]) + REACTION
+            if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > acts:
+                self.brakes = min(self.brakes, max(acts, self._start))
+        return answer
+
+
+def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verdict) -> _Reference:
+    """The driver that the ego is compared with."""
+    start = float(check.time[check.given.start[0]])
+    careful = _Watched(_shape(check), check.given.dt, start)
+    _watch(check, careful, moment - begin)
+    alarm, brakes = begin + careful.first, begin + careful.brakes
+    p = verdict.preventability
+    avoided, alarms = ((), {}) if p is None else (p.by, dict(p.alarms))
+    known = alarm if alarm < moment else None
+    if brakes < moment and (CAREFUL in avoided or not avoided):
+        return _Reference(CAREFUL, brakes - REACTION, brakes, known)
+    alarms |= {MANOEUVRE: alarm} if alarm + DELAYS[MANOEUVRE] < moment else {}
+    acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
+    for name in acts:
+        if name in SAME_DIRECTION_ONLY:
+            brakes_now = _watch(check, BRAKERS[name](_shape(check), check.given.dt), moment - begin)
+            acts[name] = begin + _last_onset(brakes_now, check)
+    acts = {n: when for n, when in acts.items() if when < moment}
+    if acts:
+        name = MANOEUVRE if MANOEUVRE in acts else max(acts, key=lambda n: acts[n])
+        own = acts[name] - DELAYS[name]
+        return _Reference(name, own, acts[name], own if known is None else known)
+    return _Reference(CAREFUL, known, brakes if brakes < moment else None, known)
+
+
+def _shape(check: Counterfactual) -> tuple[int, int]:
+    return 1, 1 if check.others is None else 1 + check.others.x.shape[1]
+
+
+def _watch(check: Counterfactual, driver: Braker, moment: float) -> list[bool]:
+    """In which steps up to ``moment`` [s from step 0] a driver that watches the recorded ego wants to brake."""
+    station, speed = check.paths.station, np.broadcast_to(check.ego.speed, check.paths.station.shape)
+    change = np.diff(speed, axis=1, prepend=speed[:, :1]) / check.given.dt
+    steps = range(int(np.searchsorted(check.time, moment)))
+    views = (check.views.at(k, station[:, k], speed[:, k], change[:, k]) for k in steps)
+    return [bool(np.isfinite(driver.step(view)[0])) for view in views]
+
+
+def _last_onset(brakes: Sequence[bool], check: Counterfactual) -> float:
+    """When the last spell begins [s from step 0], not before the start; ``inf`` without any."""
+    start = int(check.given.start[0])
+    onsets = [k for k in range(start, len(brakes)) if brakes[k] and (k == start or not brakes[k - 1])]
+    return float(check.time[onsets[-1]]) if onsets else math.inf
+
+
+def _enough(check: Counterfactual, first: int) -> float | None:
+    """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
+    coarse = range(0, int(FULL_BRAKING / STEP) + 1, COARSE)
+    found = next((k for k in coarse if _avoids(check, first, k * STEP)), None)
+    if found is None:
+        return None
+    finer = range(max(found - COARSE + 1, 0), found)
+    return round(next((k for k in finer if _avoids(check, first, k * STEP)), found) * STEP, 1)
+
+
+def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
+    """Whether the ego avoids the contact if it brakes evenly [m/s2] from the step ``first`` on."""
+    station = check.paths.station[0]
+    speed = np.broadcast_to(check.ego.speed, check.paths.station.shape)[0]
+    since = np.maximum(check.time - check.time[first], 0.0)
+    after = np.arange(check.steps) > first
+    lasts = np.minimum(since, speed[first] / braking) if braking > 0.0 else since
+    there = np.where(after, station[first] + speed[first] * lasts - braking * lasts**2 / 2, station)
+    pace = np.where(after, np.maximum(speed[first] - braking * since, 0.0), speed)
+    return bool(check.moving(there[None], pace[None]).avoids[0])
+
+
+# -- the sentence ---------------------------------------------------------------------------------------------------
+
+
+def _sentence(c: Cause, met: bool) -> str:
+    moment = "the contact" if met else "the least TTC"
+    if c.kind is CauseKind.STEERED_IN:
+        return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
+    if c.kind is CauseKind.UNFORESEEABLE:
+        unknown = c.alarm is None or c.moment - c.alarm < SOON
+        if unknown and c.began is not None:
+            return f"No danger showed to a careful driver before {moment}{', and what yours did was not enough' * met}."
+        if unknown or c.alarm is None:
+            return f"No one could have known before {moment}."
+        known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
+        return f"{known}, and no reference driver avoids it." if c.careful is not None else f"{known}."
+    careful = NAMES.get(c.reference, f"the reference driver {c.reference}")
+    if c.kind is CauseKind.NO_REACTION:
+        behind = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
+        return f"Your driver did not react before {moment}{behind}{_enough_words(c, met)}."
+    did = _did(c, moment)
+    after = (c.began or 0.0) - (c.careful or 0.0)
+    later = f"{after:.1f} s after {careful}"
+    if c.kind is CauseKind.LATE:
+        return f"Your driver began to {did[0]} {later}, {did[1]}{_enough_words(c, met)}."
+    if c.kind is CauseKind.EVADED:
+        return f"Your driver {did[2]} in time, {did[1]}; there was no contact."
+    if c.kind is CauseKind.LET_GO:
+        let_go = f"{c.moment - (c.let_go or 0.0):.1f} s before {moment}"
+        if c.stopped:
+            return f"Your driver stopped, and drove on {let_go}."
+        when = "in time" if after <= IN_TIME + 1e-9 else later
+        enough = "; held, it would have been enough" * c.held
+        return f"Your driver braked {when}, at {c.braking or 0.0:.1f} m/s2, and let go {let_go}{enough}."
+    if c.kind is CauseKind.BRAKED_IN:
+        return f"Your driver braked into the adversary's path, {did[1]}{_enough_words(c, met)}."
+    if c.kind is CauseKind.NO_SWERVE:
+        return f"Your driver braked in time, {did[1]}, and did not steer; braking alone would not have been enough."
+    too = "too gently" if c.action is Action.BRAKED else "not far enough"
+    if c.action is Action.BRAKED and c.enough is not None and (c.braking or 0.0) >= c.enough:
+        return f"Your driver braked in time and at first too gently{_enough_words(c, met)}."
+    return f"Your driver {did[2]} in time and {too}, {did[1]}{_enough_words(c, met)}."
+
+
+def _did(c: Cause, moment: str) -> tuple[str, str, str]:
+    """What the ego did: a verb, its size, and the verb in the past."""
+    if c.action is Action.STEERED:
+        braking = "" if c.braking is None else f", braking at {c.braking:.1f} m/s2"
+        return "steer away", f"by {abs(c.shift or 0.0):.1f} m to the {_side(c)}{braking}", "steered away"
+    let_go = "" if c.let_go is None else f", and let go {c.moment - c.let_go:.1f} s before {moment}"
+    return "brake", f"at {c.braking or 0.0:.1f} m/s2{let_go}", "braked"
+
+
+def _side(c: Cause) -> str:
+    return "left" if (c.shift or 0.0) > 0.0 else "right"
+
+
+def _enough_words(c: Cause, met: bool) -> str:
+    if not met:
+        return "; there was no contact"
+    if c.enough is None:
+        return "; braking alone would not have been enough"
+    how = f"{c.enough:.1f} m/s2" if c.enough > 0.0 else "keeping its speed"
+    braking = "" if c.began is not None and c.action is Action.BRAKED else "braking at " if c.enough > 0.0 else ""
+    return f"; {braking}{how} would have been enough"

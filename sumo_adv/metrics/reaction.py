@@ -1,0 +1,169 @@
+"""What the ego did about an attack: how it braked and steered, beyond what it did without the attack."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.metrics.boxes import at_time, row_of
+from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.reference.cc_human import WANDERING
+from sumo_adv.metrics.reference.counterfactual import Counterfactual
+
+MORE = 1.0  # m/s2 more braking than without the attack is a reaction
+LOSING = 0.5  # m/s2 that the ego loses at least while it brakes
+HELD = 0.2  # s for which it does so
+PAUSE = 0.5  # s without braking that do not end it
+STANDS, DRIVES = 0.1, 1.0  # m/s
+BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen to have begun
+
+
+@dataclass(frozen=True, slots=True)
+class Braking:
+    """Braking beyond what the ego did without the attack.
+
+    began: when [s]; mean, hardest [m/s2]; let_go: when it ended [s], None where it lasts to the moment; stopped:
+    whether the ego stood until then.
+    """
+
+    began: float
+    mean: float
+    hardest: float
+    let_go: float | None
+    stopped: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """How the ego left its way.
+
+    began: when [s]; shift: how far at the moment [m, left positive]; away: whether that was not towards the adversary.
+    """
+
+    began: float
+    shift: float
+    away: bool
+
+
+def braking_of(
+    ego: Track, unattacked: Track | None, start: float, moment: float, alarm: float | None, careful: float | None
+) -> Braking | None:
+    """The ego's braking from ``start`` to ``moment`` [s] that lasts beyond the alarm; None without any.
+
+    unattacked: the ego's motion without the attack, None = at constant speed; alarm: when a danger showed, None = all
+    braking counts, and so does standing; careful: when the careful driver acted, from which on the mean is taken.
+    """
+    driven = ego.between(start, moment)
+    if len(driven.time) < 2:
+        return None
+    dt = float(np.diff(driven.time).min())
+    change, stands = np.diff(driven.speed) / dt, driven.speed[1:] < STANDS
+    usual, pace = np.zeros(len(change)), np.full(len(driven.time), driven.speed[0])
+    if unattacked is not None and len(unattacked.time) > 1:
+        pace = np.interp(driven.time, unattacked.time, unattacked.speed)
+        known = driven.time[1:] <= unattacked.time[-1] + 5e-4
+        usual = np.where(known, np.diff(pace) / dt, 0.0)
+    loses = change <= -LOSING
+    brakes = _lasting(loses & (usual - change >= MORE), round(HELD / dt)) | (stands & (pace[1:] >= DRIVES))
+    spells = [
+        (begun, ended) for begun, ended in _spells(brakes, loses | stands, round(PAUSE / dt))
+        if alarm is None or driven.time[ended] >= alarm - 5e-4 or bool(stands[begun:ended].any())
+    ]  # fmt: skip
+    if not spells:
+        return None
+    first, until, let_go = spells[0][0], spells[-1][1], None
+    still = first + np.flatnonzero(driven.speed[first:] < STANDS)
+    stopped = bool(len(still)) and float(driven.speed[-1]) >= STANDS
+    if len(still):
+        until = int(still[0])
+        let_go = float(driven.time[still[-1]]) if stopped else None
+    else:
+        followed = [float(driven.time[begun]) for begun, _ in spells[1:]] + [moment]
+        gaps = [end for (_, end), then in zip(spells, followed, strict=True) if then - driven.time[end] > PAUSE + 1e-9]
+        if gaps:
+            until, let_go = gaps[-1], float(driven.time[gaps[-1]])
+    since = first if careful is None else max(first, int(np.searchsorted(driven.time, careful - 5e-4)))
+    since = since if since < until else first
+    mean = float(driven.speed[since] - driven.speed[until]) / max((until - since) * dt, dt)
+    hold = max(round(HELD / dt), 1)
+    hardest = max(-float(change[k : k + hold].mean()) for k in range(first, max(spells[-1][1] - hold, first) + 1))
+    return Braking(float(driven.time[first]), mean, hardest, let_go, stopped)
+
+
+def _lasting(holds: Bools, least: int) -> Bools:
+    """Without the spells of fewer than ``least`` steps."""
+    kept = holds.copy()
+    for first, last in _spells(holds, np.zeros(len(holds), bool), 0):
+        kept[first:last] = last - first >= least
+    return kept
+
+
+def _spells(holds: Bools, on: Bools, pause: int) -> list[tuple[int, int]]:
+    """First step and the step after the last one of each spell; it goes on where ``on`` holds, and over a ``pause``
+    of at most this number of steps."""
+    spells: list[tuple[int, int]] = []
+    for k in range(len(holds)):
+        goes_on = bool(spells) and spells[-1][1] == k and bool(on[k])
+        if not holds[k] and not goes_on:
+            continue
+        if spells and k - spells[-1][1] <= pause:
+            spells[-1] = (spells[-1][0], k + 1)
+        else:
+            spells.append((k, k + 1))
+    return spells
+
+
+def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: float, moment: float) -> Steering | None:
+    """How the ego left both its way without the attack and the straight on; None where it did not."""
+    driven = ego.between(start, moment)
+    if len(driven.time) < 2:
+        return None
+    x, y, h = float(driven.x[0]), float(driven.y[0]), float(driven.heading[0])
+    straight = (driven.y - y) * math.cos(h) - (driven.x - x) * math.sin(h)
+    left = straight if unattacked is None else _beside(driven, unattacked)
+    least = np.where(np.abs(left) < np.abs(straight), left, straight)
+    least = np.where(left * straight > 0.0, least, 0.0)
+    if abs(least[-1]) < WANDERING:
+        return None
+    side = float(np.sign(least[-1]))
+    still = np.flatnonzero(least * side < BESIDE)
+    began = float(driven.time[min(int(still[-1]) + 1 if len(still) else 0, len(driven.time) - 1)])
+    then, foe = at_time(driven, began), at_time(adversary, began)
+    there = (foe.y - then.y) * np.cos(then.heading) - (foe.x - then.x) * np.sin(then.heading)
+    ahead = abs(float(there)) < (ego.width + adversary.width) / 2
+    return Steering(began, float(least[-1]), bool(ahead or np.sign(there) != side))
+
+
+def _beside(driven: Track, unattacked: Track) -> Floats:
+    """Offsets of the ego from its way without the attack [m, left positive], 0 at first."""
+    left = EgoPaths(row_of(unattacked)).locate(driven.x[None], driven.y[None])[1][0]
+    return np.asarray(left - left[0])
+
+
+def missed_on_its_way(
+    ego: Track, adversary: Track, others: Sequence[Track], start: float, moment: float, lane_half_width: float,
+    unattacked: Track | None,
+) -> bool:  # fmt: skip
+    """Whether the ego, as far along its way without the attack at each time, would not have been hit."""
+    after = ego.time > start
+    if unattacked is not None:
+        way = EgoPaths(row_of(unattacked))
+        station, left, _ = (v[0] for v in way.locate(ego.x[None], ego.y[None]))
+        x, y, heading = (v[0] for v in way.poses(station[None]))
+        first = float(left[int(np.argmax(after))])
+        x, y = x - first * np.sin(heading), y + first * np.cos(heading)
+    else:
+        k = int(np.argmax(after))
+        heading = np.full(len(ego.time), float(ego.heading[k]))
+        along = (ego.x - ego.x[k]) * np.cos(heading) + (ego.y - ego.y[k]) * np.sin(heading)
+        x, y = ego.x[k] + along * np.cos(heading), ego.y[k] + along * np.sin(heading)
+    kept = replace(
+        ego, x=np.where(after, x, ego.x), y=np.where(after, y, ego.y), heading=np.where(after, heading, ego.heading)
+    )  # fmt: skip
+    given = encounter_of(kept, adversary, others, start, moment, lane_half_width, unattacked)
+    return bool(Counterfactual(given).unchanged().avoids[0])
