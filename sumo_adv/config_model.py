@@ -20,6 +20,7 @@ class ModelSettings(BaseModel):
     llm_retries: int = Field(default=3, ge=0, le=20)
     llm_concurrency: int = Field(default=4, ge=1, le=64)
     llm_temperature: float | None = Field(default=None, ge=0, le=2)  # None: as the server has it
+    llm_answer_tokens: int | None = Field(default=None, ge=1)  # of one answer with its thinking; None: the server's
     llm_max_calls: int | None = Field(default=None, ge=0)
     llm_max_tokens: int | None = Field(default=None, ge=0)
     llm_max_seconds: float | None = Field(default=None, ge=0)

@@ -46,11 +46,14 @@ class Asked:
 
 @dataclass(frozen=True)
 class Say:
-    """An answer in words: 200 and a completion. An object as ``text`` is sent as its JSON."""
+    """An answer in words: 200 and a completion. An object as ``text`` is sent as its JSON; ``more`` are further keys of
+    the message."""
 
     text: str | Mapping[str, Any]
     reasoning: str | None = None
     reasoning_key: str = "reasoning_content"
+    finish: str | None = "stop"
+    more: Mapping[str, Any] = field(default_factory=dict)
     usage: Mapping[str, Any] | None = field(
         default_factory=lambda: {"prompt_tokens": 100, "completion_tokens": 10, "prompt_cache_hit_tokens": 40}
     )
@@ -58,11 +61,11 @@ class Say:
     def body(self) -> dict[str, Any]:
         """The completion."""
         content = self.text if isinstance(self.text, str) else json.dumps(self.text)
-        message: dict[str, Any] = {"role": "assistant", "content": content}
+        message: dict[str, Any] = {"role": "assistant", "content": content, **self.more}
         if self.reasoning is not None:
             message[self.reasoning_key] = self.reasoning
         usage = {} if self.usage is None else {"usage": dict(self.usage)}
-        return {"id": "1", "choices": [{"index": 0, "message": message, "finish_reason": "stop"}], **usage}
+        return {"id": "1", "choices": [{"index": 0, "message": message, "finish_reason": self.finish}], **usage}
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def test_temporary_faults_are_retried(fault: Answer) -> None:
 
 def test_the_last_retry_fails_with_its_reason() -> None:
     message, ledger, clock, server = failure(lambda request: status(503, f"busy, {KEY}"))
-    assert "status 503: busy, ***, also after 3 retries" in message
+    assert "(status 503: busy, ***), also after 3 retries" in message
     assert len(server.asked) == 4 and ledger.as_dict()["calls"] == 1 and ledger.as_dict()["retries"] == 3
     assert ledger.as_dict()["seconds"] == pytest.approx(sum(clock.slept), abs=0.001)
 
@@ -165,11 +165,11 @@ def test_a_read_timeout_is_retried() -> None:
         (Raw(200, b'{"choices": [{"message": {"content": 5}}]}'), "no choices"),
         (Raw(200, b'{"error": {"message": "model overloaded"}}'), "model overloaded"),
         (Raw(200, b'{"choices": [{"message": {"content": null, "refusal": "I will not"}}]}'), "I will not"),
-        (status(401, f"bad key {KEY}"), r"set SUMO_ADV_LLM_API_KEY \(status 401: bad key \*\*\*"),
+        (status(401, f"bad key {KEY}"), r"the key \(status 401: bad key \*\*\*\); set SUMO_ADV_LLM_API_KEY"),
         (status(403), "choose another model"),
         (status(404, "no such model"), "check the name 'test-model'"),
         (status(400, "no\n\x1b[31mgood"), "rejected the question .status 400: no .31mgood"),
-        (Raw(301, b"", {"Location": "http://elsewhere.invalid/"}), "redirects to another address; set"),
+        (Raw(301, b"", {"Location": "http://elsewhere.invalid/"}), r"redirects to another address \(status 301\); set"),
         (Raw(418, b"<html>teapot</html>"), "teapot"),
     ],
 )  # fmt: skip

@@ -72,7 +72,7 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
     from sumo_adv.drivers.registry import trusted_driver
 
     if source is None:
-        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, or the name of a shipped one.")
+        raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, a map, or the name of a shipped one.")
     given = app.load(source, record)
     return given, trusted_driver(ego, given.ego_controller, given.source)
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sumo_adv.errors import BudgetError, ModelError
-from sumo_adv.llm.chat import ChatModel, ChatRequest, Messages, run_in_thread
+from sumo_adv.llm.chat import CUT, ChatModel, ChatRequest, Messages, run_in_thread, without_thought
 from sumo_adv.llm.ledger import Ledger
 
 T = TypeVar("T", bound=BaseModel)
@@ -23,8 +23,6 @@ MAX_FAULTS = 5  # of an answer that are sent back
 MAX_OBJECTS = 40  # that are read from prose
 MAX_ECHO = 6000  # characters of a refused answer that are sent back
 
-_THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
-_END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
 _OBJECT = re.compile(r'\{(?=\s*["}])')
 _FENCE = re.compile(r"```[a-zA-Z]*[ \t]*\n(.*?)```", re.DOTALL)
 
@@ -64,8 +62,13 @@ def ask(
     schema = answer_type.model_json_schema()
     for turn in range(re_asks + 1):
         request = ChatRequest(agent, messages, schema, answer_type.__name__, sample)
-        text = without_thought(metered.model.complete(request).text)
+        reply = metered.model.complete(request)
+        text = without_thought(reply.text)
         answer, fault = read_answer(text, answer_type)
+        if answer is None and not text:  # some servers leave the answer where the thinking is
+            answer, _ = read_answer(reply.reasoning or reply.text, answer_type)
+        if answer is None and reply.finish == CUT:
+            fault = f"It was cut at the token limit; answer in fewer words. {fault}"
         if answer is not None:
             fault = check(answer)
             if fault is None:
@@ -75,8 +78,9 @@ def ask(
             again = f"That answer cannot be used. {fault}\nAnswer again: one JSON object, whole, and nothing else."
             messages = (*messages, ("assistant", text[:MAX_ECHO] or "(nothing)"), ("user", again))
     times = "once" if re_asks == 0 else f"{re_asks + 1} times"
+    advice = "raise llm_answer_tokens or the server's own limit" if reply.finish == CUT else "try another model"
     raise ModelError(
-        f"The {agent}'s answer from {metered.model.name} was refused {times}; try another model. Last fault: {fault}"
+        f"The {agent}'s answer from {metered.model.name} was refused {times}; {advice}. Last fault: {fault}"
     )
 
 
@@ -112,12 +116,6 @@ def ask_many(
     for _ in failed:
         metered.ledger.count_dropped(agent)
     return answers
-
-
-def without_thought(text: str) -> str:
-    """A model's text without its <think> parts. The opening tag may be missing."""
-    text = _THOUGHT.sub("", text)
-    return _END_OF_THOUGHT.split(text)[-1].strip()
 
 
 def read_answer(text: str, answer_type: type[T]) -> tuple[T | None, str | None]:

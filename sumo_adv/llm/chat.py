@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -10,7 +11,11 @@ from typing import Any, Protocol, TypeVar
 
 Messages = tuple[tuple[str, str], ...]
 CHARACTERS_PER_TOKEN = 4  # of English text and code, roughly
+CUT = "length"  # the finish_reason of an answer that ended at the token limit
 T = TypeVar("T")
+_THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
+_END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
+_UNENDED_THOUGHT = re.compile(r"^\s*<think(?:ing)?>")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +44,7 @@ class ChatReply:
     prompt_tokens, completion_tokens: estimates if the server does not count them.
     seconds: duration of the question with all its retries [s], rounded to ms.
     mode: how the schema was sent: json_schema, json_object or text.
+    finish: the server's finish_reason, "" if it gives none; ``CUT`` is the token limit.
     """
 
     text: str
@@ -49,6 +55,7 @@ class ChatReply:
     seconds: float = 0.0
     retries: int = 0
     mode: str = "text"
+    finish: str = ""
 
 
 class ChatModel(Protocol):
@@ -67,6 +74,12 @@ class ChatModel(Protocol):
 def estimate_tokens(messages: Sequence[tuple[str, str]]) -> int:
     """Rough number of tokens of messages: a quarter of their characters, rounded up."""
     return -(-sum(len(content) for _, content in messages) // CHARACTERS_PER_TOKEN)
+
+
+def without_thought(text: str) -> str:
+    """A model's text without <think> parts. The opening tag may be missing; without a closing one all is thought."""
+    text = _END_OF_THOUGHT.split(_THOUGHT.sub("", text))[-1]
+    return "" if _UNENDED_THOUGHT.match(text) else text.strip()
 
 
 def one_line(text: str) -> str:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from pydantic import SecretStr
@@ -14,10 +15,10 @@ from sumo_adv.config_model import ModelSettings, one_word
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire
-from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest
+from sumo_adv.llm.chat import CUT, ChatModel, ChatReply, ChatRequest, without_thought
 from sumo_adv.llm.ledger import BudgetedModel, Ledger
 from sumo_adv.llm.recording import Replay
-from sumo_adv.llm.transport import Clock, ServerConnection, SystemClock
+from sumo_adv.llm.transport import Clock, Question, ServerConnection, SystemClock
 
 REPLAY = "replay:"
 MODES = ("json_schema", "json_object", "text")
@@ -108,36 +109,84 @@ def connect_embedder(
 
 
 class HttpModel:
-    """A chat model behind HTTP. It remembers which of ``MODES`` the server supports."""
+    """A chat model behind HTTP. It remembers what the server supports: of ``MODES``, of ``wire.TOKEN_LIMITS``, and, if
+    the model thinks too long, of ``wire.LESS_THINKING``.
+    """
 
     def __init__(self, name: str, server: Server, settings: ModelSettings, ledger: Ledger, clock: Clock) -> None:
         self.name = name
         self._model = server.model
         self._temperature = settings.llm_temperature
+        self._answer_tokens = settings.llm_answer_tokens
         self._ledger = ledger
         self._modes = MODES[MODES.index(server.mode) :]
+        self._limits: tuple[str, ...] = wire.TOKEN_LIMITS
+        self._less_thinking: Mapping[str, Any] = {}
+        self._ways = wire.LESS_THINKING  # that are not tried yet
         self._connection = ServerConnection(name, server.base_url, server.key, settings, clock)
 
     def complete(self, request: ChatRequest) -> ChatReply:
         """The model's reply. A rejected schema is sent again in the next of ``MODES``.
 
-        Raises ModelError, and BudgetError if the run's time ends during the question.
+        A model that only thinks until it is cut off is asked again for less thinking, in one way of
+        ``wire.LESS_THINKING`` after another, once in a run; the first that helps is kept. Tokens of all tries are
+        summed. Raises ModelError, and BudgetError if the run's time ends during the question.
         """
         with self._connection.question(self._ledger.seconds_left()) as question:
-            modes = self._modes if request.schema is not None else MODES[-1:]
-            for mode in modes:
-                body = wire.chat_body(request, self._model, mode, self._temperature)
-                read = partial(wire.read_reply, request=request, mode=mode)
-                reply = question.post("/chat/completions", body, read, none_if_rejected=mode != modes[-1])
-                if reply is not None:
-                    if request.schema is not None:
-                        self._modes = MODES[MODES.index(mode) :]
-                    blank = self._connection.blank
-                    return replace(
-                        reply, text=blank(reply.text), reasoning=blank(reply.reasoning), seconds=question.seconds(),
-                        retries=question.retries,
-                    )  # fmt: skip
-        raise AssertionError("the last mode answers or raises")
+            reply = self._in_a_mode(question, request, self._less_thinking)
+            assert reply is not None
+            ways, self._ways = (self._ways, ()) if only_thought(reply) else ((), self._ways)
+            for fields in ways:
+                less = self._in_a_mode(question, request, fields, or_none=True)
+                if less is None:
+                    continue
+                question.retries += 1
+                reply = replace(
+                    less,
+                    prompt_tokens=reply.prompt_tokens + less.prompt_tokens,
+                    completion_tokens=reply.completion_tokens + less.completion_tokens,
+                    cached_tokens=reply.cached_tokens + less.cached_tokens,
+                )
+                if not only_thought(less):
+                    self._less_thinking = fields
+                    break
+            blank = self._connection.blank
+            return replace(
+                reply, text=blank(reply.text), reasoning=blank(reply.reasoning), seconds=question.seconds(),
+                retries=question.retries,
+            )  # fmt: skip
+
+    def _in_a_mode(
+        self, question: Question, request: ChatRequest, fields: Mapping[str, Any], *, or_none: bool = False
+    ) -> ChatReply | None:
+        """The reply in the first mode, with the first name of the token limit, that the server accepts.
+
+        or_none: try only the first of each, which has worked, and return None if ``fields`` are refused; else raise
+        ModelError.
+        """
+        modes = self._modes if request.schema is not None else MODES[-1:]
+        limits: Sequence[str | None] = (None,) if self._answer_tokens is None else self._limits
+        tries = [(mode, limit) for mode in modes for limit in limits][: 1 if or_none else None]
+        for mode, limit in tries:
+            body = {**wire.chat_body(request, self._model, mode, self._temperature), **fields}
+            if limit is not None:
+                body[limit] = self._answer_tokens
+            read = partial(wire.read_reply, request=request, mode=mode)
+            last = (mode, limit) == tries[-1] and not or_none
+            reply = question.post("/chat/completions", body, read, none_if_rejected=not last)
+            if reply is not None:
+                if request.schema is not None:
+                    self._modes = MODES[MODES.index(mode) :]
+                if limit is not None:
+                    self._limits = wire.TOKEN_LIMITS[wire.TOKEN_LIMITS.index(limit) :]
+                return reply
+        return None
+
+
+def only_thought(reply: ChatReply) -> bool:
+    """Whether the model thought and gave no answer: its thinking was cut off, or holds no JSON object."""
+    thought = reply.reasoning or reply.text
+    return not without_thought(reply.text) and bool(thought) and (reply.finish == CUT or "{" not in thought)
 
 
 class HttpEmbedder:

@@ -239,6 +239,7 @@ def _reply(value: dict[str, Any]) -> ChatReply:
         text=str(value["text"]), reasoning=str(value["reasoning"]), prompt_tokens=int(value["prompt_tokens"]),
         completion_tokens=int(value["completion_tokens"]), cached_tokens=int(value["cached_tokens"]),
         seconds=float(value["seconds"]), retries=int(value["retries"]), mode=str(value["mode"]),
+        finish=str(value.get("finish", "")),
     )  # fmt: skip
 
 

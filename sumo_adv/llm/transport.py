@@ -1,7 +1,8 @@
 """HTTP requests to one model server: deadline, retries, and the messages of failures.
 
 One deadline holds for a question with all its retries. It is kept by a clock of this module, so a server that hangs or
-sends a byte at a time is cut off too. Statuses 408, 429 and 5xx and broken connections are retried after a random wait.
+sends a byte at a time is cut off too. Errors that may pass (``faults.py``) and broken connections are retried after a
+random wait.
 The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``.
 """
 
@@ -27,12 +28,11 @@ from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm import wire
 from sumo_adv.llm.blanking import blanker, decoded
 from sumo_adv.llm.chat import run_in_thread
+from sumo_adv.llm.faults import LATER, ServerFault, fault_of
 
 MAX_ANSWER_BYTES = 2_000_000
 FIRST_WAIT = 0.5  # s, before the first retry
 MAX_WAIT = 8.0  # s, unless the server asks for more
-RETRIED_STATUSES = (408, 429)  # and 5xx
-SCHEMA_REJECTED_STATUSES = (400, 422)  # how servers reject a response_format that they do not support
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
 
@@ -67,10 +67,11 @@ class _Response:
 
 @dataclass(frozen=True, slots=True)
 class _Failure:
-    """A try that may be repeated: its reason, and the shortest wait [s] before the next try."""
+    """A try that may be repeated: its reason, the shortest wait [s] before the next try, and what the user can do."""
 
     reason: str
     wait: float = 0.0
+    advice: str = LATER
 
 
 class _TooLarge(Exception):
@@ -168,21 +169,21 @@ class Question:
     ) -> T | None:
         """Send ``body`` and return ``read(answer)``. Raises ModelError, BudgetError.
 
-        ``none_if_rejected``: return None for status 400 or 422.
+        ``none_if_rejected``: return None if the server may have refused a field of the body.
         """
         raw = json.dumps(body).encode()
         for number in range(self._server.settings.llm_retries + 1):
             result = self._try(path, raw)
             if isinstance(result, _Response):
-                if result.status in SCHEMA_REJECTED_STATUSES and none_if_rejected:
-                    self.retries += 1
-                    return None
-                if result.status != 200:
-                    self._fail_for_status(result)
-                try:
-                    value = wire.read_json(result.body)
-                except wire.InvalidAnswer as error:
-                    result = _Failure(f"sent an answer that cannot be read ({error})")
+                value, unreadable = _object_in(result.body)
+                fault = fault_of(result.status, value)
+                if fault is not None:
+                    if fault.of_a_field and none_if_rejected:
+                        self.retries += 1
+                        return None
+                    result = self._failure(fault, result)
+                elif value is None:
+                    result = _Failure(f"sent an answer that cannot be read ({unreadable})")
                 else:
                     try:
                         return read(value)
@@ -221,17 +222,13 @@ class Question:
         except (httpx.InvalidURL, httpx.StreamError) as error:
             self._fail(f"cannot be asked ({self._reason(error)}); correct SUMO_ADV_LLM_BASE_URL")
         self._server.has_answered = True
-        if answer.status in RETRIED_STATUSES or answer.status >= 500:
-            return _Failure(
-                f"answered with status {answer.status}{self._server_text(answer)}", _retry_after(answer.headers)
-            )
         return answer
 
     def _wait(self, number: int, failure: _Failure) -> None:
         """Wait before the next try. Raises ModelError after the last try or if the deadline would pass."""
         if number == self._server.settings.llm_retries:
             retried = "" if self.retries == 0 else f", also after {self.retries} retries"
-            self._fail(f"{failure.reason}{retried}; try again later, or use another model")
+            self._fail(f"{failure.reason}{retried}; {failure.advice}")
         backoff = min(MAX_WAIT, FIRST_WAIT * 2**number) * self._server.jitter.uniform(0.5, 1.0)
         wait = max(failure.wait, backoff)
         if self._server.clock.now() - self._began + wait >= self._allowed:
@@ -242,17 +239,13 @@ class Question:
         self._server.clock.sleep(wait)
         self.retries += 1
 
-    def _fail_for_status(self, answer: _Response) -> NoReturn:
-        reason = {
-            401: "does not accept the key; set SUMO_ADV_LLM_API_KEY",
-            402: "demands a payment; add credit to the account, or choose another model",
-            403: "does not let this key use the model; set SUMO_ADV_LLM_API_KEY, or choose another model",
-            404: f"does not know this model or address; check the name '{self._server.model}' and "
-            "SUMO_ADV_LLM_BASE_URL",
-        }.get(answer.status, "rejected the question")
-        if 300 <= answer.status < 400:
-            reason = "redirects to another address; set SUMO_ADV_LLM_BASE_URL to that address"
-        self._fail(f"{reason} (status {answer.status}{self._server_text(answer)})")
+    def _failure(self, fault: ServerFault, answer: _Response) -> _Failure:
+        """The failure to retry after. Raises ModelError for a fault that a retry cannot change."""
+        reason = f"{fault.says} (status {answer.status}{self._server_text(answer)})"
+        advice = fault.advice.format(model=self._server.model)
+        if not fault.retried:
+            self._fail(f"{reason}; {advice}")
+        return _Failure(reason, _retry_after(answer.headers), advice)
 
     def _fail_for_time(self) -> NoReturn:
         if self._limited_by_budget:
@@ -268,15 +261,21 @@ class Question:
 
     def _server_text(self, answer: _Response) -> str:
         """The text that a server gives with its status, after a colon."""
-        try:
-            text = self._server.quoted(wire.error_text(wire.read_json(answer.body)))
-        except wire.InvalidAnswer:
-            text = self._server.quoted(answer.body[:1000])
+        value, _ = _object_in(answer.body)
+        text = self._server.quoted(answer.body[:1000] if value is None else wire.error_text(value))
         return f": {text.rstrip('.')}" if text else ""
 
     def _fail(self, reason: str) -> NoReturn:
         message = f"The server {self._server.host} of model {self._server.model} {reason}"
         raise ModelError(message.rstrip(".") + ".", retries=self.retries, seconds=self.seconds())
+
+
+def _object_in(body: str) -> tuple[dict[str, Any] | None, str]:
+    """The JSON object of a body and nothing, or None and why it cannot be read."""
+    try:
+        return wire.read_json(body), ""
+    except wire.InvalidAnswer as error:
+        return None, str(error)
 
 
 def _retry_after(headers: Mapping[str, str]) -> float:

@@ -7,8 +7,19 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sumo_adv.llm.chat import ChatReply, ChatRequest, estimate_tokens, one_line
+from sumo_adv.llm.chat import CUT, ChatReply, ChatRequest, estimate_tokens, one_line
 
+REASONING = ("reasoning_content", "reasoning")  # keys of a message that hold the model's thinking
+LESS_THINKING: tuple[Mapping[str, Any], ...] = (
+    {"reasoning_effort": "low"},
+    {"chat_template_kwargs": {"enable_thinking": False, "thinking": False}},
+    {"thinking": {"type": "disabled"}},
+)
+"""Fields that ask for less thinking: of OpenAI, Ollama and others; of vLLM, SGLang and llama.cpp; of DeepSeek, Z.ai."""
+TOKEN_LIMITS = (
+    "max_tokens",
+    "max_completion_tokens",
+)  # fields that limit an answer; OpenAI's newer models take the second
 MAX_QUOTED = 200  # characters of a server's text that a message quotes
 
 
@@ -71,19 +82,29 @@ def read_json(raw: str) -> dict[str, Any]:
 def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> ChatReply:
     """The reply in a completion, without duration and retries.
 
-    Raises InvalidAnswer, also if the server reports an error or the model refuses to answer.
+    Raises InvalidAnswer, also if the model refuses to answer or the server withholds the answer.
     """
-    _raise_reported_error(value)
     try:
-        message = value["choices"][0]["message"]
+        choice = value["choices"][0]
+        message, finish = choice["message"], choice.get("finish_reason")
         text, refusal = _content(message.get("content")), message.get("refusal")
     except (KeyError, IndexError, TypeError, AttributeError) as error:
         raise InvalidAnswer(
             "its body has no choices[0].message; check that SUMO_ADV_LLM_BASE_URL is a server of chat completions"
         ) from error
+    finish = finish if isinstance(finish, str) else ""
     if not text and isinstance(refusal, str) and refusal:
         raise InvalidAnswer(f"the model refuses: {quoted(refusal)}")
-    reasoning = next((v for k in ("reasoning_content", "reasoning") if isinstance(v := message.get(k), str) and v), "")
+    if finish == "content_filter":
+        raise InvalidAnswer("its content filter withheld it; switch the filter off there, or choose another model")
+    reasoning = next((v for k in REASONING if isinstance(v := message.get(k), str) and v), "")
+    text = text or _arguments(message)
+    if not text and finish in ("tool_calls", "function_call"):
+        raise InvalidAnswer(
+            "the model called a tool, and none was offered; switch tools off there, or use another model"
+        )
+    if not (text or reasoning or finish in ("", "stop", CUT)):
+        raise InvalidAnswer(f"it is empty and ended with '{quoted(finish)}'; try again later, or use another model")
     given = value.get("usage")
     usage: Mapping[str, Any] = given if isinstance(given, dict) else {}
     details = usage.get("prompt_tokens_details")
@@ -96,12 +117,12 @@ def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> Cha
         completion_tokens=estimate_tokens([("", text), ("", reasoning)]) if completion is None else completion,
         cached_tokens=cached if cached is not None else _count(usage.get("prompt_cache_hit_tokens")) or 0,
         mode=mode if request.schema is not None else "text",
+        finish=finish,
     )
 
 
 def read_vectors(value: Mapping[str, Any], count: int) -> list[list[float]]:
     """The ``count`` vectors of an embeddings answer, in the order of the texts. Raises InvalidAnswer."""
-    _raise_reported_error(value)
     try:
         data: Sequence[Mapping[str, Any]] = value["data"]
         by_index = {int(each.get("index", place)): each["embedding"] for place, each in enumerate(data)}
@@ -127,11 +148,6 @@ def quoted(text: str) -> str:
     return line if len(line) <= MAX_QUOTED else line[: MAX_QUOTED - 3] + "..."
 
 
-def _raise_reported_error(value: Mapping[str, Any]) -> None:
-    if value.get("error"):
-        raise InvalidAnswer(f"it says: {quoted(error_text(value))}")
-
-
 def _content(given: Any) -> str:
     if given is None:
         return ""
@@ -140,6 +156,15 @@ def _content(given: Any) -> str:
     if not isinstance(given, str):
         raise TypeError
     return given
+
+
+def _arguments(message: Mapping[str, Any]) -> str:
+    """The arguments of the first tool that the message calls: where some servers put an answer of a given schema."""
+    calls = message.get("tool_calls")
+    first = calls[0] if isinstance(calls, list) and calls and isinstance(calls[0], dict) else {}
+    function = first.get("function") or message.get("function_call")
+    given = function.get("arguments") if isinstance(function, dict) else None
+    return given if isinstance(given, str) else json.dumps(given) if isinstance(given, dict) else ""
 
 
 def _count(given: Any) -> int | None:

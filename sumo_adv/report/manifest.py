@@ -18,6 +18,7 @@ from sumo_adv.parsing import parse_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
+from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
 from sumo_adv.simulation.props import Prop
 from sumo_adv.simulation.simulation import SimulationSpec
@@ -80,6 +81,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     source = RunInput(
         name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
+        conversion=_conversion(m.get("conversion"), spec.network),
     )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 
@@ -110,6 +112,12 @@ def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) ->
     props = [Prop(**{**q, "end": math.inf if q["end"] is None else q["end"]}) for q in p["props"]]
     tracks, signals = (_copy(folder, p[k]) if p[k] else None for k in ("tracks", "signals"))
     return make_playback(tracks, p["background"], signals, props, routes)
+
+
+def _conversion(made: dict[str, Any] | None, network: Path) -> Conversion | None:
+    if made is None:
+        return None
+    return Conversion(Path(made["map"]), network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"]))
 
 
 def _copy(folder: Path, name: str) -> Path:

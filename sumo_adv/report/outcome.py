@@ -29,6 +29,7 @@ from sumo_adv.episode.episode import Episode, Tried
 from sumo_adv.episode.fitting import motion_of
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
+from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.words.fit import misfits
 
@@ -294,7 +295,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "step_length": spec.step_length, "sumo_options": dict(spec.options),
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
-        "playback": _playback(task.playback, inputs),
+        "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
         "skips": episode.skips,
@@ -305,6 +306,15 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "prompts": None if model_agents is None else model_agents.prompts.versions,
         "planners": {name: _planner(p) for name, p in used.items()},
         "attempt": None if best is None else _proposal(best.proposal),
+    }  # fmt: skip
+
+
+def _conversion(made: Conversion | None) -> dict[str, Any] | None:
+    """How the network was made of a map."""
+    if made is None:
+        return None
+    return {
+        "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
     }  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What a run may start from: a network, a SUMO configuration, a scenario, or the name of a shipped one.
+"""What a run may start from: a network, a SUMO configuration, a scenario, a map, or the name of a shipped one.
 
 ``load_input`` resolves and checks; whatever is wrong is a UsageError of one sentence before anything has begun. What is
 wrong with the files it names is found by ``scan.py``.
@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
+from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
@@ -25,7 +26,10 @@ _OPTIONS = {
     "begin": "begin", "b": "begin", "end": "end", "e": "end", "seed": "seed", "step-length": "step-length",
 }  # fmt: skip
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
-_SUFFIXES = (".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml")
+_SUFFIXES = (
+    *sorted(MAPS, key=len, reverse=True),
+    ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +53,8 @@ class RunInput:
     warm_up: s after the ego's insertion before which no trigger is looked for. horizon: s, None = the default.
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
     moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
-    what of it is not kept. asked: what must be true of the attack; words: those that the scenario was made of.
+    what of it is not kept, or was converted. asked: what must be true of the attack; words: those that the scenario was
+    made of. conversion: of a map that was no SUMO network.
     """
 
     name: str
@@ -80,6 +85,7 @@ class RunInput:
     notes: tuple[str, ...] = ()
     asked: Asked | None = None
     words: str = ""
+    conversion: Conversion | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
         """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
@@ -104,10 +110,17 @@ def load_input(path: Path) -> RunInput:
         return _from_scenario(file)
     if lower.endswith((".sumocfg", ".sumo.cfg")):
         return _from_configuration(file)
+    if is_map(file):
+        made = convert_map(file)
+        scan_network(made.network)
+        return RunInput(
+            name=input_name(file), source=file, network=made.network, files=(file, made.network),
+            notes=made.said, conversion=made,
+        )  # fmt: skip
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
         return RunInput(name=input_name(file), source=file, network=file, files=(file,))
-    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg or scenario .toml.")
+    raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
 
 
 def own_simulation(given: RunInput) -> dict[str, float | int]:
