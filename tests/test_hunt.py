@@ -54,6 +54,13 @@ def test_what_no_reference_driver_avoids_is_no_failure(level: str | None) -> Non
     assert failure_of(row(level=level), Path()) is None
 
 
+def test_of_equal_levels_a_robust_one_stands_for_its_cell() -> None:
+    """The harder one does not hold where the adversary comes a little earlier."""
+    rows = [row(robust=False, delta_v=5.0), row(id="b", robust=True)]
+    (found,) = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
+    assert (found.run.name, found.count, found.robust) == ("b", 2, True)
+
+
 def test_the_most_serious_one_stands_for_its_cell_and_the_worst_comes_first() -> None:
     """Two of a cell, a harder one of the same level, and a valid one of another side."""
     rows = [row(), row(id="b", delta_v=5.0), row(id="c", level="strict", delta_v=9.0), row(

@@ -21,17 +21,19 @@ COLUMNS = (
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
     "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
+    "robust",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
 verdict version 2. ``road`` and ``ego_speed`` are those of the encounter. ``supports``: the other adversaries with
 their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary.
-``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a near miss."""
+``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a near miss. ``robust``:
+whether most of its neighbours succeed, too; empty where none was simulated."""
 
 
 WHOLES = ("seed", "attempts")
 NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed")
-TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike")
+TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
 """Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
 
 
@@ -70,6 +72,7 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
         "road": encounter.get("road"), "ego_speed": encounter.get("ego_speed"),
         "supports": supports or None, "composition": None if attempt is None else attempt.get("composition") or None,
         "cause": cause.get("kind"), "cause_sentence": cause.get("sentence"),
+        "robust": (outcome.get("robust") or {}).get("robust"),
     }  # fmt: skip
 
 

@@ -73,7 +73,9 @@ class Episode:
 
     def of_attempt(self, index: int) -> Episode:
         """The same episode, in which another attempt counts."""
-        episode = replace(self, refinement=replace(self.refinement, chosen=index), timing=dict(self.timing))
+        robustness = self.refinement.robustness if index == self.refinement.best else None
+        other = replace(self.refinement, chosen=index, robustness=robustness)
+        episode = replace(self, refinement=other, timing=dict(self.timing))
         episode.keep_intent()
         return episode
 

@@ -13,6 +13,7 @@ from sumo_adv.report.coverage import BANDS, band_of
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
     "adversary", "preventable_by", "run", "cause", "cause_sentence",
+    "robust",
 )  # fmt: skip
 
 
@@ -42,12 +43,13 @@ class Failure:
     preventable_by: str
     run: Path
     why: str = ""
+    robust: bool | None = None  # whether most of its neighbours succeed, too; None where none was simulated
     count: int = 1
 
     @property
-    def worth(self) -> tuple[int, float]:
-        """Sorts failures, the most serious one last."""
-        return (int(self.level), self.delta_v)
+    def worth(self) -> tuple[int, bool, float]:
+        """Sorts failures, the most serious robust one last."""
+        return (int(self.level), self.robust is True, self.delta_v)
 
     @property
     def words(self) -> str:
@@ -72,6 +74,7 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     return Failure(
         cell, level, float(row["delta_v"] or 0.0), str(row["network"]), int(row["seed"]), str(row["adversary"]),
         str(row["preventable_by"] or ""), runs / str(row["id"]), str(row.get("cause_sentence") or ""),
+        row.get("robust"),
     )  # fmt: skip
 
 
@@ -94,7 +97,7 @@ def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
         {
             "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,
             "network": f.network, "seed": f.seed, "adversary": f.adversary, "preventable_by": f.preventable_by,
-            "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why,
+            "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why, "robust": f.robust,
         }
         for k, f in enumerate(found)
     ]  # fmt: skip
