@@ -35,6 +35,12 @@ Ego = Annotated[
         default="as the input says, else idm",
     ),
 ]  # fmt: skip
+EgoDeadline = Annotated[
+    float | None,
+    option(
+        EGO, "Seconds in which its driver must answer in a step; 0: any time, for a debugger.", setting="ego_deadline"
+    ),
+]
 EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
 Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may attack.", default="any")]
 Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]

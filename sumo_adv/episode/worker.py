@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -31,7 +32,7 @@ from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
-from sumo_adv.errors import SimulationError
+from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
@@ -72,7 +73,9 @@ class Worker:
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         spec = replace(task.spec, additional=additional)
-        self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
+        self._drive = Drive(
+            spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline
+        )
         lights = LightsNear(self._road)
         self._drive.lights = lights if len(lights) else None
         self._forks = task.settings.fork and can_fork() and controller.forkable
@@ -152,7 +155,8 @@ class Worker:
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of attempts from the trigger. As many run at the same time as there are slots.
 
-        An attempt in which SUMO dies, also when it is repeated, has the ending ``crashed``.
+        An attempt in which SUMO dies, also when it is repeated, or which the ego's driver does not let end, has the
+        ending ``crashed``.
         """
         results: list[AttemptResult] = []
         for first in range(0, len(plans), len(self._slots)):
@@ -206,7 +210,7 @@ class Worker:
             self._drive, self._encounter, self._settings, self._map, self._trigger_step, dialogue, ask_front
         )
         if self._forks:
-            in_forks([prepare(here)])  # not repeated: the front has spoken already
+            in_forks([prepare(here)], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
         else:
             self._branch([prepare(here)])
 
@@ -246,7 +250,7 @@ class Worker:
     def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
         """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
         if self._forks:
-            return in_forks(works, self._reloaded, lost)
+            return in_forks(works, self._reloaded, lost, self._settings.attempt_memory)
         results = []
         for work in works:
             self._at_trigger()
@@ -295,9 +299,24 @@ class Worker:
 
     def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive = self._drive
-        for _ in range(drive.within(steps)):
-            drive.tick()
+        with self._within_memory():
+            for _ in range(drive.within(steps)):
+                drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
+
+    @contextmanager
+    def _within_memory(self) -> Iterator[None]:
+        """Raises DriverError where a fork has used up its memory."""
+        try:
+            yield
+        except Exception as error:
+            if not (self._forks and self._settings.attempt_memory and ran_out_of_memory(error)):
+                raise
+            raise DriverError(
+                f"The memory of an attempt, {self._settings.attempt_memory:g} MiB, was used up with the ego's driver "
+                f"{self._drive.controller.name!r} in {self._drive.where()}: look for a leak in it, or raise the "
+                "setting attempt_memory."
+            ) from error
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -310,7 +329,15 @@ class Worker:
         asks = [  # before the fork: a planner's text is read once
             ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)
         ]
-        return partial(self._attempt, proposal, asks)
+        return partial(self._try, proposal, asks)
+
+    def _try(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
+        """An attempt; it alone is lost where the ego's driver hangs, ends its process or uses up the memory."""
+        try:
+            with self._within_memory():
+                return self._attempt(proposal, asks)
+        except DriverError as error:
+            return self._crashed(str(error))
 
     def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         drive, settings = self._drive, self._settings
