@@ -16,12 +16,11 @@ AT = 6.5  # s: in motorway_cut_in_left the trigger is at 5 s
 class Sleeps:
     """Does not return; it does not say that it may be forked, so its attempts run in place.
 
-    The first visit to this moment is the drive without an attack, the second one the first attempt. A fork that dies
-    is repeated, which is the third.
+    The first visit to this moment is the drive without an attack, the second one the first attempt.
     """
 
     name = "sleepy"
-    visits = (2, 3)
+    visits: tuple[int, ...] = (2,)
 
     def reset(self, seed: int) -> None:
         """There is nothing to forget."""
@@ -67,14 +66,16 @@ class ExitsPython(Sleeps):
 
 
 class ExitsProcess(SleepsForked):
-    """Ends its process without Python."""
+    """Ends its process without Python. A fork that dies is repeated, which is the third visit."""
+
+    visits = (2, 3)
 
     def stick(self) -> None:
         """The fault."""
         os._exit(4)
 
 
-class CrashesProcess(SleepsForked):
+class CrashesProcess(ExitsProcess):
     """Ends its process as a fault in C code does."""
 
     def stick(self) -> None:
