@@ -444,5 +444,5 @@ def _death_of_sumo(status: int, again: str) -> str:
         return f"A forked attempt ended without a result (exit status {status}){again}."
     name = signal.Signals(-status).name
     crash = name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
-    sentence = "SUMO crashed in a forked attempt" if crash else "A forked attempt was killed"
+    sentence = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
     return f"{sentence} ({name}){again}."
