@@ -17,7 +17,7 @@ from sumo_adv.metrics.cut_ins import COLUMNS, judge_cut_ins
 from sumo_adv.metrics.levels import preventability, with_level
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, speed_lost
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.fsm import critical, proactive
 from sumo_adv.metrics.validity import judge
