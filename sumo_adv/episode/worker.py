@@ -46,6 +46,7 @@ from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.situation import Situation
 
+MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
 
@@ -79,6 +80,7 @@ class Worker:
         lights = LightsNear(self._road)
         self._drive.lights = lights if len(lights) else None
         self._forks = task.settings.fork and can_fork() and controller.forkable
+        self._put_beside_what_sumo_crashes_on()
         self._search = EncounterSearch(self._drive, self._road, task)
 
     def _playback(self, task: Task) -> Playback | None:
@@ -88,6 +90,38 @@ class Worker:
         return Playback(
             task.playback, self._map, begin=task.spec.begin, step=task.spec.step_length, ego=ego, warm_up=task.warm_up
         )
+
+    def _put_beside_what_sumo_crashes_on(self) -> None:
+        """Rehearse a log in forks; a recorded vehicle on which SUMO crashes is a box beside SUMO from then on."""
+        log = self._drive.playback
+        if log is None or not self._drive.recorded() or not (self._task.settings.fork and can_fork()):
+            return
+        beside: list[str] = []
+        while len(beside) < MOST_BESIDE and not self._survives(log, beside):
+            suspects = [name for name in log.recorded if name != self._task.ego]
+            while len(suspects) > 1:
+                half = suspects[: len(suspects) // 2]
+                suspects = half if self._survives(log, [*beside, *half]) else suspects[len(half) :]
+            beside += suspects
+        log.put_beside(beside)
+        if beside:
+            self._drive.rewind(0)
+
+    def _survives(self, log: Playback, beside: Sequence[str]) -> bool:
+        """Whether SUMO lives through the log with these vehicles beside it."""
+
+        def rehearse() -> bool:
+            log.put_beside(beside)
+            try:
+                self._drive.rewind(0)
+                while self._drive.now < log.spec.end:
+                    self._drive.tick()
+            except SimulationError:
+                return False
+            return True
+
+        log.put_beside(())
+        return in_forks([rehearse], lost=lambda why: False) == [True]
 
     def forks(self) -> bool:
         """Whether attempts are forked."""
@@ -286,7 +320,8 @@ class Worker:
         if isinstance(built, str):
             return built
         encounter, baseline = built
-        self._encounter = replace(encounter, driven_from=self._drive.driven_from)
+        beside = () if self._drive.playback is None else self._drive.playback.beside
+        self._encounter = replace(encounter, driven_from=self._drive.driven_from, beside=beside)
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 
