@@ -23,11 +23,12 @@ delays and the same braking:
 
 The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
 driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
-one: back behind the line), or a leader that needs no braking.  Where the regulation leaves room: the zone of wandering
-counts from where the vehicle last kept its lateral place (slower than 0.1 m/s sideways); the 0.4 s of perception are also
-a way for a slow vehicle: it is perceived 0.5 m beyond the zone of wandering at the earliest, or in the ego's corridor
-(the JRC's implementation, ec-jrc/JRC-FSM, takes 0.72 m and no time, which agrees with this in 98 % of cut-ins); and 0.774 g is not raised to
-the 0.85 g of the emergency brake that the regulation assumes once both vehicles overlap fully.
+one: back behind the line), or a leader that needs no braking.  Where the regulation leaves room:
+
+- the zone of wandering counts from where the vehicle last kept its lateral place (slower than 0.1 m/s sideways);
+- a vehicle that comes over slowly is perceived 0.5 m beyond that zone at the earliest, or in the ego's corridor; the
+  JRC's implementation (ec-jrc/JRC-FSM) takes 0.72 m and no time, and agrees with this in 98 % of cut-ins;
+- 0.774 g is not raised to the 0.85 g of the emergency brake that the regulation assumes once both overlap fully.
 
 In unattacked traffic of SUMO's (``benchmarks/false_alarms.py``) it brakes without need 0.1 times in 10 km; ``reg157``
 0.1, ``fsm`` 3.6 and ``rss`` 12.3 times, because drivers there follow at 1 s, nearer than these two models want.
