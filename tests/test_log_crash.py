@@ -14,11 +14,12 @@ from sumo_adv.simulation.engine import can_fork
 
 @pytest.mark.skipif(not can_fork(), reason="this system cannot rehearse a log in a fork")
 def test_one_vehicle_is_left_out_and_named(program: Program, tmp_path: Path) -> None:
-    """The route of the third vehicle goes back to the start of its own edge: SUMO refuses to insert it."""
+    """The demand has a vehicle of the third one's name, which departs later: SUMO refuses the recorded one."""
     tracks = [moving("e", 100.0, MIDDLE, 12.0), moving("n", 130.0, LEFT, 10.0), moving("third", 160.0, RIGHT, 10.0)]
     case = write_scenario(tmp_path, tracks, routed=("e", "n", "third"))
     routes = tmp_path / "log.rou.xml"
-    routes.write_text(routes.read_text().replace('id="third" edges="eastbound"', 'id="third" edges="eastbound eastbound"'))
+    later = '<vehicle id="third" route="n" depart="60"/>'
+    routes.write_text(routes.read_text().replace("</routes>", f"{later}</routes>"))
     done = program("run", case, "--background", "log", "--attempts", "1", "--learn", "off", "--out", "out")
     assert done.status == 0, done.err
     assert "SUMO crashes on third, so it does not drive there" in done.out
