@@ -31,7 +31,7 @@ from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
+from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
@@ -227,6 +227,8 @@ class Worker:
         answers = dict(zip(works, self._branch(list(works.values()), lambda why: None), strict=True))
         if None in answers.values():  # SUMO died: it cannot say what these drivers do
             return {}
+        if (itself := own_reference(self._drive)) in answers:
+            answers[itself] = False
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
     def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
